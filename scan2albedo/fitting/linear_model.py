@@ -30,7 +30,7 @@ distribution", 1989): hair, a lid that is shut and a beard are rare and far."""
 JOINT_SD_RAD = 0.2
 """Standard deviation of a joint's rotation about each axis: a jaw opens by some 20 degrees at most."""
 FREE_JOINTS = ("neck", "jaw")
-MOST_VERTICES, MOST_ROUNDS, MOST_PAIRED = 6000, 60, 1500
+MOST_VERTICES, MOST_ROUNDS, TRUSTING_ROUNDS, MOST_PAIRED = 6000, 60, 5, 1500
 """Vertices that are fitted, evenly spread over their numbers: more say the same. Rounds of closest points.
 Vertices whose pairs say how errors are correlated."""
 
@@ -316,12 +316,14 @@ def fit_linear_model(
     for _ in range(8):
         state = replace(state, terms=(along.settled(state.points),))
         state = minimize(state, steps=2, trials=6, meter=meter).best
+    # Settled for good: a face that slides along the scan would excuse itself.
+    along = along.settled(state.points)
     whole = state.of_whole(model)
     surface = _surface(scan, fitted, whole[places.vertices])
     normals = vertex_normals(whole, faces)
     surface = surface.turned_outward(whole[places.vertices], normals[places.vertices], GATE_MM[0])
     converged, across = False, along
-    for _ in range(MOST_ROUNDS):
+    for step in range(MOST_ROUNDS):
         whole = state.of_whole(model)
         outward = vertex_normals(whole, faces)[index]
         hits = surface.nearest.query(state.points)
@@ -332,13 +334,15 @@ def fit_linear_model(
         seen = np.flatnonzero(there)
         across = _Term(seen, hits.points[seen], normal[seen, None], counts[seen], known[seen].astype(float))
         across = across.settled(state.points)
-        before = replace(state, terms=(across, along.settled(state.points)))
+        # What a poor fit leaves is correlated, too, and would excuse it: independent at first.
+        across = replace(across, share=across.share ** min(step / TRUSTING_ROUNDS, 1))
+        before = replace(state, terms=(across, along))
         off = np.abs(across.residuals(state.points)[:, 0])
         meter.record(float(np.average(off, weights=across.weight * across.known)))
         if meter.exhausted:
             break
         state = minimize(before, steps=3, trials=6, meter=meter).best
-        if converged := before.posterior_step(state) < 1 / 20:
+        if converged := step >= TRUSTING_ROUNDS and before.posterior_step(state) < 1 / 20:
             break
     matrix = state.normal_equations().matrix
     deviation = np.sqrt(np.diag(np.linalg.inv(matrix)))
