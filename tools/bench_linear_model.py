@@ -123,7 +123,7 @@ def own_shapes(count: int, seed: int) -> None:
         rng = np.random.default_rng([seed, number])
         truth = rng.normal(size=model.basis.shape[2])
         truth[model.shapes :] = np.abs(truth[model.shapes :])  # expressions have no opposite
-        shape = model.at(truth, np.zeros((0, 3)))
+        shape = model.at(truth)
         scan, scan_from_shape = raw_like(shape, model.faces, seed + number)
         right = transform_points(scan_from_shape, shape)
         fitted, found, whole_s, own_s = ours(scan, model)

@@ -43,7 +43,7 @@ from scan2albedo.registration import Registration, register
 from scan2albedo.registration.register import refined_registration
 from scan2albedo.sampling import geometry_image, geometry_image_of_scan
 from scan2albedo.sampling.geometry_images import texture_doubt
-from scan2albedo.templates import AnnotatedFaceModel, chosen_linear_model, chosen_model
+from scan2albedo.templates import AnnotatedFaceModel, chosen_model
 from scan2albedo.templates.annotated_face_model import linear_model_places
 
 BUDGET_SHARES = {"register": 0.25, "fit": 0.4, "linear_model": 0.3, "albedo": 0.9, "unlit": 0.3}
@@ -197,7 +197,9 @@ def _processed(
             scan = load_scan(source, unit=options.unit, name=name, textures=options.textures)
         if options.landmarks is not None and not options.landmarks_detected and options.model != "none":
             scan = with_landmarks(scan, options.landmarks, file)
-        model, linear = chosen_model(options.model), chosen_linear_model(options.linear_model)
+        model, linear = chosen_model(options.model), options.linear_model
+        if linear is not None and not isinstance(linear, LinearFaceModel):
+            linear = LinearFaceModel.load(linear)
     unlit_s, seconds = 0.0, clock.budget.seconds
     if options.unlit is not None and scan.texture_linear is not None:
         # Beyond the face a texel takes half as long.

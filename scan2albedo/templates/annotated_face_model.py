@@ -24,7 +24,7 @@ from scan2albedo.geometry.loop_subdivision import SurfacePoints
 from scan2albedo.geometry.mesh import boundary_vertex_mask, face_normals, vertex_normals, without_unreferenced
 from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_angle_rad, transform_points
 from scan2albedo.io.linear_model_files import LinearFaceModel
-from scan2albedo.io.load_scan import SUPPORTED_SCANS, file_sha256, read_mesh_file
+from scan2albedo.io.load_scan import SUPPORTED_SCANS, read_mesh_file
 from scan2albedo.templates.from_mesh import DenseTemplate, model_from_surface, project
 from scan2albedo.templates.surface import TemplateSurface, template_surface
 
@@ -146,21 +146,6 @@ def fitted_to_template(surface: TemplateSurface, name: str, model: AnnotatedSurf
     if (chance := registration.confidence) < 0.5:
         raise RegistrationError(f"a face is recognised with confidence {chance:.2f} only")
     return fit(scan, model, registration)
-
-
-def chosen_linear_model(given: LinearFaceModel | str | Path | None) -> LinearFaceModel | None:
-    """Return the model `given`, or its file's, kept for the next scan; ModelError for any other file."""
-    if not isinstance(given, str | Path):
-        return given
-    try:
-        return _loaded(str(given), file_sha256(Path(given)))
-    except OSError as error:
-        raise ModelError(f"linear model {given}: {error.strerror or error}; check the path") from error
-
-
-@lru_cache(maxsize=1)
-def _loaded(path: str, sha256: str) -> LinearFaceModel:
-    return LinearFaceModel.load(path)
 
 
 @lru_cache(maxsize=1)

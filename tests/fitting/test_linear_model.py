@@ -51,8 +51,7 @@ def jointed(linear):
 
 def scanned(model, coefficients, rotations=None, noise_mm=0.1, seed=0):
     """Return a noisy scan in a pose of its own, its vertices without noise, and its pose."""
-    turns = np.zeros((len(model.joints), 3)) if rotations is None else rotations
-    true = 1000 * model.at(coefficients, turns) @ np.diag([-1.0, -1.0, 1.0])
+    true = 1000 * model.at(coefficients, rotations) @ np.diag([-1.0, -1.0, 1.0])
     rng = np.random.default_rng(seed)
     noisy = true + vertex_normals(true, model.faces) * rng.normal(0, noise_mm, (len(true), 1))
     pose = np.eye(4)
@@ -99,9 +98,7 @@ def test_coefficients_of_its_own_shapes_come_back(linear):
     assert found.pose.scale / 1000 == pytest.approx(1, abs=0.01)
     record = found.record(invert_rigid(fitted.model_from_scan))
     assert (len(record.shape), len(record.expression)) == (12, 3)
-    again = transform_points(
-        np.array(record.scan_from_model), linear.at(found.coefficients, np.zeros((0, 3)))
-    )
+    again = transform_points(np.array(record.scan_from_model), linear.at(found.coefficients))
     direct = transform_points(invert_rigid(fitted.model_from_scan), found.vertices)
     np.testing.assert_allclose(again, direct, atol=1e-6)
 
