@@ -143,9 +143,7 @@ class LinearFaceModel:
     @lru_cache(maxsize=1)
     def _load(cls, file: Path, changed: int) -> Self:
         limits.require_file(file, 4 * limits.FILE_BYTES)
-        if (reader := _READERS.get(file.suffix.lower())) is None:
-            raise ModelError(f"ends in {file.suffix!r}, expected {', '.join(_READERS)}")
-        return cls(name=file.stem, sha256=file_sha256(file), **_fields(reader(file)))
+        return cls(name=file.stem, sha256=file_sha256(file), **_fields(_arrays(file)))
 
 
 def _fields(values: Values) -> Values:
@@ -216,20 +214,36 @@ def _numbers(values: Values, name: str, *, whole: bool = False) -> Any:
     return array.astype(np.int64 if whole else np.float64)
 
 
-def _read_hdf5(file: Path) -> Values:
-    with needs_extra("hdf5"):
-        import h5py
-    with h5py.File(file, "r") as stored:
-        return {name: stored[name][()] for name in _NAMES if name in stored}
+def _arrays(file: Path) -> Values:
+    """Return the arrays of a file, by their names in it."""
+    ending = file.suffix.lower()
+    if ending == ".npz":
+        return read_npz(file, (), optional=_NAMES, what="linear model", advice=_ADVICE, error=ModelError)
+    if ending == ".mat":
+        return dict(loadmat(file, variable_names=tuple(_NAMES)))
+    if ending in (".h5", ".hdf5"):
+        with needs_extra("hdf5"):
+            import h5py
+        with h5py.File(file, "r") as stored:
+            return {name: stored[name][()] for name in _NAMES if name in stored}
+    if ending == ".bin":
+        return eos_arrays(file.read_bytes())
+    if ending != ".pkl":
+        raise ModelError(f"ends in {ending!r}, expected .npz, .h5, .hdf5, .mat, .pkl or .bin")
+    with file.open("rb") as opened:
+        found = _Unpickler(opened, encoding="latin1").load()
+    if not isinstance(found, dict):
+        raise ModelError(f"the pickle holds a {type(found).__name__}, expected a dict of arrays")
+    return {name: _plain(found[name]) for name in _NAMES if name in found}
 
 
-def _read_eos(file: Path) -> Values:
-    """Read the shape model of an eos file, Surrey's: a cereal archive of MorphableModel, version 1 and later.
+def eos_arrays(data: bytes) -> Values:
+    """Return the shape model in an eos file, Surrey's: a cereal archive of MorphableModel since version 1.
 
     uint32 version; then mean, one or two bases (scaled, orthonormal), eigenvalues, each as int32 rows, int32
     columns and column-major float32; then uint64 count and int32 triples of vertices.
     """
-    data, begin, matrices = file.read_bytes(), 4, list[NDArray[np.float32]]()
+    begin, matrices = 4, list[NDArray[np.float32]]()
     while not matrices or len(matrices[-1]) == len(matrices[0]):
         rows, columns = np.frombuffer(data, "<i4", 2, begin).tolist()
         if min(rows, columns) < 1 or len(matrices) > 3:
@@ -309,19 +323,3 @@ def _plain(value: Any) -> Any:
         number = number.newbyteorder(dtype.state[1])
     data = raw.encode("latin1") if isinstance(raw, str) else raw
     return np.frombuffer(data, number).reshape(shape, order=order)
-
-
-def _read_pickle(file: Path) -> Values:
-    with file.open("rb") as opened:
-        found = _Unpickler(opened, encoding="latin1").load()
-    if not isinstance(found, dict):
-        raise ModelError(f"the pickle holds a {type(found).__name__}, expected a dict of arrays")
-    return {name: _plain(found[name]) for name in _NAMES if name in found}
-
-
-def _read_npz(file: Path) -> Values:
-    return read_npz(file, (), optional=_NAMES, what="linear model", advice=_ADVICE, error=ModelError)
-
-
-_READERS = {".npz": _read_npz, ".h5": _read_hdf5, ".pkl": _read_pickle, ".bin": _read_eos}
-_READERS |= {".hdf5": _read_hdf5, ".mat": lambda file: loadmat(file, variable_names=tuple(_NAMES))}

@@ -183,11 +183,7 @@ class LinearModelRecord(Record):
     )
     mm_per_unit: Number = Field(gt=0, description="Of the model's unit, decided from its size.")
     scale: Number = Field(gt=0, description="Of the posed model in mm to the scan.")
-    pose_deviation: tuple[Number, ...] = Field(
-        min_length=7,
-        max_length=7,
-        description="Of a turn about each axis [rad], a shift [mm], the log scale.",
-    )
+    pose_deviation: tuple[Number, ...] = Field(description="Of a turn [rad], a shift [mm], the log scale.")
     noise_mm: Number = Field(description="Scale of the distances between scan and model.")
     observations: Number = Field(description="Independent observations that these count as.")
     residual_mean_mm: Number
