@@ -227,11 +227,10 @@ class _State:
         """Return the state after a step: turn, shift, log scale, joints, coefficients."""
         turn, shift, size, joints, more = np.split(step, [3, 6, 7, 7 + 3 * len(self.free)])
         scale = self.pose.scale * float(np.exp(size[0]))
-        pose = Similarity(
-            rotation_from_vector(turn) @ self.pose.rotation, self.pose.translation + shift, scale
-        )
+        rotation, translation = rotation_from_vector(turn) @ self.pose.rotation, self.pose.translation + shift
         rotations = self.rotations.copy()
         rotations[self.free] += joints.reshape(-1, 3)
+        pose = Similarity(rotation, translation, scale)
         return replace(self, pose=pose, rotations=rotations, coefficients=self.coefficients + more)
 
 

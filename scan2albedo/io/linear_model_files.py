@@ -107,7 +107,8 @@ class LinearFaceModel:
         """
         size = len(self.joints) + 1
         turn, shift = np.tile(np.eye(3), (size, 1, 1)), np.zeros((size, 3))  # the last: no parent
-        slopes, shape = np.zeros((size, 3, len(coefficients))), self.mean + self.basis @ coefficients
+        slopes = np.zeros((size, 3, len(coefficients)))
+        shape = self.mean + self.basis @ coefficients.astype(self.basis.dtype)  # no copy of a large basis
         places = self.joint_mean + self.joint_basis @ coefficients
         local = np.array([rotation_from_vector(vector) for vector in rotations]).reshape(-1, 3, 3)
         for joint, parent in enumerate(self.parents):
@@ -143,11 +144,11 @@ class LinearFaceModel:
     @lru_cache(maxsize=1)
     def _load(cls, file: Path, changed: int) -> Self:
         limits.require_file(file, 4 * limits.FILE_BYTES)
-        return cls(name=file.stem, sha256=file_sha256(file), **_fields(_arrays(file)))
+        return cls(name=file.stem, sha256=file_sha256(file), **model_fields(stored_arrays(file)))
 
 
-def _fields(values: Values) -> Values:
-    """Return the fields of a model from the arrays of any layout, by their names in it."""
+def model_fields(values: Values) -> Values:
+    """Return a model's fields from the `values` of any layout; ModelError where one is missing or wrong."""
     found = {_NAMES[name]: value for name, value in values.items() if name in _NAMES and value is not None}
     if "tl" in found:  # Basel 2009 counts from one
         found["faces"] = _numbers(found, "tl") - 1
@@ -214,8 +215,8 @@ def _numbers(values: Values, name: str, *, whole: bool = False) -> Any:
     return array.astype(np.int64 if whole else np.float64)
 
 
-def _arrays(file: Path) -> Values:
-    """Return the arrays of a file, by their names in it."""
+def stored_arrays(file: Path) -> Values:
+    """Return the arrays that a model's `file` holds, by their names in it; ModelError for other endings."""
     ending = file.suffix.lower()
     if ending == ".npz":
         return read_npz(file, (), optional=_NAMES, what="linear model", advice=_ADVICE, error=ModelError)

@@ -149,7 +149,8 @@ def fitted_to_template(surface: TemplateSurface, name: str, model: AnnotatedSurf
 
 
 @lru_cache(maxsize=1)
-def _default_places(linear: LinearFaceModel) -> ModelPlaces:
+def places_on_default(linear: LinearFaceModel) -> ModelPlaces:
+    """Return `linear_model_places` on the default model, kept for the next scan."""
     return _places(linear, AnnotatedFaceModel.default())
 
 
@@ -159,7 +160,7 @@ def linear_model_places(linear: LinearFaceModel, model: AnnotatedSurface) -> Mod
     Vertices off its largest part (eyeballs, teeth) are not used. Raises `ModelError`, naming the linear
     model, where its mean is no surface, or no face is recognised in it.
     """
-    return _default_places(linear) if model is AnnotatedFaceModel.default() else _places(linear, model)
+    return places_on_default(linear) if model is AnnotatedFaceModel.default() else _places(linear, model)
 
 
 def _places(linear: LinearFaceModel, model: AnnotatedSurface) -> ModelPlaces:
