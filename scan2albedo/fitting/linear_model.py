@@ -30,9 +30,11 @@ FREEDOM = 4.0
 distribution", 1989): hair, a lid that is shut and a beard are rare and far."""
 JOINT_SD_RAD, FREE_JOINTS = 0.2, ("neck", "jaw")
 """Standard deviation of a joint's rotation about each axis (jaws open by some 20 degrees), and what turns."""
-MOST_VERTICES, MOST_ROUNDS, TRUSTING_ROUNDS, MOST_PAIRED = 6000, 60, 5, 1500
-"""Vertices that are fitted, evenly spread over their numbers: more say the same. Rounds of closest points,
-and those in which errors come to count as correlated; vertices whose pairs say how much they are."""
+MOST_VERTICES, MOST_ROUNDS, MOST_PAIRED = 6000, 60, 1500
+"""Vertices that are fitted, evenly spread over their numbers: more say the same. Rounds of closest points;
+vertices whose pairs say how errors are correlated."""
+SMALL = 1 / 20
+"""Part of the scale of the errors, and of a coefficient's posterior deviation, that is little."""
 
 
 @dataclass(frozen=True)
@@ -297,19 +299,20 @@ def fit_linear_model(
     )
     assert near is not None  # the face was fitted to it
     surface = near.turned_outward(whole[index], vertex_normals(whole, faces)[index], GATE_MM[0])
-    converged, across = False, along
-    for step in range(MOST_ROUNDS):
+    converged, falls, across = False, True, replace(along, scale=np.inf, share=1.0)
+    for _ in range(MOST_ROUNDS):
         outward = vertex_normals(pose_of(model, state), faces)[index]
         hits = surface.nearest.query(state.points)
         normal = normalized(surface.normals_at(hits))
         there = ~surface.on_boundary(hits) & (np.einsum("ij,ij->i", normal, outward) > 0) & (counts > 0)
         if not (there & known).any():
             break
-        seen = np.flatnonzero(there)
+        seen, last = np.flatnonzero(there), across
         across = _Term(seen, hits.points[seen], normal[seen, None], counts[seen], known[seen].astype(float))
         across = across.settled(state.points)
-        # What a poor fit leaves is correlated, too, and would excuse it: independent at first.
-        across = replace(across, share=across.share ** min(step / TRUSTING_ROUNDS, 1))
+        # What a poor fit leaves is correlated, too, and would excuse it: independent while errors fall.
+        falls = falls and across.scale < (1 - SMALL) * last.scale
+        across = replace(across, share=1.0 if falls else float(np.sqrt(across.share * last.share)))
         off = np.sqrt(across.residuals(state.points)[1])
         meter.record(float(np.average(off, weights=across.weight * across.known)))
         if meter.exhausted:
@@ -318,8 +321,7 @@ def fit_linear_model(
         state = minimize(before, steps=3, trials=6, meter=meter).best
         change = state.coefficients - before.coefficients
         precision = before.normal_equations().matrix[-len(change) :, -len(change) :]
-        # By less than a twentieth of the posterior's standard deviations, RMS.
-        if converged := bool(step >= TRUSTING_ROUNDS and 400 * change @ precision @ change < len(change)):
+        if converged := bool(not falls and change @ precision @ change < SMALL**2 * len(change)):
             break
     deviation = np.sqrt(np.diag(np.linalg.inv(state.normal_equations().matrix)))
     vertices = pose_of(model, state)
