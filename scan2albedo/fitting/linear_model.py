@@ -15,7 +15,7 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import FitError
 from scan2albedo.fitting.alignment import SIZE_SD
 from scan2albedo.fitting.options import GATE_MM, FitOptions
-from scan2albedo.fitting.result import RESIDUAL_GATE_MM, FittedFace
+from scan2albedo.fitting.result import NEAR_MM, RESIDUAL_GATE_MM, FittedFace
 from scan2albedo.fitting.scan_surface import scan_near_model
 from scan2albedo.geometry.loop_subdivision import SurfacePoints
 from scan2albedo.geometry.mesh import normalized, vertex_areas, vertex_normals
@@ -30,6 +30,9 @@ FREEDOM = 4.0
 distribution", 1989): hair, a lid that is shut and a beard are rare and far."""
 JOINT_SD_RAD, FREE_JOINTS = 0.2, ("neck", "jaw")
 """Standard deviation of a joint's rotation about each axis (jaws open by some 20 degrees), and what turns."""
+PLACE_MM = 2.0
+"""Standard deviation along an axis of where the fitted face puts a vertex, mostly along the surface; of raw
+scans of ICT's faces it is 1.6 to 2.1."""
 MOST_VERTICES, MOST_ROUNDS, MOST_PAIRED = 6000, 60, 1500
 """Vertices that are fitted, evenly spread over their numbers: more say the same. Rounds of closest points;
 vertices whose pairs say how errors are correlated."""
@@ -225,6 +228,10 @@ class _State:
             gradient += weighted.T @ residual.ravel()
         return NormalEquations(matrix, gradient)
 
+    @cached_property
+    def deviation(self) -> FloatArray:
+        return np.sqrt(np.diag(np.linalg.inv(self.normal_equations().matrix)))
+
     def moved(self, step: FloatArray) -> _State:
         """Return the state after a step: turn, shift, log scale, joints, coefficients."""
         turn, shift, size, joints, more = np.split(step, [3, 6, 7, 7 + 3 * len(self.free)])
@@ -283,14 +290,13 @@ def fit_linear_model(
     free = np.array([model.joints.index(name) for name in FREE_JOINTS if name in model.joints], np.int64)
     rest = np.zeros(model.basis.shape[2]), np.zeros((len(model.joints), 3))
     state = _State(model.of_vertices(index), free, meter, unit, pose, *rest)
-    # Every fourth place: they err together over centimetres.
     some = placed[::4]
     axes, each = np.broadcast_to(np.eye(3), (len(some), 3, 3)), np.ones(len(some))
-    along = _Term(some, target[some], axes, counts[some], each).settled(state.points)
-    for _ in range(8):
-        state = minimize(replace(state, terms=(along,)), steps=2, trials=6, meter=meter).best
-        # Settled here for good: a face that slides along the scan would excuse itself.
-        along = along.settled(state.points)
+    # Places err together over NEAR_MM: `common_shape` counts as many patches.
+    patches = counts[placed].sum() * area.mean() * len(places.vertices) / len(kept) / (4 * np.pi * NEAR_MM**2)
+    share = float(patches / counts[some].sum())
+    along = _Term(some, target[some], axes, counts[some], each, PLACE_MM, share)
+    state = minimize(replace(state, terms=(along,)), steps=20, tolerance=SMALL**2, meter=meter).best
     whole = pose_of(model, state)
     bare = scan if fitted.covered_faces is None else scan.without_faces(fitted.covered_faces)
     low, high = whole[index].min(0) - GATE_MM[0], whole[index].max(0) + GATE_MM[0]
@@ -320,10 +326,8 @@ def fit_linear_model(
         before = replace(state, terms=(across, along))
         state = minimize(before, steps=3, trials=6, meter=meter).best
         change = state.coefficients - before.coefficients
-        precision = before.normal_equations().matrix[-len(change) :, -len(change) :]
-        if converged := bool(not falls and change @ precision @ change < SMALL**2 * len(change)):
+        if converged := not falls and rms(change / state.deviation[-len(change) :]) < SMALL:
             break
-    deviation = np.sqrt(np.diag(np.linalg.inv(state.normal_equations().matrix)))
     vertices = pose_of(model, state)
     normals, hits = vertex_normals(vertices, faces), surface.nearest.query(vertices)
     shown = ~surface.on_boundary(hits) & (hits.distance < RESIDUAL_GATE_MM)
@@ -340,7 +344,7 @@ def fit_linear_model(
         pose=state.pose,
         coefficients=state.coefficients,
         rotations=state.rotations,
-        deviation=deviation,
+        deviation=state.deviation,
         vertices=vertices,
         faces=faces,
         uv=model.uv[:, ::-1] if model.uv is not None and places.inward else model.uv,
@@ -353,6 +357,11 @@ def fit_linear_model(
         trace=meter.trace,
         plan=tuple(steps),
     )
+
+
+def rms(values: FloatArray) -> float:
+    """Return the root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def pose_of(model: LinearFaceModel, state: _State) -> FloatArray:

@@ -136,10 +136,10 @@ def test_hair_and_holes_hardly_count(linear):
 
 def test_a_budget_ends_with_the_best_so_far(linear):
     scan, _, pose = scanned(linear, np.ones(15))
-    _, found = fitted_to(scan, pose, linear, budget=Budget(evaluations=20))
+    _, found = fitted_to(scan, pose, linear, budget=Budget(evaluations=6))
     assert not found.converged
     assert np.isfinite(found.coefficients).all()
-    assert len(found.trace) == 1
+    assert 1 <= len(found.trace) <= 3
     assert found.trace.stages == ("linear_model",)
     assert found.plan[-1].level == "doubt"
 
