@@ -325,8 +325,8 @@ def fit_linear_model(
             break
         before = replace(state, terms=(across, along))
         state = minimize(before, steps=3, trials=6, meter=meter).best
-        change = state.coefficients - before.coefficients
-        if converged := not falls and rms(change / state.deviation[-len(change) :]) < SMALL:
+        change = (state.coefficients - before.coefficients) / state.deviation[-len(rest[0]) :]
+        if converged := bool(not falls and np.mean(change**2) < SMALL**2):
             break
     vertices = pose_of(model, state)
     normals, hits = vertex_normals(vertices, faces), surface.nearest.query(vertices)
@@ -357,11 +357,6 @@ def fit_linear_model(
         trace=meter.trace,
         plan=tuple(steps),
     )
-
-
-def rms(values: FloatArray) -> float:
-    """Return the root mean square."""
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def pose_of(model: LinearFaceModel, state: _State) -> FloatArray:
