@@ -18,7 +18,12 @@ from scan2albedo.eyeglasses.frame_files import KeyPointsFile, StartFile
 from scan2albedo.eyeglasses.view_files import CamerasFile, LabelsFile
 from scan2albedo.face_model.annotation import FaceModelFile
 from scan2albedo.io.landmark_files import LandmarksRecord
-from scan2albedo.io.result_records import ApplicationRecord, RegistrationRecord, ResultRecord
+from scan2albedo.io.result_records import (
+    ApplicationRecord,
+    LinearModelRecord,
+    RegistrationRecord,
+    ResultRecord,
+)
 from scan2albedo.recognition.labelled_templates import TemplatesHeader
 from scan2albedo.reflectance.capture_files import FacePhotographFile, FlashCaptureFile
 from scan2albedo.reflectance.morphable_model import ReflectanceModelHeader
@@ -36,6 +41,7 @@ RECORDS: dict[str, type[BaseModel]] = {
     "result": ResultRecord,
     "registration": RegistrationRecord,
     "landmarks": LandmarksRecord,
+    "coefficients": LinearModelRecord,
     "annotated_face_model": FaceModelFile,
     "application": ApplicationRecord,
     "sweep": SweepRecord,

@@ -35,6 +35,7 @@ from scan2albedo.errors import BatchError, ModelError, Scan2AlbedoError, needs_e
 from scan2albedo.io.atomic import check_writable, signals_held
 from scan2albedo.io.landmark_files import landmarks_file
 from scan2albedo.io.leftovers import remove_leftovers
+from scan2albedo.io.linear_model_files import LinearFaceModel
 from scan2albedo.io.load_scan import file_sha256, files_of_scan
 from scan2albedo.io.records import installed_versions, read_record, write_record
 from scan2albedo.pipeline.detected_landmarks import require_detector
@@ -133,6 +134,10 @@ def _tasks(
         if not isinstance(folder, str) or (several and not Path(folder).is_dir()):
             raise ValueError("a batch's landmarks are a folder with files named after the scans, or auto")
         options = replace(options, landmarks=str(Path(folder).absolute()))
+    if options.linear_model is not None:
+        if not isinstance(options.linear_model, str):
+            raise ValueError("a batch's linear model is a file: workers read it themselves")
+        options = replace(options, linear_model=str(Path(options.linear_model).absolute()))
     if options.textures is not None:
         options = replace(options, textures=str(Path(options.textures).absolute()))
     for scan in manifest.scans:
@@ -152,6 +157,8 @@ def _tasks(
         hashed = {"version": VERSION, "model_sha256": models[model], **asdict(chosen)}
         if model not in ("default", "none"):
             hashed["model"] = Path(model).name  # its place does not count
+        if isinstance(linear := hashed.pop("linear_model"), str):
+            hashed["linear_model_sha256"] = LinearFaceModel.load(linear).sha256
         del hashed["textures"]  # those that a scan uses are part of the input
         del hashed["landmarks"]
         place = chosen.landmarks

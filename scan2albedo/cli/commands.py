@@ -104,6 +104,11 @@ def _flags(
         help="none; grey-skin: skin gets people's mean colour; or the linear colour of something grey in it.",
         metavar="none|grey-skin|R,G,B",
     ),
+    linear_model: str | None = typer.Option(
+        None,
+        help="A linear (morphable) model's file (FLAME, Basel, Surrey, your own) to fit coefficients of.",
+        metavar="FILE",
+    ),
 ) -> None:
     """Hold the flags of `process`, `person`, `batch` and `demo`, named as the fields of `ProcessOptions`."""
 

@@ -159,6 +159,35 @@ class RegistrationRecord(Record):
     iterations: int = Field(ge=0)
 
 
+Vector = tuple[Number, Number, Number]
+
+
+class LinearModelRecord(Record):
+    """The content of `coefficients.json`; deviations are standard deviations of the posterior."""
+
+    format_version: Literal[1] = 1
+    model: str = Field(description="Name of the linear model's file without its ending.")
+    model_sha256: str = Field(pattern=SHA256)
+    shape: tuple[Number, ...] = Field(description="Coefficients of identity, in standard deviations.")
+    shape_deviation: tuple[Number, ...]
+    expression: tuple[Number, ...] = Field(description="The same of expression.")
+    expression_deviation: tuple[Number, ...]
+    joint_rotations_rad: dict[str, Vector] = Field(description="Axis times angle; joints not fitted are 0.")
+    joint_deviations_rad: dict[str, Vector] = Field(description="Of the joints that were fitted.")
+    joint_positions: dict[str, Vector] = Field(description="At rest, in the model's own frame and unit.")
+    scan_from_model: Matrix = Field(
+        description="Row-major 4x4 with the scale acting on column vectors: points in the model's own frame "
+        "and unit, posed by its joints, into the frame and unit of the scan's file."
+    )
+    mm_per_unit: Number = Field(gt=0, description="Of the model's unit, decided from its size.")
+    scale: Number = Field(gt=0, description="Of the posed model in mm to the scan.")
+    pose_deviation: tuple[Number, ...] = Field(description="Of a turn [rad], a shift [mm], the log scale.")
+    noise_mm: Number = Field(description="Scale of the distances between scan and model.")
+    observations: Number = Field(description="Independent observations that these count as.")
+    residual_mean_mm: Number
+    converged: bool
+
+
 class ApplicationRecord(Record):
     """The content of `application.json`."""
 

@@ -19,6 +19,7 @@ from scan2albedo.core import Budget, checked_seed
 from scan2albedo.core.geometry_image import LARGEST_SIZE, SMALLEST_SIZE, check_size
 from scan2albedo.core.landmarks import AUTO, landmarks_option
 from scan2albedo.fitting.options import FitOptions
+from scan2albedo.io.linear_model_files import LinearFaceModel
 from scan2albedo.io.units import MM_PER_UNIT
 from scan2albedo.pipeline.white_balance import checked_white_balance
 from scan2albedo.registration import RegistrationOptions
@@ -125,6 +126,9 @@ class ProcessOptions:
     white_balance: str | Sequence[float] = "none"
     """Of the scan's colours, before its light is sought: "grey-skin" gives skin the mean colour of people's;
     or the linear colour (R, G, B) that something grey has in the scan, which is divided out."""
+    linear_model: LinearFaceModel | str | Path | None = None
+    """A linear (morphable) model, or its file, whose coefficients are fitted to the scan; `template` is then
+    its mesh."""
 
     def __post_init__(self) -> None:
         given = {**vars(self), "landmarks": landmarks_option(self.landmarks)}
@@ -148,6 +152,8 @@ class ProcessOptions:
         for name, names in choices.items():
             if (choice := getattr(self, name)) not in names:
                 raise ValueError(f"{name} is {choice!r}, expected one of {', '.join(names)}")
+        if self.linear_model is not None and self.model == "none":
+            raise ValueError("linear_model needs the model of a face: leave model='none' out")
         if self.unlit not in (None, *REACHES):
             raise ValueError(f"unlit is {self.unlit!r}, expected one of {', '.join(REACHES)}, or None")
         if self.maps not in (None, *CARRIERS):
@@ -216,6 +222,7 @@ class ProcessOptions:
         return {
             **{name: value for name, value in self.arguments().items() if name not in elsewhere},
             "model": "none" if model is None else model.name,
+            "linear_model": getattr(self.linear_model, "name", self.linear_model),
             "landmarks": self.landmarks if isinstance(self.landmarks, str | None) else "given",
             "size": self.texels,
             "quality": self.stages.name,

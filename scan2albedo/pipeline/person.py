@@ -133,6 +133,8 @@ def process_person(
     chosen, begin = ProcessOptions(**options), time.perf_counter()
     if chosen.model == "none":
         raise ValueError("a person needs the model of a face: leave model='none' out")
+    if chosen.linear_model is not None:
+        raise ValueError("linear_model is fitted to single scans: process them with it one by one")
     if out is not None:
         RunFolder(Path(out) / name, FILES).check()
         check_writable(Path(out))

@@ -24,11 +24,15 @@ from scan2albedo.core.arguments import require_type
 from scan2albedo.core.first_run import compiled_beside
 from scan2albedo.core.raw_scan import is_folder_name, scan_name
 from scan2albedo.errors import memory_errors_named
+from scan2albedo.face_model.appearance import CLASSES
 from scan2albedo.fitting import FittedFace, fit
+from scan2albedo.fitting.linear_model import fit_linear_model
 from scan2albedo.fitting.plausibility import doubts, face_coverage
+from scan2albedo.geometry.rasterization import pixels_from_uv
 from scan2albedo.io import load_scan
 from scan2albedo.io.atomic import check_writable
 from scan2albedo.io.leftovers import remove_leftovers
+from scan2albedo.io.linear_model_files import LinearFaceModel
 from scan2albedo.io.load_scan import input_sha256, with_landmarks
 from scan2albedo.io.run_folder import RunFolder
 from scan2albedo.pipeline.detected_landmarks import require_detector, with_detected
@@ -41,14 +45,17 @@ from scan2albedo.registration.register import refined_registration
 from scan2albedo.sampling import geometry_image, geometry_image_of_scan
 from scan2albedo.sampling.geometry_images import texture_doubt
 from scan2albedo.templates import AnnotatedFaceModel, chosen_model
+from scan2albedo.templates.annotated_face_model import linear_model_places
 
-BUDGET_SHARES = {"register": 0.25, "fit": 0.4, "albedo": 0.9, "unlit": 0.3}
+BUDGET_SHARES = {"register": 0.25, "fit": 0.4, "linear_model": 0.3, "albedo": 0.9, "unlit": 0.3}
 """Share of the seconds still left for searching that each stage may take; of the unlit scan, the share of the
 whole budget that is kept for it at most: the face itself comes first."""
 _TEXEL_S = 2.5e-6
 """Seconds a texel that each of sampling, division and painting a template takes, whatever the budget."""
 _UNLIT_S = 0.8e-6
 """The same of the removal of light from the scan's own texture."""
+_COVERS = ("beard", "hair", "cloth")
+"""Labels whose surface is not the face's."""
 WHOLE_FACE = 0.8
 """Part of the model with scan near, below which a person is warned: whole faces have 0.85 and more."""
 KNOWN_LIGHT = 0.25
@@ -78,6 +85,7 @@ def process(
     maps: str | None = None,
     texture_size: int = 1024,
     white_balance: str | Sequence[float] = "none",
+    linear_model: LinearFaceModel | str | Path | None = None,
     on_progress: ProgressCallback | None = None,
     **unknown: Never,
 ) -> ProcessResult:
@@ -96,7 +104,7 @@ def process(
     name : str, optional
         Name of the scan and of its folder; the file's stem, or that of the `RawScan`, when omitted.
     model, size, lights, brdf, unit, quality, budget, seed, skip, force, pictures, files, textures, \
-landmarks, unlit, maps, texture_size, white_balance
+landmarks, unlit, maps, texture_size, white_balance, linear_model
         See `ProcessOptions`.
     on_progress : callable, optional
         Called with every `TraceRow`.
@@ -191,7 +199,9 @@ def _processed(
             scan = load_scan(source, unit=options.unit, name=name, textures=options.textures)
         if options.landmarks is not None and not options.landmarks_detected and options.model != "none":
             scan = with_landmarks(scan, options.landmarks, file)
-        model = chosen_model(options.model)
+        model, linear = chosen_model(options.model), options.linear_model
+        if linear is not None and not isinstance(linear, LinearFaceModel):
+            linear = LinearFaceModel.load(linear)
     unlit_s, seconds = 0.0, clock.budget.seconds
     if options.unlit is not None and scan.texture_linear is not None:
         # Beyond the face a texel takes half as long.
@@ -241,6 +251,18 @@ def _processed(
             image = geometry_image_of_scan(scan, options.texels)
     figures = image.figures()
     plan["geometry_image"] = steps = _image_rows(scan, fitted, image, figures)
+    coefficients = None
+    if linear is not None and fitted is not None:
+        with clock.timed("linear_model"):
+            places, skin = linear_model_places(linear, fitted.model), np.ones(len(fitted.vertices))
+            if image.labels is not None:
+                pixels = np.round(pixels_from_uv(fitted.uv, image.mask.shape)).astype(int)
+                column, row = np.clip(pixels, 0, image.mask.shape[0] - 1).T
+                skin -= np.isin(image.labels[row, column], [CLASSES.index(name) for name in _COVERS])
+            share = clock.share("linear_model")
+            coefficients = fit_linear_model(scan, fitted, linear, places, skin, share, on_progress)
+            fitted = coefficients.as_template(fitted)
+        plan["linear_model"] = coefficients.plan
     if (white := options.white_balance) != "none" and image.texture_linear is not None:
         scan, image, balance = balanced(scan, image, white)
         steps.append(balance)
@@ -273,7 +295,7 @@ def _processed(
         with clock.timed("unlit"):
             lit = (scan, fitted, estimate, options)
             more, plan["unlit"] = without_light(*lit, unlit_s, clock.left_s())
-    ran = [stage for stage in (registration, fitted, estimate) if stage is not None]
+    ran = [stage for stage in (registration, fitted, coefficients, estimate) if stage is not None]
     return ProcessResult(
         scan=scan,
         registration=registration,
@@ -281,6 +303,7 @@ def _processed(
         geometry_image=image,
         albedo=estimate,
         **more,
+        linear_model=coefficients,
         plan=Plan((*(PlanStep("load", True, note) for note in scan.notes), *chain(*plan.values()))),
         trace=sum((stage.trace for stage in ran), Trace()),
         timings_s=clock.timings_s,

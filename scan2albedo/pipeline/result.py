@@ -26,6 +26,7 @@ from scan2albedo.io.geometry_image_files import write_geometry_image, write_geom
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import encode_image, write_exr, write_indexed_png, write_png
 from scan2albedo.io.landmark_files import LandmarksRecord, write_landmarks_csv
+from scan2albedo.io.npz import write_npz
 from scan2albedo.io.obj import write_obj
 from scan2albedo.io.records import write_record
 from scan2albedo.io.result_records import InputRecord, RegistrationRecord, ResultRecord
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from scan2albedo.applications.light_removal import UnlitScan
     from scan2albedo.core import GeometryImage, Plan, RawScan, Trace
     from scan2albedo.fitting import FittedFace
+    from scan2albedo.fitting.linear_model import LinearModelFit
     from scan2albedo.registration import Registration
 
 RESULT_FILE = "result.json"
@@ -59,7 +61,7 @@ FILES = OwnFiles(
     (
         *("geometry_image.npz", "albedo.exr", "albedo.png", "fitted.glb", "registration.json"),
         *("landmarks.json", "landmarks.csv", "trace.csv", "coverage.png", "disagreement.png"),
-        *("sequence.glb", "frames.npz"),
+        *("sequence.glb", "frames.npz", "coefficients.json", "linear_model.npz"),
         *sorted(_LEFT_OUT),
         *(f"{mesh}{end}" for mesh in ("template", "unlit", "maps") for end in _MESH),
         *("unlit_confidence.png", "unlit_confidence.*.png", "maps.usda"),
@@ -101,6 +103,8 @@ class ProcessResult:
     """The model's own template with its texture, where it has coordinates and the scan has colour."""
     maps_of_skin: TemplateTexture | None = None
     """A mesh with the maps of a skin material, where they were asked for; see `engine_maps`."""
+    linear_model: LinearModelFit | None = None
+    """Coefficients of a linear model, where they were asked for; its mesh is the `template`."""
     source: Path | None = None
     """File the scan was read from."""
     out: Path | None = None
@@ -141,6 +145,10 @@ class ProcessResult:
             figures["registration"] = {name: getattr(self.registration, name) for name in names}
         if self.fitted is not None:
             figures["fit"] = {**self.fitted.metrics, "converged": self.fitted.converged}
+        if (linear := self.linear_model) is not None:
+            names = ("noise_mm", "observations", "converged")
+            figures["linear_model"] = {name: getattr(linear, name) for name in names}
+            figures["linear_model"]["residual_mean_mm"] = float(np.nanmean(linear.residual_mm))
         figures["geometry_image"] = self.geometry_image.figures()
         if self.albedo is not None:
             found = self.albedo
@@ -235,6 +243,12 @@ def write_result(
                 write_template(staging.folder, result.template, deep, exr=files == "all")
             elif vertices is not None and faces is not None:
                 write("template.obj", write_obj, vertices, faces)
+        if fitted is not None and (linear := result.linear_model) is not None:
+            placed = np.diag([*np.ones(3) / scan.mm_per_unit, 1]) @ invert_rigid(fitted.model_from_scan)
+            write("coefficients.json", write_record, linear.record(placed))
+            arrays = {"vertices": transform_points(placed, linear.vertices), "faces": linear.faces}
+            arrays |= {name: getattr(linear, name) for name in ("residual_mm", "displacement_mm")}
+            write("linear_model.npz", write_npz, arrays, what="linear model")
         if result.maps_of_skin is not None:
             write_template(staging.folder, result.maps_of_skin, np.uint16, exr=files == "all", stem="maps")
         if result.unlit is not None:

@@ -134,6 +134,8 @@ def process_sequence(
     """
     chosen = ProcessOptions(**{"quality": "draft", "skip": ("albedo",), **options})
     model = chosen_model(chosen.model)
+    if chosen.linear_model is not None:
+        raise ValueError("linear_model is fitted to single scans: process frames with it one by one")
     if isinstance(frames, str | Path) or not len(frames):
         raise ValueError("frames is empty or a path, expected a list of the take's scans")
     if not is_folder_name(name) or not 0 < fps < np.inf:

@@ -10,21 +10,27 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
 from scan2albedo.core import RawScan
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.errors import ModelError, RegistrationError, ScanError
+from scan2albedo.errors import ModelError, RegistrationError, ScanError, errors_of
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.face_model.annotation import FILLED_REGION, LANDMARK_LEVELS, MOUTH_REGION
 from scan2albedo.geometry.closest_points import ClosestPointQuery
-from scan2albedo.geometry.mesh import face_normals, vertex_normals, without_unreferenced
+from scan2albedo.geometry.loop_subdivision import SurfacePoints
+from scan2albedo.geometry.mesh import boundary_vertex_mask, face_normals, vertex_normals, without_unreferenced
 from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_angle_rad, transform_points
+from scan2albedo.io.linear_model_files import LinearFaceModel
 from scan2albedo.io.load_scan import SUPPORTED_SCANS, read_mesh_file
 from scan2albedo.templates.from_mesh import DenseTemplate, model_from_surface, project
 from scan2albedo.templates.surface import TemplateSurface, template_surface
+
+if TYPE_CHECKING:
+    from scan2albedo.fitting import FittedFace
+    from scan2albedo.fitting.linear_model import ModelPlaces
 
 _REACH_MM = 8.0
 """Annotation that lies farther from the template than this is not carried over."""
@@ -128,25 +134,72 @@ def chosen_model(model: AnnotatedFaceModel | str | Path | None) -> AnnotatedFace
     return AnnotatedFaceModel.load(model)
 
 
+def fitted_to_template(surface: TemplateSurface, name: str, model: AnnotatedSurface) -> FittedFace:
+    """Return a model fitted to a template as to a scan; RegistrationError where no face is recognised."""
+    from scan2albedo.fitting import fit
+    from scan2albedo.registration import register
+
+    kept, faces = without_unreferenced(surface.vertices, surface.faces)
+    scan = RawScan(surface.vertices[kept], faces, name=name)
+    registration = register(scan, model)
+    # Below even odds the pose is more likely wrong than right.
+    if (chance := registration.confidence) < 0.5:
+        raise RegistrationError(f"a face is recognised with confidence {chance:.2f} only")
+    return fit(scan, model, registration)
+
+
+@lru_cache(maxsize=1)
+def places_on_default(linear: LinearFaceModel) -> ModelPlaces:
+    """Return `linear_model_places` on the default model, kept for the next scan."""
+    return _places(linear, AnnotatedFaceModel.default())
+
+
+def linear_model_places(linear: LinearFaceModel, model: AnnotatedSurface) -> ModelPlaces:
+    """Return where a linear model's mean lies on an annotated face model, which is fitted to it.
+
+    Vertices off its largest part (eyeballs, teeth) are not used. Raises `ModelError`, naming the linear
+    model, where its mean is no surface, or no face is recognised in it.
+    """
+    return places_on_default(linear) if model is AnnotatedFaceModel.default() else _places(linear, model)
+
+
+def _places(linear: LinearFaceModel, model: AnnotatedSurface) -> ModelPlaces:
+    from scan2albedo.fitting.linear_model import ModelPlaces
+    from scan2albedo.fitting.result import RESIDUAL_GATE_MM
+
+    with errors_of("linear model", ModelError, RegistrationError):
+        surface = template_surface(linear.mean, linear.faces, linear.name)
+        fitted = fitted_to_template(surface, linear.name, model)
+    used = np.unique(surface.faces)
+    points = transform_points(fitted.model_from_scan, surface.vertices)
+    normals = vertex_normals(points, surface.faces)
+    subdivision = fitted.model.subdivision(fitted.levels)
+    skin = np.flatnonzero(~fitted.model.in_region(MOUTH_REGION)[subdivision.parent])
+    query = ClosestPointQuery(fitted.vertices, fitted.faces[skin])
+    hits = query.query_facing(points[used], normals[used])
+    rim = boundary_vertex_mask(len(fitted.vertices), fitted.faces[skin])
+    inner = np.sum(hits.barycentric * ~rim[fitted.faces[skin][hits.face]], axis=1) > 1e-3
+    facing = np.sum(vertex_normals(points, linear.faces)[used] * normals[used])
+    return ModelPlaces(
+        used,
+        SurfacePoints(skin[hits.face], hits.barycentric),
+        inner & (hits.distance < RESIDUAL_GATE_MM),
+        float(np.linalg.det(surface.template_from_surface[:3, :3]) ** (-1 / 3)),
+        bool(facing < 0),
+    )
+
+
 def _annotated_model(surface: TemplateSurface, given: DenseTemplate, control_size: int) -> AnnotatedSurface:
     """Make a model in the convention's axes, with the default model's annotation where none is given.
 
     `surface` is that of `given`, in any pose; the model gets about `control_size` control vertices.
     """
-    from scan2albedo.fitting import fit
-    from scan2albedo.registration import register
-
-    kept, faces = without_unreferenced(surface.vertices, surface.faces)
-    scan, default = RawScan(surface.vertices[kept], faces, name=given.name), default_model()
+    default = default_model()
     try:
-        registration = register(scan, default)
-        # Below even odds the pose is more likely wrong than right.
-        if (chance := registration.confidence) < 0.5:
-            raise RegistrationError(f"a face is recognised with confidence {chance:.2f} only")
+        fitted = fitted_to_template(surface, given.name, default)
     except RegistrationError as error:
         model = model_from_surface(surface, given, control_size)
         return replace(model, notes=(*model.notes, f"axes taken as they are, nothing annotated: {error}"))
-    fitted = fit(scan, default, registration)
     rotation, axes = fitted.model_from_scan[:3, :3], "axes as they came"
     degrees = np.degrees(rotation_angle_rad(rotation))
     if degrees <= 25:  # templates look up or down by some degrees

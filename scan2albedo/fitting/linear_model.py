@@ -1,0 +1,364 @@
+"""Pose, shape and expression coefficients of a linear (morphable) model: robust maximum a posteriori."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.distance import pdist
+
+from scan2albedo.core import Budget, Meter, PlanStep, ProgressCallback, RawScan, Trace
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.errors import FitError
+from scan2albedo.fitting.alignment import SIZE_SD
+from scan2albedo.fitting.options import GATE_MM, FitOptions
+from scan2albedo.fitting.result import NEAR_MM, RESIDUAL_GATE_MM, FittedFace
+from scan2albedo.fitting.scan_surface import scan_near_model
+from scan2albedo.geometry.loop_subdivision import SurfacePoints
+from scan2albedo.geometry.mesh import normalized, vertex_areas, vertex_normals
+from scan2albedo.geometry.rigid import Similarity, procrustes, rotation_from_vector
+from scan2albedo.io.linear_model_files import LinearFaceModel
+from scan2albedo.io.records import plain_json
+from scan2albedo.io.result_records import LinearModelRecord
+from scan2albedo.optimization.least_squares import NormalEquations, minimize
+
+FREEDOM = 4.0
+"""Degrees of freedom of Student's t (Lange, Little, Taylor, "Robust statistical modeling using the t
+distribution", 1989): hair, a lid that is shut and a beard are rare and far."""
+JOINT_SD_RAD, FREE_JOINTS = 0.2, ("neck", "jaw")
+"""Standard deviation of a joint's rotation about each axis (jaws open by some 20 degrees), and what turns."""
+PLACE_MM = 2.0
+"""Standard deviation along an axis of where the fitted face puts a vertex, mostly along the surface; of raw
+scans of ICT's faces it is 1.6 to 2.1."""
+MOST_VERTICES, MOST_ROUNDS, MOST_PAIRED = 6000, 60, 1500
+"""Vertices that are fitted, evenly spread over their numbers: more say the same. Rounds of closest points;
+vertices whose pairs say how errors are correlated."""
+SMALL = 1 / 20
+"""Part of the scale of the errors, and of a coefficient's posterior deviation, that is little."""
+
+
+@dataclass(frozen=True)
+class ModelPlaces:
+    """Where N `vertices` (N,) of a linear model's mean lie on the annotated face model fitted to it.
+
+    That is at `points` of its surface's faces where `known` (N,). Vertices of loose parts are left out.
+    """
+
+    vertices: IntArray
+    points: SurfacePoints
+    known: BoolArray
+    mm_per_unit: float
+    inward: bool
+    """Whether the linear model's faces are wound inward."""
+
+
+@dataclass(frozen=True)
+class LinearModelFit:
+    """A linear model fitted to a scan, in the frame of the annotated face model, mm."""
+
+    model: LinearFaceModel
+    pose: Similarity
+    """From the linear model's own frame and unit."""
+    coefficients: FloatArray
+    rotations: FloatArray
+    """(K,), and (J, 3) rotation vectors of the joints, radians."""
+    deviation: FloatArray
+    """Standard deviations of the posterior: of a turn about each axis [rad], a shift [mm], the log scale, the
+    rotations of the joints that turn, and the coefficients, in this order."""
+    vertices: FloatArray
+    faces: IntArray
+    uv: FloatArray | None
+    """(V, 3), (F, 3), (F, 3, 2): the mesh, wound outward."""
+    residual_mm: FloatArray
+    displacement_mm: FloatArray
+    """(V,): distance to the scan, and its part along the normal; NaN where there is no scan."""
+    mm_per_unit: float
+    noise_mm: float
+    observations: float
+    """Scale of the residuals, and the independent ones that they count as."""
+    converged: bool
+    trace: Trace
+    plan: tuple[PlanStep, ...]
+
+    def as_template(self, fitted: FittedFace) -> FittedFace:
+        """Return a fitted face whose template is this mesh, so that textures are painted on it."""
+        mesh: dict[str, Any] = {"template_faces": self.faces, "template_uv": self.uv, "template_points": None}
+        mesh |= {"template_offset": None, "template_from_model": self.pose.inverse()}
+        return replace(fitted, template_vertices=self.vertices, model=replace(fitted.model, **mesh))
+
+    def record(self, scan_from_here: FloatArray) -> LinearModelRecord:
+        """Return what `coefficients.json` holds; `scan_from_here` (4, 4): to the scan's frame and unit."""
+        model, free = self.model, [name for name in FREE_JOINTS if name in self.model.joints]
+        pose, turns, deviation = np.split(self.deviation, [7, 7 + 3 * len(free)])
+        shape, expression = np.split(np.stack([self.coefficients, deviation]), [model.shapes], axis=1)
+        positions = model.joint_mean + model.joint_basis @ self.coefficients
+        content = {
+            "model": model.name,
+            "model_sha256": model.sha256,
+            "shape": shape[0],
+            "expression": expression[0],
+            "shape_deviation": shape[1],
+            "expression_deviation": expression[1],
+            "pose_deviation": pose,
+            "joint_rotations_rad": dict(zip(model.joints, self.rotations, strict=True)),
+            "joint_deviations_rad": dict(zip(free, turns.reshape(-1, 3), strict=True)),
+            "joint_positions": dict(zip(model.joints, positions, strict=True)),
+            "scan_from_model": scan_from_here @ self.pose.matrix(),
+            "scale": self.pose.scale / self.mm_per_unit,
+            "residual_mean_mm": np.nanmean(self.residual_mm),
+            **{
+                name: getattr(self, name) for name in ("mm_per_unit", "noise_mm", "observations", "converged")
+            },
+        }
+        return LinearModelRecord(**plain_json(content))
+
+
+@dataclass(frozen=True)
+class _Term:
+    """Residuals of some vertices `index` (N,), d along `axes` (N, d, 3), of Student's t with a `scale`."""
+
+    index: IntArray
+    target: FloatArray
+    axes: FloatArray
+    weight: FloatArray
+    """(N,); `known` (N,) is 0 for those that do not say how large the errors are."""
+    known: FloatArray
+    scale: float = 1.0
+    share: float = 1.0
+    """Independent observations a vertex: neighbours err together."""
+
+    def residuals(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return residuals (N, d) and their squares' sums (N,)."""
+        residual = np.einsum("ndj,nj->nd", self.axes, points[self.index] - self.target)
+        return residual, np.sum(residual**2, axis=1)
+
+    def trust(self, square: FloatArray) -> FloatArray:
+        return (FREEDOM + self.axes.shape[1]) / (FREEDOM + square / self.scale**2)
+
+    def settled(self, points: FloatArray) -> _Term:
+        """Return the term with the likeliest scale, and the share that correlations of residuals leave."""
+        (residual, square), counts = self.residuals(points), self.weight * self.known
+        level = max(float(np.sqrt(counts @ square / counts.sum())), np.finfo(float).eps)
+        term = replace(self, scale=level)
+        for _ in range(30):  # expectation maximisation
+            mean = counts @ (term.trust(square) * square) / (counts.sum() * residual.shape[1])
+            term = replace(term, scale=max(float(np.sqrt(mean)), 1e-6 * level))
+        # Correlation of the influences over distance, summed to where it first vanishes.
+        there = np.flatnonzero(counts > 0)
+        near = there[np.unique(np.linspace(0, len(there) - 1, MOST_PAIRED).astype(int))]
+        where, pull = points[self.index[near]], (term.trust(square)[:, None] * residual)[near]
+        first, second = np.triu_indices(len(near), 1)
+        spacing = np.median(cKDTree(where).query(where, k=2)[0][:, 1])
+        bins = (pdist(where) / spacing).astype(int)
+        product = np.bincount(bins, np.einsum("nd,nd->n", pull[first], pull[second]))
+        ends = np.flatnonzero((product <= 0) & (np.bincount(bins) > 0))
+        within = product[: ends[0] if len(ends) else None].sum()
+        crowd = 1 + 2 * within / np.sum(pull**2) * len(there) / len(near)
+        return replace(term, share=1 / max(float(crowd), 1.0))
+
+
+@dataclass(frozen=True)
+class _State:
+    """A state of the fit, which `minimize` walks over: see `LeastSquaresPoint`."""
+
+    model: LinearFaceModel
+    """Of the fitted vertices alone; `free` are the numbers of the joints that turn."""
+    free: IntArray
+    meter: Meter
+    mm_per_unit: float
+    pose: Similarity
+    coefficients: FloatArray
+    rotations: FloatArray
+    terms: tuple[_Term, ...] = ()
+
+    @cached_property
+    def _posed(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        return self.model.posed(self.coefficients, self.rotations)
+
+    @cached_property
+    def points(self) -> FloatArray:
+        return self.pose.apply(self._posed[0])
+
+    @cached_property
+    def _prior(self) -> tuple[FloatArray, FloatArray]:
+        """Precision and value of each parameter but the motion."""
+        size, turns = np.log(self.pose.scale / self.mm_per_unit), self.rotations[self.free].ravel()
+        tight = [SIZE_SD**-2], np.full(len(turns), JOINT_SD_RAD**-2), np.ones(len(self.coefficients))
+        return np.concatenate(tight), np.concatenate([[size], turns, self.coefficients])
+
+    @cached_property
+    def cost(self) -> float:
+        """Minus the logarithm of the posterior."""
+        precision, value = self._prior
+        total = float(precision @ value**2) / 2
+        for term in self.terms:
+            square = term.residuals(self.points)[1] / term.scale**2
+            freedom = (FREEDOM + term.axes.shape[1]) / 2
+            total += term.share * freedom * float(term.weight @ np.log1p(square / FREEDOM))
+        self.meter.count()
+        return total
+
+    def normal_equations(self) -> NormalEquations:
+        """Return the quadratic model, the prior in it."""
+        precision, value = self._prior
+        matrix = np.diag(np.concatenate([np.zeros(6), precision]))
+        gradient = np.concatenate([np.zeros(6), precision * value])
+        _, blend, slopes = self._posed
+        turns, small = list[FloatArray](), 1e-5
+        for joint, axis in [(joint, axis) for joint in self.free for axis in range(3)]:
+            moved = self.rotations.copy()
+            moved[joint, axis] += small
+            turns.append((replace(self, rotations=moved).points - self.points) / small)
+        for term in self.terms:
+            (residual, square), each = term.residuals(self.points), term.axes.shape[1]
+            index, axes = np.repeat(term.index, each), term.axes.reshape(-1, 3)
+            weight = np.repeat(term.share / term.scale**2 * term.weight * term.trust(square), each)
+            away = self.points[index] - self.pose.translation
+            own = self.pose.scale * axes @ self.pose.rotation
+            shape = (np.einsum("nij,ni->nj", blend[index], own)[:, None] @ self.model.basis[index])[:, 0]
+            for skin, slope in zip(self.model.weights[index].T, slopes, strict=True):
+                shape += skin[:, None] * (own @ slope)
+            single = [np.sum(by * axes, axis=1)[:, None] for by in (away, *(turn[index] for turn in turns))]
+            rows = np.hstack([np.cross(away, axes), axes, *single, shape])
+            weighted = weight[:, None] * rows
+            matrix += weighted.T @ rows
+            gradient += weighted.T @ residual.ravel()
+        return NormalEquations(matrix, gradient)
+
+    @cached_property
+    def deviation(self) -> FloatArray:
+        return np.sqrt(np.diag(np.linalg.inv(self.normal_equations().matrix)))
+
+    def moved(self, step: FloatArray) -> _State:
+        """Return the state after a step: turn, shift, log scale, joints, coefficients."""
+        turn, shift, size, joints, more = np.split(step, [3, 6, 7, 7 + 3 * len(self.free)])
+        scale = self.pose.scale * float(np.exp(size[0]))
+        rotation, translation = rotation_from_vector(turn) @ self.pose.rotation, self.pose.translation + shift
+        rotations = self.rotations.copy()
+        rotations[self.free] += joints.reshape(-1, 3)
+        pose = Similarity(rotation, translation, scale)
+        return replace(self, pose=pose, rotations=rotations, coefficients=self.coefficients + more)
+
+
+def fit_linear_model(
+    scan: RawScan,
+    fitted: FittedFace,
+    model: LinearFaceModel,
+    places: ModelPlaces,
+    weight: FloatArray,
+    budget: Budget | float | None = None,
+    on_progress: ProgressCallback | None = None,
+) -> LinearModelFit:
+    """Return the most probable pose, shape, expression and joints' rotations of a linear model on a scan.
+
+    With x_i the model's vertices and coefficients c of unit variance, the logarithm of the posterior is
+
+        -|c|^2 / 2 - (log s / sd)^2 / 2 - |joints / sd|^2 / 2
+        + u sum a_i log t(n_i . (x_i - y_i) / sigma) + v sum a_i log t(|x_i - z_i| / tau),
+
+    with y_i the scan's closest point and n_i its normal, found anew each round, z_i the point of the `fitted`
+    face where the vertex lies by its place on the mean, Student's t, and the areas a_i. The scales sigma and
+    tau are the likeliest of the residuals; u and v, independent observations a vertex, follow from how these
+    are correlated over the surface, so that a misfit of the model does not count as thousands of
+    measurements. Raises `FitError` when no vertex has a place on the fitted face.
+
+    Parameters
+    ----------
+    scan, fitted : RawScan, FittedFace
+        The face fitted to the scan.
+    model, places : LinearFaceModel, ModelPlaces
+    weight : (V,) array
+        Of each vertex of the `fitted` face, 0 to 1: hair and cloth count nothing.
+    budget, on_progress
+        See `fit`; the best answer so far is returned with ``converged=False``.
+    """
+    meter = Meter("linear_model", "mm", Budget.of(budget), on_progress)
+    kept = np.unique(np.linspace(0, len(places.vertices) - 1, MOST_VERTICES).astype(int))
+    index, known, shares = places.vertices[kept], places.known[kept], places.points.barycentric[kept]
+    corners = fitted.faces[places.points.face[kept]]
+    target = np.einsum("nk,nkj->nj", shares, fitted.vertices[corners])
+    unit, faces = places.mm_per_unit, model.faces[:, ::-1] if places.inward else model.faces
+    area = vertex_areas(unit * model.mean, faces)[index]
+    counts = np.where(known, np.einsum("nk,nk->n", shares, weight[corners]), 1.0) * area / area.mean()
+    if not (placed := np.flatnonzero(known & (counts > 0))).size:
+        raise FitError(f"{scan.name}: no vertex of {model.name} has a place on the skin of the fitted face")
+    start = procrustes(unit * model.mean[index][placed], target[placed], weights=counts[placed])
+    pose = Similarity(start[:3, :3], start[:3, 3], unit)
+    free = np.array([model.joints.index(name) for name in FREE_JOINTS if name in model.joints], np.int64)
+    rest = np.zeros(model.basis.shape[2]), np.zeros((len(model.joints), 3))
+    state = _State(model.of_vertices(index), free, meter, unit, pose, *rest)
+    some = placed[::4]
+    axes, each = np.broadcast_to(np.eye(3), (len(some), 3, 3)), np.ones(len(some))
+    # Places err together over NEAR_MM: `common_shape` counts as many patches.
+    patches = counts[placed].sum() * area.mean() * len(places.vertices) / len(kept) / (4 * np.pi * NEAR_MM**2)
+    share = float(patches / counts[some].sum())
+    along = _Term(some, target[some], axes, counts[some], each, PLACE_MM, share)
+    state = minimize(replace(state, terms=(along,)), steps=20, tolerance=SMALL**2, meter=meter).best
+    whole = pose_of(model, state)
+    bare = scan if fitted.covered_faces is None else scan.without_faces(fitted.covered_faces)
+    low, high = whole[index].min(0) - GATE_MM[0], whole[index].max(0) + GATE_MM[0]
+    near = scan_near_model(
+        bare.vertices, bare.faces, fitted.model_from_scan, low, high, FitOptions.smoothing_mm
+    )
+    assert near is not None  # the face was fitted to it
+    surface = near.turned_outward(whole[index], vertex_normals(whole, faces)[index], GATE_MM[0])
+    converged, falls, across = False, True, replace(along, scale=np.inf, share=1.0)
+    for _ in range(MOST_ROUNDS):
+        outward = vertex_normals(pose_of(model, state), faces)[index]
+        hits = surface.nearest.query(state.points)
+        normal = normalized(surface.normals_at(hits))
+        there = ~surface.on_boundary(hits) & (np.einsum("ij,ij->i", normal, outward) > 0) & (counts > 0)
+        if not (there & known).any():
+            break
+        seen, last = np.flatnonzero(there), across
+        across = _Term(seen, hits.points[seen], normal[seen, None], counts[seen], known[seen].astype(float))
+        across = across.settled(state.points)
+        # What a poor fit leaves is correlated, too, and would excuse it: independent while errors fall.
+        falls = falls and across.scale < (1 - SMALL) * last.scale
+        across = replace(across, share=1.0 if falls else float(np.sqrt(across.share * last.share)))
+        off = np.sqrt(across.residuals(state.points)[1])
+        meter.record(float(np.average(off, weights=across.weight * across.known)))
+        if meter.exhausted:
+            break
+        before = replace(state, terms=(across, along))
+        state = minimize(before, steps=3, trials=6, meter=meter).best
+        change = (state.coefficients - before.coefficients) / state.deviation[-len(rest[0]) :]
+        if converged := bool(not falls and np.mean(change**2) < SMALL**2):
+            break
+    vertices = pose_of(model, state)
+    normals, hits = vertex_normals(vertices, faces), surface.nearest.query(vertices)
+    shown = ~surface.on_boundary(hits) & (hits.distance < RESIDUAL_GATE_MM)
+    shown &= np.einsum("ij,ij->i", surface.normals_at(hits), normals) > 0
+    residual = np.where(shown, hits.distance, np.nan)
+    observations = across.share * float(across.weight.sum())
+    evidence = f"{np.nanmean(residual):.3f} mm mean, {observations:.0f} independent observations"
+    reason = f"{len(rest[0])} coefficients of {model.name} are fitted"
+    steps = [PlanStep("linear_model", True, reason, evidence)]
+    if not converged:
+        steps.append(PlanStep.doubt("linear_model", "the linear model's fit had not converged when it ended"))
+    return LinearModelFit(
+        model=model,
+        pose=state.pose,
+        coefficients=state.coefficients,
+        rotations=state.rotations,
+        deviation=state.deviation,
+        vertices=vertices,
+        faces=faces,
+        uv=model.uv[:, ::-1] if model.uv is not None and places.inward else model.uv,
+        residual_mm=residual,
+        displacement_mm=np.where(shown, np.einsum("ij,ij->i", hits.points - vertices, normals), np.nan),
+        mm_per_unit=unit,
+        noise_mm=across.scale,
+        observations=observations,
+        converged=converged,
+        trace=meter.trace,
+        plan=tuple(steps),
+    )
+
+
+def pose_of(model: LinearFaceModel, state: _State) -> FloatArray:
+    """Return all vertices (V, 3) of a model in a state."""
+    return state.pose.apply(model.at(state.coefficients, state.rotations))

@@ -1,0 +1,186 @@
+"""Coefficients of a linear model: closed forms, and recovery from scans of the model's own shapes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from scan2albedo import AnnotatedFaceModel, Budget, RawScan, fit
+from scan2albedo.core import Meter
+from scan2albedo.errors import ModelError
+from scan2albedo.face_model.variation import EXPRESSION_BUMPS, IDENTITY_BUMPS, displacement
+from scan2albedo.fitting.linear_model import _State, _Term, fit_linear_model
+from scan2albedo.geometry.mesh import vertex_normals
+from scan2albedo.geometry.rigid import Similarity, invert_rigid, rotation_from_vector, transform_points
+from scan2albedo.io.linear_model_files import LinearFaceModel
+from scan2albedo.templates.annotated_face_model import linear_model_places
+
+JAW = np.array([0.0, -35.0, -60.0])
+
+
+@pytest.fixture(scope="module")
+def linear():
+    """The default model's surface with bumps of identities and expressions, upside down, in metres."""
+    model = AnnotatedFaceModel.default()
+    vertices, faces = model.surface(1)
+    identities = [displacement(bump, vertices, model.landmarks) for bump in IDENTITY_BUMPS[:12]]
+    expressions = [
+        sum(displacement(bump, vertices, model.landmarks) for bump in EXPRESSION_BUMPS[name])
+        for name in ("smile", "pout", "surprise")
+    ]
+    turn = np.diag([-1.0, -1.0, 1.0]) / 1000
+    basis = np.moveaxis(np.array([*identities, *expressions]) @ turn, 0, -1)
+    return LinearFaceModel("bumps", "0" * 64, vertices @ turn, basis.astype(np.float32), 12, faces)
+
+
+@pytest.fixture(scope="module")
+def jointed(linear):
+    """The same with a jaw that turns the lower face."""
+    y, z = 1000 * linear.mean[:, 1], 1000 * linear.mean[:, 2]
+    jaw = np.clip((y - 40) / 25, 0, 1) * np.clip((z + 60) / 60, 0, 1)
+    weights = np.stack([1 - jaw, jaw], 1)
+    return replace(
+        linear,
+        joints=("root", "jaw"),
+        parents=np.array([-1, 0]),
+        weights=weights,
+        joint_mean=np.array([[0, 0.05, -0.1], [0, 0.03, -0.05]]),
+        joint_basis=np.zeros((2, 3, 15)),
+    )
+
+
+def scanned(model, coefficients, rotations=None, noise_mm=0.1, seed=0):
+    """Return a noisy scan in a pose of its own, its vertices without noise, and its pose."""
+    true = 1000 * model.at(coefficients, rotations) @ np.diag([-1.0, -1.0, 1.0])
+    rng = np.random.default_rng(seed)
+    noisy = true + vertex_normals(true, model.faces) * rng.normal(0, noise_mm, (len(true), 1))
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation_from_vector([0.1, -0.1, 0.05]), [3.0, -4.0, 2.0]
+    return RawScan(transform_points(pose, noisy), model.faces, name="own"), true, invert_rigid(pose)
+
+
+def fitted_to(scan, model_from_scan, linear, weight=None, **more):
+    default = AnnotatedFaceModel.default()
+    fitted = fit(scan, default, model_from_scan)
+    weight = np.ones(len(fitted.vertices)) if weight is None else weight(fitted)
+    places = linear_model_places(linear, default)
+    return fitted, fit_linear_model(scan, fitted, linear, places, weight, **more)
+
+
+def vertex_errors(found, fitted, model_from_scan, true):
+    scan_from_model = invert_rigid(fitted.model_from_scan)
+    own = transform_points(model_from_scan @ scan_from_model, found.vertices)
+    return np.linalg.norm(own - true, axis=1)
+
+
+def test_the_mean_is_placed_whatever_its_axes_and_unit(linear):
+    places = linear_model_places(linear, AnnotatedFaceModel.default())
+    assert places.mm_per_unit == pytest.approx(1000)
+    assert places.known.mean() > 0.8
+    assert not places.inward
+    inside_out = replace(linear, faces=linear.faces[:, ::-1])
+    assert linear_model_places(inside_out, AnnotatedFaceModel.default()).inward
+    with pytest.raises(ModelError, match="linear model: bumps"):
+        linear_model_places(replace(linear, mean=linear.mean * [1, 1, 0.01]), AnnotatedFaceModel.default())
+
+
+def test_coefficients_of_its_own_shapes_come_back(linear):
+    truth = np.random.default_rng(5).normal(size=15)
+    scan, true, pose = scanned(linear, truth)
+    fitted, found = fitted_to(scan, pose, linear)
+    error = found.coefficients - truth
+    assert found.converged
+    assert np.sqrt(np.mean(error**2)) < 0.1
+    assert np.sqrt(np.mean(np.square(error / found.deviation[7:]))) < 4
+    assert np.median(vertex_errors(found, fitted, pose, true)) < 0.1
+    assert found.noise_mm == pytest.approx(0.1, rel=0.5)
+    assert np.nanmean(found.residual_mm) < 0.12
+    assert found.pose.scale / 1000 == pytest.approx(1, abs=0.01)
+    record = found.record(invert_rigid(fitted.model_from_scan))
+    assert (len(record.shape), len(record.expression)) == (12, 3)
+    again = transform_points(np.array(record.scan_from_model), linear.at(found.coefficients))
+    direct = transform_points(invert_rigid(fitted.model_from_scan), found.vertices)
+    np.testing.assert_allclose(again, direct, atol=1e-6)
+
+
+def test_a_jaw_that_is_open_is_turned(jointed):
+    truth, turns = np.random.default_rng(7).normal(size=15) * 0.7, np.array([[0.0, 0, 0], [0.2, 0, 0]])
+    scan, true, pose = scanned(jointed, truth, turns)
+    fitted, found = fitted_to(scan, pose, jointed)
+    np.testing.assert_allclose(found.rotations, turns, atol=0.05)
+    assert np.median(vertex_errors(found, fitted, pose, true)) < 0.3
+    assert len(found.deviation) == 7 + 3 + 15
+    assert list(found.record(np.eye(4)).joint_deviations_rad) == ["jaw"]
+
+
+def test_hair_and_holes_hardly_count(linear):
+    truth = np.random.default_rng(9).normal(size=15)
+    _, true, pose = scanned(linear, truth)
+    points = true.copy()
+    normals = vertex_normals(points, linear.faces)
+    hair = points[:, 1] > np.percentile(points[:, 1], 90)
+    points[hair] += 12 * normals[hair]
+    gone = np.hypot(true[:, 0] - 40, true[:, 1] + 20) < 12
+    kept = linear.faces[~gone[linear.faces].any(1)]
+    hairy = RawScan(transform_points(invert_rigid(pose), points), kept, name="hairy")
+
+    def skin(fitted):
+        return (fitted.vertices[:, 1] < np.percentile(true[:, 1], 88)).astype(float)
+
+    fitted, found = fitted_to(hairy, pose, linear, skin)
+    off = vertex_errors(found, fitted, pose, true)
+    assert np.median(off[~hair]) < 0.3
+    assert np.isnan(found.residual_mm[gone]).mean() > 0.5
+    assert np.nanmedian(found.displacement_mm[~hair]) == pytest.approx(0, abs=0.1)
+
+
+def test_a_budget_ends_with_the_best_so_far(linear):
+    scan, _, pose = scanned(linear, np.ones(15))
+    _, found = fitted_to(scan, pose, linear, budget=Budget(evaluations=6))
+    assert not found.converged
+    assert np.isfinite(found.coefficients).all()
+    assert 1 <= len(found.trace) <= 3
+    assert found.trace.stages == ("linear_model",)
+    assert found.plan[-1].level == "doubt"
+
+
+def test_the_same_scan_gives_the_same_bits(linear):
+    scan, _, pose = scanned(linear, np.ones(15))
+    first, second = (fitted_to(scan, pose, linear)[1] for _ in range(2))
+    np.testing.assert_array_equal(first.coefficients, second.coefficients)
+
+
+def test_the_gradient_is_that_of_the_cost(jointed):
+    """Central differences of minus the log posterior, over motion, size, jaw and coefficients."""
+    rng = np.random.default_rng(0)
+    index = np.arange(0, len(jointed.mean), 40)
+    part = jointed.of_vertices(index)
+    axes = rng.normal(size=(len(index), 1, 3))
+    target = 1000 * part.mean + rng.normal(0, 2, part.mean.shape)
+    weight = rng.random(len(index))
+    plane = _Term(np.arange(len(index)), target, axes, weight, np.ones(len(index)), 1.3, 0.4)
+    point = replace(plane, axes=np.broadcast_to(np.eye(3), (len(index), 3, 3)), scale=2.0)
+    pose = Similarity(rotation_from_vector([0.1, 0.2, 0.3]), np.array([1.0, 2.0, 3.0]), 1010.0)
+    turns = np.array([[0, 0, 0], [0.1, 0.05, -0.1]])
+    meter = Meter("linear_model", "mm")
+    coefficients = rng.normal(size=15) * 0.3
+    state = _State(part, np.array([1]), meter, 1000.0, pose, coefficients, turns, (plane, point))
+    equations = state.normal_equations()
+    for number in range(len(equations.gradient)):
+        step = np.zeros(len(equations.gradient))
+        step[number] = 1e-5
+        slope = (state.moved(step).cost - state.moved(-step).cost) / 2e-5
+        assert equations.gradient[number] == pytest.approx(slope, rel=1e-3, abs=1e-3)
+
+
+def test_correlated_errors_count_as_fewer_observations(linear):
+    points = 1000 * linear.mean
+    index, count = np.arange(len(points)), np.ones(len(points))
+    axes = np.broadcast_to([0.0, 0, 1], (len(points), 1, 3))
+    rng = np.random.default_rng(0)
+    white = points + [0, 0, 1] * rng.normal(0, 0.3, (len(points), 1))
+    waves = points + [0, 0, 0.3] * np.sin(points[:, :1] / 10) * np.sin(points[:, 1:2] / 10)
+    alone, together = (_Term(index, y, axes, count, count).settled(points) for y in (white, waves))
+    assert alone.share > 0.3
+    assert together.share < 0.05
+    assert alone.scale == pytest.approx(0.3, rel=0.25)  # t's scale of normal noise is a little less

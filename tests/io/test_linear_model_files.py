@@ -1,0 +1,311 @@
+"""Linear models are read from every layout as the same numbers; pickles run nothing; faults name the file."""
+
+import io
+import os
+import pickle
+import struct
+import sys
+import types
+
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.io import savemat
+
+from scan2albedo.errors import MissingDependencyError, ModelError
+from scan2albedo.io.linear_model_files import LinearFaceModel
+
+V, K, E = 12, 3, 2
+RNG = np.random.default_rng(0)
+MEAN, BASIS = RNG.normal(size=(V, 3)), RNG.normal(size=(V, 3, K))
+EXPRESSION, DEVIATION = RNG.normal(size=(V, 3, E)), np.array([3.0, 2.0, 0.5])
+FACES = np.array([[0, 1, 2], [2, 3, 4], [5, 6, 11]])
+WEIGHTS = RNG.dirichlet(np.ones(5), V)
+REGRESSOR, POSE = RNG.dirichlet(np.ones(V), 5), RNG.normal(size=(V, 3, 36)) / 100
+PARENTS = np.array([4294967295, 0, 1, 1, 1])
+OWN = {
+    "mean": MEAN,
+    "basis": BASIS,
+    "deviation": DEVIATION,
+    "faces": FACES,
+    "expression_basis": EXPRESSION.reshape(3 * V, E),
+}
+
+
+def orthonormal(values):
+    return np.linalg.qr(values.reshape(3 * V, -1))[0]
+
+
+def npz(path, **arrays):
+    np.savez(path, **arrays)
+    return path
+
+
+def assert_same(model, basis, shapes, faces=FACES):
+    np.testing.assert_allclose(model.mean, MEAN, rtol=1e-6)
+    np.testing.assert_allclose(model.basis, basis, rtol=1e-5, atol=1e-6)
+    np.testing.assert_array_equal(model.faces, faces)
+    assert model.shapes == shapes
+    assert len(model.sha256) == 64
+
+
+def test_own_layout_scales_directions_to_unit_variance(tmp_path):
+    uv, uv_faces = RNG.random((7, 2)), np.array([[0, 1, 2], [3, 4, 5], [6, 0, 1]])
+    model = LinearFaceModel.load(npz(tmp_path / "own.npz", **OWN, uv=uv, uv_faces=uv_faces))
+    assert_same(model, np.concatenate([BASIS * DEVIATION, EXPRESSION], axis=2), K)
+    assert model.name == "own"
+    np.testing.assert_array_equal(model.uv, uv[uv_faces])
+
+
+def test_morphable_shape_models_of_ours_are_read(tmp_path):
+    from scan2albedo.reflectance.shape_model import MorphableShapeModel
+
+    basis = np.moveaxis(np.concatenate([BASIS, EXPRESSION], axis=2), 2, 0)
+    landmarks = np.zeros(68, int)
+    MorphableShapeModel(MEAN, basis, K, FACES, landmarks).save(tmp_path / "ours.npz")
+    assert_same(LinearFaceModel.load(tmp_path / "ours.npz"), np.concatenate([BASIS, EXPRESSION], axis=2), K)
+
+
+def test_basel_2009_counts_vertices_from_one_and_has_standard_deviations(tmp_path):
+    basis = orthonormal(BASIS)
+    arrays = {"shapeMU": MEAN.reshape(-1, 1), "shapePC": basis, "shapeEV": DEVIATION.reshape(-1, 1)}
+    savemat(tmp_path / "01_MorphableModel.mat", arrays | {"tl": FACES + 1.0, "texMU": np.zeros((3 * V, 1))})
+    model = LinearFaceModel.load(tmp_path / "01_MorphableModel.mat")
+    assert_same(model, (basis * DEVIATION).reshape(V, 3, K), K)
+
+
+def test_basel_2017_adds_the_mean_expression(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    basis, expression = orthonormal(BASIS), orthonormal(EXPRESSION)
+    with h5py.File(tmp_path / "bfm.h5", "w") as file:
+        file["shape/model/mean"] = MEAN.ravel() - 1
+        file["shape/model/pcaBasis"], file["shape/model/pcaVariance"] = basis, DEVIATION**2
+        file["expression/model/mean"] = np.ones(3 * V)
+        file["expression/model/pcaBasis"] = expression
+        file["expression/model/pcaVariance"] = np.array([4.0, 1.0])
+        file["shape/representer/cells"], file["shape/representer/points"] = FACES.T, MEAN.T
+    both = np.concatenate([basis * DEVIATION, expression * [2, 1]], axis=1).reshape(V, 3, K + E)
+    assert_same(LinearFaceModel.load(tmp_path / "bfm.h5"), both, K)
+
+
+def test_own_layout_in_hdf5_with_joints(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "own.h5", "w") as file:
+        for name, array in OWN.items():
+            file[name] = array
+        file["joints"], file["skinning_weights"] = ["neck", "jaw"], WEIGHTS[:, :2]
+        file["joint_parents"], file["joint_positions"] = [-1, 0], np.eye(3)[:2]
+    model = LinearFaceModel.load(tmp_path / "own.h5")
+    assert model.joints == ("neck", "jaw")
+    np.testing.assert_array_equal(model.joint_mean, np.eye(3)[:2])
+
+
+def test_hdf5_without_its_library_names_what_to_install(tmp_path, monkeypatch):
+    (tmp_path / "bfm.h5").write_bytes(b"\x89HDF")
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    with pytest.raises(MissingDependencyError, match=r"pip install 'scan2albedo\[hdf5\]'"):
+        LinearFaceModel.load(tmp_path / "bfm.h5")
+
+
+def eos_bytes(*matrices, version=1):
+    parts = [struct.pack("<I", version)]
+    for matrix in matrices:
+        parts += [struct.pack("<ii", *matrix.shape), matrix.astype("<f4").tobytes(order="F")]
+    parts += [struct.pack("<Q", len(FACES)), FACES.astype("<i4").tobytes()]
+    # The colour model, which is empty, and whatever follows.
+    return b"".join(parts) + struct.pack("<iiiiiiQ", 0, 1, 0, 0, 0, 1, 0) + bytes(64)
+
+
+@pytest.mark.parametrize("scaled_too", [False, True])
+def test_eos_models_hold_column_major_matrices(tmp_path, scaled_too):
+    basis, mean, variance = orthonormal(BASIS), MEAN.reshape(-1, 1), DEVIATION.reshape(-1, 1) ** 2
+    bases = [basis * DEVIATION, basis] if scaled_too else [basis]
+    (tmp_path / "sfm.bin").write_bytes(eos_bytes(mean, *bases, variance))
+    model = LinearFaceModel.load(tmp_path / "sfm.bin")
+    assert_same(model, (basis * DEVIATION).reshape(V, 3, K), K)
+
+
+class Ch:
+    """Pickled as chumpy's is: a dictionary with the value as x."""
+
+    def __init__(self, x):
+        self.x = x
+
+    def __getstate__(self):
+        return {"x": self.x, "_dirty_vars": set(), "_itr": None}
+
+
+def flame(monkeypatch, **changes):
+    """Return FLAME's dictionary; its Ch pickles under chumpy's name."""
+    module = types.ModuleType("chumpy.ch")
+    module.Ch = Ch
+    monkeypatch.setattr(Ch, "__module__", "chumpy.ch")
+    monkeypatch.setitem(sys.modules, "chumpy", types.ModuleType("chumpy"))
+    monkeypatch.setitem(sys.modules, "chumpy.ch", module)
+    return {
+        "v_template": Ch(MEAN),
+        "shapedirs": Ch(np.concatenate([BASIS, EXPRESSION], axis=2)),
+        "f": FACES.astype(np.uint32),
+        "weights": WEIGHTS,
+        "J_regressor": sparse.csc_matrix(REGRESSOR),
+        "kintree_table": np.stack([PARENTS, np.arange(5)]).astype(np.uint32),
+        "posedirs": POSE,
+        "bs_type": "lrotmin",
+        "bs_style": "lbs",
+        "J": Ch(REGRESSOR @ MEAN),
+        **changes,
+    }
+
+
+@pytest.mark.parametrize("protocol", [0, 1, 2, 3, 4, 5])
+def test_flame_is_read_without_chumpy(tmp_path, monkeypatch, protocol):
+    text = pickle.dumps(flame(monkeypatch), protocol)
+    (tmp_path / "generic_model.pkl").write_bytes(text)
+    for name in ("chumpy", "chumpy.ch"):
+        monkeypatch.setitem(sys.modules, name, None)
+    model = LinearFaceModel.load(tmp_path / "generic_model.pkl")
+    assert_same(model, np.concatenate([BASIS, EXPRESSION], axis=2), K + E)  # below 300 all are shape
+    assert model.joints == ("root", "neck", "jaw", "left_eye", "right_eye")
+    assert model.parents.tolist() == [-1, 0, 1, 1, 1]
+    np.testing.assert_allclose(model.joint_mean, REGRESSOR @ MEAN)
+
+
+def test_flame_of_python_2_is_read(tmp_path):
+    """NumPy of Python 2 wrote protocol 2 with bytes as text and the module names of its time."""
+    reduced = pickle.dumps({"v_template": MEAN, "shapedirs": BASIS, "f": FACES}, 2)
+    reduced = reduced.replace(b"numpy._core.multiarray", b"numpy.core.multiarray")
+    assert b"numpy.core.multiarray" in reduced
+    (tmp_path / "m.pkl").write_bytes(reduced)
+    assert_same(LinearFaceModel.load(tmp_path / "m.pkl"), BASIS, K)
+
+
+def test_flame_follows_the_skinning_of_smpl(tmp_path, monkeypatch):
+    """Against a plain evaluation with 4 x 4 matrices along the chain (Loper et al., SMPL, 2015)."""
+    from scipy.spatial.transform import Rotation
+
+    (tmp_path / "m.pkl").write_bytes(pickle.dumps(flame(monkeypatch)))
+    model = LinearFaceModel.load(tmp_path / "m.pkl")
+    c, vectors = RNG.normal(size=K + E), 0.3 * RNG.normal(size=(5, 3))
+    turns = Rotation.from_rotvec(vectors).as_matrix()
+    shaped = MEAN + np.concatenate([BASIS, EXPRESSION], axis=2) @ c
+    joints = REGRESSOR @ shaped
+    posed = shaped + POSE @ (turns[1:] - np.eye(3)).ravel()
+    world = []
+    for k, parent in enumerate([-1, 0, 1, 1, 1]):
+        local = np.eye(4)
+        local[:3, :3], local[:3, 3] = turns[k], joints[k] - (joints[parent] if k else 0)
+        world.append(local if k == 0 else world[parent] @ local)
+    expected = np.zeros_like(posed)
+    for k, matrix in enumerate(world):
+        moved = (posed - joints[k]) @ matrix[:3, :3].T + matrix[:3, 3]
+        expected += WEIGHTS[:, k : k + 1] * moved
+    np.testing.assert_allclose(model.at(c, vectors), expected, atol=1e-6)
+
+
+class Hostile:
+    """Runs a command when it is unpickled by pickle.load."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return os.mkdir, (self.path,)
+
+
+@pytest.mark.parametrize("protocol", [0, 2, 4])
+def test_hostile_pickles_run_nothing(tmp_path, monkeypatch, protocol):
+    made = str(tmp_path / "made")
+    (tmp_path / "bad.pkl").write_bytes(pickle.dumps(flame(monkeypatch, extra=Hostile(made)), protocol))
+    with pytest.raises(ModelError, match=r"bad\.pkl: the pickle asks for (posix|os|nt)\.mkdir"):
+        LinearFaceModel.load(tmp_path / "bad.pkl")
+    assert not os.path.exists(made)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        b"cbuiltins\neval\n(S'1'\ntR.",
+        b"cnumpy\nload\n(S'x'\ntR.",
+        b"cscipy\nsparse.os.system\n(S'true'\ntR.",
+        b"c__builtin__\ngetattr\n(cnumpy\nndarray\nS'__class__'\ntR.",
+        b"ccopyreg\n__newobj__\n.",
+        b"cnumpy.core.multiarray\n_reconstruct\n(cnumpy\nndarray\n(I0\ntS'b'\ntR(dS'a'\ncos\nsystem\nsb.",
+    ],
+)
+def test_names_that_are_no_arrays_are_refused(tmp_path, text):
+    (tmp_path / "bad.pkl").write_bytes(text)
+    with pytest.raises(ModelError, match=r"bad\.pkl: the pickle asks for"):
+        LinearFaceModel.load(tmp_path / "bad.pkl")
+
+
+def test_a_hostile_memo_fills_no_memory(tmp_path):
+    (tmp_path / "bad.pkl").write_bytes(b"\x80\x04}r\xff\xff\xff\x7f.")
+    with pytest.raises(ModelError, match=r"bad\.pkl: has no mean"):
+        LinearFaceModel.load(tmp_path / "bad.pkl")
+
+
+def test_arrays_of_objects_are_refused(tmp_path):
+    (tmp_path / "bad.pkl").write_bytes(pickle.dumps({"v_template": np.array([{}], object)}))
+    with pytest.raises(ModelError, match=r"bad\.pkl: holds an array of object, expected numbers"):
+        LinearFaceModel.load(tmp_path / "bad.pkl")
+
+
+NAN = MEAN.copy()
+NAN[3, 1] = np.nan
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"mean": None}, "has no mean"),
+        ({"faces": None}, "has no faces"),
+        ({"mean": NAN}, "mean holds NaN"),
+        ({"basis": BASIS[:-1]}, r"basis has shape \(11, 3, 3\), expected \(12, 3, K\)"),
+        ({"deviation": DEVIATION[:2]}, r"deviation has shape \(2,\), expected \(3,\)"),
+        ({"deviation": -DEVIATION}, "0 or more"),
+        ({"expression_basis": EXPRESSION.ravel()[:5]}, "expression_basis has shape"),
+        ({"faces": FACES + 1}, r"point up to vertex 12; expected some of both, and vertices 0 \.\.\. 11"),
+        ({"faces": FACES + 0.5}, "whole numbers"),
+        ({"mean": np.array(["a"])}, r"mean holds <U1 \(1,\), expected numbers"),
+        ({"uv": np.zeros((3, 2))}, "index 3 is out of bounds for axis 0 with size 3"),
+        ({"joints": ["jaw"], "skinning_weights": WEIGHTS[:, :1]}, "has no joint_positions"),
+        ({"joints": ["jaw"], "skinning_weights": WEIGHTS, "joint_positions": MEAN[:1]}, "weights has shape"),
+    ],
+)
+def test_faults_are_one_error_that_names_the_file(tmp_path, changes, said):
+    arrays = {name: array for name, array in {**OWN, **changes}.items() if array is not None}
+    with pytest.raises(ModelError, match=rf"linear model .*own\.npz: .*{said}.*face_model\.md") as caught:
+        LinearFaceModel.load(npz(tmp_path / "own.npz", **arrays))
+    assert str(caught.value).count("own.npz") == 1
+
+
+@pytest.mark.parametrize("name", ["m.npz", "m.mat", "m.pkl", "m.bin"])
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 no model", os.urandom(1) * 300, bytes(300)])
+def test_other_files_are_named(tmp_path, name, content):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(ModelError, match=rf"linear model .*{name}: "):
+        LinearFaceModel.load(tmp_path / name)
+
+
+def test_other_endings_and_missing_files_are_named(tmp_path):
+    (tmp_path / "m.fbx").write_bytes(b"x")
+    with pytest.raises(ModelError, match=r"m\.fbx: ends in '\.fbx', expected \.npz"):
+        LinearFaceModel.load(tmp_path / "m.fbx")
+    with pytest.raises(ModelError, match=r"none\.npz: No such file"):
+        LinearFaceModel.load(tmp_path / "none.npz")
+
+
+def test_truncated_eos_files_are_named(tmp_path):
+    whole = eos_bytes(MEAN.reshape(-1, 1), orthonormal(BASIS), DEVIATION.reshape(-1, 1))
+    for length in (2, 9, 90, 400):
+        (tmp_path / "m.bin").write_bytes(whole[:length])
+        with pytest.raises(ModelError, match=r"m\.bin: "):
+            LinearFaceModel.load(tmp_path / "m.bin")
+
+
+def test_pickles_that_stop_early_are_named(tmp_path):
+    stream = io.BytesIO()
+    pickle.dump({"v_template": MEAN}, stream)
+    (tmp_path / "m.pkl").write_bytes(stream.getvalue()[:-20])
+    with pytest.raises(ModelError, match=r"m\.pkl: "):
+        LinearFaceModel.load(tmp_path / "m.pkl")

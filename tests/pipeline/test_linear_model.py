@@ -1,0 +1,77 @@
+"""`process(..., linear_model=FILE)`: coefficients.json, the mesh in its place, the texture on its UV."""
+
+import json
+
+import numpy as np
+import pytest
+
+import scan2albedo as s2a
+from scan2albedo.errors import ModelError
+from scan2albedo.face_model.variation import IDENTITY_BUMPS, displacement
+from scan2albedo.geometry.rigid import transform_points
+from scan2albedo.io.linear_model_files import LinearFaceModel
+
+CHOSEN = {"size": 64, "quality": "draft", "texture_size": 128}
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    """A linear model of the default model's surface, in centimetres, with texture coordinates."""
+    model = s2a.AnnotatedFaceModel.default()
+    vertices, faces = model.surface(1)
+    modes = [displacement(bump, vertices, model.landmarks) for bump in IDENTITY_BUMPS[:10]]
+    path = tmp_path_factory.mktemp("model") / "bumps.npz"
+    basis = np.moveaxis(np.array(modes), 0, -1)
+    np.savez(path, mean=vertices / 10, basis=basis / 10, faces=faces, uv=model.refined_uv(1))
+    return path
+
+
+@pytest.fixture(scope="module")
+def result(coarse_scan, file, tmp_path_factory):
+    return s2a.process(coarse_scan[0], tmp_path_factory.mktemp("out"), linear_model=file, **CHOSEN)
+
+
+def test_files_place_the_model_on_the_scan(result, file):
+    record = json.loads((result.out / "coefficients.json").read_text())
+    model = LinearFaceModel.load(file)
+    assert (record["model"], record["model_sha256"]) == ("bumps", model.sha256)
+    assert (len(record["shape"]), record["expression"], record["mm_per_unit"]) == (10, [], pytest.approx(10))
+    assert record["scale"] == pytest.approx(1, abs=0.1)
+    with np.load(result.out / "linear_model.npz") as arrays:
+        stored = {name: arrays[name] for name in arrays.files}
+    shape = model.at(np.array(record["shape"]))
+    placed = transform_points(np.array(record["scan_from_model"]), shape)
+    np.testing.assert_allclose(placed, stored["vertices"], atol=1e-5)
+    near = ~np.isnan(stored["residual_mm"])
+    assert near.mean() > 0.5
+    assert np.median(stored["residual_mm"][near]) < 1.5
+    assert (np.abs(stored["displacement_mm"][near]) <= stored["residual_mm"][near] + 1e-9).all()
+    np.testing.assert_array_equal(np.isnan(stored["displacement_mm"]), ~near)
+
+
+def test_the_template_is_the_linear_model_with_its_texture(result, file):
+    assert {"template.obj", "template.png", "template.glb"} <= {path.name for path in result.out.iterdir()}
+    assert result.template.vertices.shape == LinearFaceModel.load(file).mean.shape
+    own = json.loads((result.out / "result.json").read_text())["template_from_model"]
+    back = transform_points(np.array(own), result.template.vertices)
+    expected = LinearFaceModel.load(file).at(result.linear_model.coefficients)
+    np.testing.assert_allclose(back, expected, atol=1e-6)
+    assert result.template.tiles[0].seen.mean() > 0.3
+
+
+def test_plan_trace_and_metrics_name_the_stage(result):
+    assert result.plan.ran("linear_model")
+    assert "linear_model" in result.trace.stages
+    assert result.metrics()["linear_model"]["noise_mm"] > 0
+    assert result.options["linear_model"].endswith("bumps.npz")
+
+
+def test_what_cannot_be_fitted_is_refused(coarse_scan, file, tmp_path):
+    with pytest.raises(ValueError, match="linear_model needs the model of a face"):
+        s2a.process(coarse_scan[0], model="none", linear_model=file)
+    with pytest.raises(ModelError, match=r"linear model .*none\.npz: No such file"):
+        s2a.process(coarse_scan[0], linear_model=tmp_path / "none.npz")
+    with pytest.raises(ValueError, match="linear_model is fitted to single scans"):
+        s2a.process_person([coarse_scan[0]], linear_model=file)
+    with pytest.raises(ValueError, match="linear_model is fitted to single scans"):
+        s2a.process_sequence([coarse_scan[0]], name="t", linear_model=file)
