@@ -89,17 +89,31 @@ class LinearModelFit:
         mesh |= {"template_offset": None, "template_from_model": self.pose.inverse()}
         return replace(fitted, template_vertices=self.vertices, model=replace(fitted.model, **mesh))
 
+    def neutral_and_targets(self) -> tuple[FloatArray, dict[str, FloatArray], FloatArray]:
+        """Return the face without expression (V, 3), by ARKit's names how far each blendshape moves its
+        vertices (V, 3), and their weights (S,); mm."""
+        model, shares, coefficients = self.model, self.model.arkit(), self.coefficients.copy()
+        coefficients[model.shapes :] = 0.0
+        neutral, targets = self.pose.apply(model.at(coefficients, self.rotations)), dict[str, FloatArray]()
+        for name, share in shares.items():
+            coefficients[model.shapes :] = share
+            targets[name] = self.pose.apply(model.at(coefficients, self.rotations)) - neutral
+        weights = [share @ self.coefficients[model.shapes :] / share.sum() for share in shares.values()]
+        return neutral, targets, np.array(weights)
+
     def record(self, scan_from_here: FloatArray) -> LinearModelRecord:
         """Return what `coefficients.json` holds; `scan_from_here` (4, 4): to the scan's frame and unit."""
         model, free = self.model, [name for name in FREE_JOINTS if name in self.model.joints]
         pose, turns, deviation = np.split(self.deviation, [7, 7 + 3 * len(free)])
         shape, expression = np.split(np.stack([self.coefficients, deviation]), [model.shapes], axis=1)
         positions = model.joint_mean + model.joint_basis @ self.coefficients
+        _, targets, weights = self.neutral_and_targets()
         content = {
             "model": model.name,
             "model_sha256": model.sha256,
             "shape": shape[0],
             "expression": expression[0],
+            "blendshapes": dict(zip(targets, weights, strict=True)),
             "shape_deviation": shape[1],
             "expression_deviation": expression[1],
             "pose_deviation": pose,
@@ -226,7 +240,11 @@ class _State:
             weighted = weight[:, None] * rows
             matrix += weighted.T @ rows
             gradient += weighted.T @ residual.ravel()
-        return NormalEquations(matrix, gradient)
+        lower, upper = np.full(len(gradient), -np.inf), np.full(len(gradient), np.inf)
+        if self.model.names:  # blendshapes
+            weights = self.coefficients[self.model.shapes :]
+            lower[-len(weights) :], upper[-len(weights) :] = -weights, 1 - weights
+        return NormalEquations(matrix, gradient, lower, upper)
 
     @cached_property
     def deviation(self) -> FloatArray:

@@ -11,12 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.mesh import vertex_normals, without_unreferenced
 from scan2albedo.io.atomic import write_bytes
 from scan2albedo.io.images import encode_image
 
 METRES_PER_MM = 1e-3
+OF_VERTICES, OF_INDICES = 34962, 34963
+"""What a buffer view is for, in the standard's numbers."""
 
 _COMPONENT = {"u1": 5121, "u2": 5123, "u4": 5125, "f4": 5126}
 
@@ -70,20 +72,40 @@ class GlbFile:
         normals: NDArray[np.float64] | None = None,
     ) -> int:
         """Append a mesh, attributes (array, kind), `normals` (V, 3) where it was split; return its number."""
-        of_vertices, of_indices = 34962, 34963  # what a view is for, in the standard's numbers
         places = vertices_mm * METRES_PER_MM
         normals = vertex_normals(places, faces) if normals is None else normals.copy()
         normals[~normals.any(1)] = (0.0, 0.0, 1.0)
         stored = {
-            "POSITION": self.add_array(places.astype("f4"), "VEC3", of_vertices, bounds=True),
-            "NORMAL": self.add_array(normals.astype("f4"), "VEC3", of_vertices),
+            "POSITION": self.add_array(places.astype("f4"), "VEC3", OF_VERTICES, bounds=True),
+            "NORMAL": self.add_array(normals.astype("f4"), "VEC3", OF_VERTICES),
         }
         for key, (array, kind) in (attributes or {}).items():
-            stored[key] = self.add_array(array, kind, of_vertices)
-        indices = self.add_array(faces.astype("u4").ravel(), "SCALAR", of_indices)
+            stored[key] = self.add_array(array, kind, OF_VERTICES)
+        indices = self.add_array(faces.astype("u4").ravel(), "SCALAR", OF_INDICES)
         primitive = {"attributes": stored, "indices": indices, "material": material}
         self.meshes.append({"name": name, "primitives": [primitive]})
         return len(self.meshes) - 1
+
+    def add_targets(
+        self,
+        mesh: int,
+        surface: tuple[FloatArray, IntArray],
+        targets: FloatArray,
+        weights: FloatArray,
+        kept: IntArray | slice = slice(None),
+    ) -> None:
+        """Append morph targets (K, V, 3) mm, with weights (K,), of the vertices that a mesh `kept` of another
+        one (V, 3), (F, 3) when it was split."""
+        (vertices_mm, faces), primitive = surface, self.meshes[mesh]["primitives"][0]
+        normals, self.meshes[mesh]["weights"] = vertex_normals(vertices_mm, faces), weights.tolist()
+        primitive["targets"] = []
+        for move in targets:
+            turned = (vertex_normals(vertices_mm + move, faces) - normals)[kept].astype("f4")
+            moved = (METRES_PER_MM * move[kept]).astype("f4")
+            place = self.add_array(moved, "VEC3", OF_VERTICES, bounds=True)
+            primitive["targets"].append(
+                {"POSITION": place, "NORMAL": self.add_array(turned, "VEC3", OF_VERTICES)}
+            )
 
     def write(
         self, path: str | Path, nodes: list[dict[str, Any]], roots: list[int], **entries: list[Any]
@@ -156,17 +178,12 @@ def write_glb(
             material["pbrMetallicRoughness"]["baseColorTexture"] = picture
     lists = {"materials": [material]}
     if take is not None:
-        pose, normals = take["pose"], vertex_normals(points, triangles)
+        pose = take["pose"]
         curves = {"rotation": (Rotation.from_matrix(pose[:, :3, :3]).as_quat(), "VEC4")}
         curves["translation"] = METRES_PER_MM * pose[:, :3, 3], "VEC3"
         if len(take["targets"]):
             curves["weights"] = take["weights"].ravel(), "SCALAR"
-            file.meshes[mesh]["weights"] = take["weights"][0].tolist()
-            file.meshes[mesh]["primitives"][0]["targets"] = targets = []
-            for move in take["targets"]:
-                turned = (vertex_normals(points + move, triangles) - normals).astype("f4")
-                place = file.add_array((METRES_PER_MM * move).astype("f4"), "VEC3", bounds=True)
-                targets.append({"POSITION": place, "NORMAL": file.add_array(turned, "VEC3")})
+            file.add_targets(mesh, (points, triangles), take["targets"], take["weights"][0])
         times = file.add_array(take["time_s"].astype("f4")[:, None], "SCALAR", bounds=True)
         outputs = [file.add_array(values.astype("f4"), kind) for values, kind in curves.values()]
         samplers = [{"input": times, "output": number} for number in outputs]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import pickle
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -37,13 +38,22 @@ uv_faces ft
 skinning_weights weights
 joint_regressor J_regressor
 pose_basis posedirs"""
-_OTHERS = "expression_deviation joints joint_parents joint_positions kintree_table tl identity_basis"
+_OTHERS = """expression_deviation expression_names joints joint_parents joint_positions kintree_table tl
+identity_basis"""
 _NAMES = {name: name for name in _OTHERS.split()}
 _NAMES |= {name: line.split()[0] for line in _LAYOUTS.splitlines() for name in line.split()}
 """Our names of arrays, then those in FLAME, Basel 2009, and Basel 2017 and later."""
 FLAME_SHAPES, FLAME_JOINTS = 300, ("root", "neck", "jaw", "left_eye", "right_eye")
 """Shape directions of FLAME, which its expressions follow, and its joints in their order."""
 _ADVICE = "give a model in one of the layouts that docs/face_model.md lists"
+
+_SIDED = """eyeBlink eyeLookDown eyeLookIn eyeLookOut eyeLookUp eyeSquint eyeWide jaw mouth mouthSmile
+    mouthFrown mouthDimple mouthStretch mouthPress mouthLowerDown mouthUpperUp browDown browOuterUp
+    cheekSquint noseSneer"""
+_SINGLE = """jawForward jawOpen mouthClose mouthFunnel mouthPucker mouthRollLower mouthRollUpper
+    mouthShrugLower mouthShrugUpper browInnerUp cheekPuff tongueOut"""
+ARKIT_NAMES = (*(name + side for name in _SIDED.split() for side in ("Left", "Right")), *_SINGLE.split())
+"""The 52 blendshapes of ARKit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +81,7 @@ class LinearFaceModel:
     joint_mean: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     joint_basis: FloatArray = None  # type: ignore[assignment]
     pose_basis: FloatArray | None = None
+    names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         count, joints, size = len(self.mean), len(self.joints), self.basis.shape[-1]
@@ -89,6 +100,8 @@ class LinearFaceModel:
         if (most := int(self.faces.max(initial=0))) >= count or not size * len(self.faces):
             said = f"{size} directions and {len(self.faces)} faces that point up to vertex {most}"
             raise ModelError(f"has {said}; expected some of both, and vertices 0 ... {count - 1}")
+        if len(self.names) not in (0, size - self.shapes):
+            raise ModelError(f"expression_names has {len(self.names)}, expected {size - self.shapes}")
         if not (self.parents < np.arange(joints)).all():
             raise ModelError(f"parents of joints must come before them, got {self.parents.tolist()}")
 
@@ -120,6 +133,23 @@ class LinearFaceModel:
             shape = shape + self.pose_basis @ (local[1:] - np.eye(3)).ravel()
         blend = np.eye(3) + np.tensordot(self.weights, turn[:-1] - np.eye(3), 1)
         return np.einsum("nij,nj->ni", blend, shape) + self.weights @ shift[:-1], blend, slopes[:-1]
+
+    def arkit(self) -> dict[str, FloatArray]:
+        """Return ARKit's names of the model's blendshapes, in ARKit's order, with shares (K - shapes,).
+
+        A side's suffix _L or _R is ARKit's Left or Right; sides of what ARKit has once are joined. Names that
+        ARKit has not come last.
+
+        .. [1] Apple, "ARFaceAnchor.BlendShapeLocation", ARKit's documentation.
+        """
+        shares = dict[str, FloatArray]()
+        for k, name in enumerate(self.names):
+            stem, side = (name[:-2], name[-2:]) if name.endswith(("_L", "_R")) else (name, "")
+            sided = stem + {"_L": "Left", "_R": "Right", "": ""}[side]
+            known = sided if sided in ARKIT_NAMES else stem if stem in ARKIT_NAMES else name
+            shares.setdefault(known, np.zeros(len(self.names)))[k] = 1.0
+        order = {name: k for k, name in enumerate(ARKIT_NAMES)}
+        return dict(sorted(shares.items(), key=lambda entry: order.get(entry[0], len(order))))
 
     def of_vertices(self, index: IntArray) -> Self:
         """Return the model of some vertices (N,), with a face that means nothing."""
@@ -179,6 +209,7 @@ def model_fields(values: Values) -> Values:
     fields: Values = {"mean": mean, "basis": np.concatenate(parts, axis=2), "shapes": parts[0].shape[2]}
     if "v_template" in values:
         fields["shapes"] = min(fields["shapes"], FLAME_SHAPES)
+    fields["names"] = _texts(found.get("expression_names", ()))
     faces = fields["faces"] = _numbers(found, "faces", whole=True)
     if "uv" in found:
         fields["uv"] = uv = _numbers(found, "uv")
@@ -189,9 +220,7 @@ def model_fields(values: Values) -> Values:
         found["joint_parents"] = np.where(parents < len(parents), parents, -1)
         found["joints"] = FLAME_JOINTS if len(parents) == len(FLAME_JOINTS) else range(len(parents))
     if "joints" in found:
-        joints = fields["joints"] = tuple(
-            name.decode() if isinstance(name, bytes) else str(name) for name in found["joints"]
-        )
+        joints = fields["joints"] = _texts(found["joints"])
         fields["parents"] = np.ravel(found.get("joint_parents", np.full(len(joints), -1))).astype(np.int64)
         fields["weights"] = _numbers(found, "skinning_weights")
         if "joint_regressor" in found:
@@ -203,6 +232,10 @@ def model_fields(values: Values) -> Values:
         if "pose_basis" in found:
             fields["pose_basis"] = _numbers(found, "pose_basis")
     return fields
+
+
+def _texts(names: Iterable[Any]) -> tuple[str, ...]:
+    return tuple(name.decode() if isinstance(name, bytes) else str(name) for name in names)
 
 
 def _numbers(values: Values, name: str, *, whole: bool = False) -> Any:

@@ -172,6 +172,9 @@ class LinearModelRecord(Record):
     shape_deviation: tuple[Number, ...]
     expression: tuple[Number, ...] = Field(description="The same of expression.")
     expression_deviation: tuple[Number, ...]
+    blendshapes: dict[str, Number] = Field(
+        description="Weights from 0 to 1 of the model's named expressions, ARKit's names where it has them."
+    )
     joint_rotations_rad: dict[str, Vector] = Field(description="Axis times angle; joints not fitted are 0.")
     joint_deviations_rad: dict[str, Vector] = Field(description="Of the joints that were fitted.")
     joint_positions: dict[str, Vector] = Field(description="At rest, in the model's own frame and unit.")

@@ -1,7 +1,7 @@
 """Meshes with pictures on their own texture coordinates, as OBJ with MTL and as GLB."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +37,8 @@ class TexturedMesh:
     """A mesh: vertices (V, 3) mm, faces (F, 3), and its colours.
 
     These are `pictures` at the corners' coordinates `uv` (F, 3, 2), v = 0 at their bottom rows, or
-    `vertex_color_linear` (V, 3). Each face has one picture at most.
+    `vertex_color_linear` (V, 3). Each face has one picture at most. In a GLB the vertices are `rest` (V, 3),
+    where that is given, and move by morph `targets` (V, 3) by name, to `vertices` with their `weights` (K,).
     """
 
     vertices: FloatArray
@@ -45,6 +46,9 @@ class TexturedMesh:
     uv: FloatArray | None = None
     pictures: tuple[MeshPicture, ...] = ()
     vertex_color_linear: NDArray[np.float32] | None = None
+    rest: FloatArray | None = None
+    targets: Mapping[str, FloatArray] = field(default_factory=dict)
+    weights: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
 def write_textured_obj(path: str | Path, mesh: TexturedMesh, *, mm_per_unit: float = 1.0) -> tuple[str, ...]:
@@ -87,7 +91,8 @@ def write_textured_obj(path: str | Path, mesh: TexturedMesh, *, mm_per_unit: flo
 def write_textured_glb(path: str | Path, mesh: TexturedMesh) -> None:
     """Write a mesh as GLB, in metres, split where coordinates differ, with tangents for normal maps."""
     file, materials = GlbFile(), list[dict[str, Any]]()
-    normals = vertex_normals(mesh.vertices, mesh.faces)
+    whole = mesh.vertices if mesh.rest is None else mesh.rest
+    normals = vertex_normals(whole, mesh.faces)
     for name, chosen in _materials(mesh):
         picture = next((p for p in mesh.pictures if Path(p.name).stem == name), None)
         material = plain_material(name, (1.0, 1.0, 1.0, 1.0))
@@ -99,7 +104,7 @@ def write_textured_glb(path: str | Path, mesh: TexturedMesh) -> None:
         else:
             split = split_at_seams(mesh.faces[chosen], mesh.uv[chosen])
             if picture is not None and picture.normal_png is not None:
-                frames = tangent_mesh(mesh.vertices, mesh.faces[chosen], mesh.uv[chosen], normals)
+                frames = tangent_mesh(whole, mesh.faces[chosen], mesh.uv[chosen], normals)
                 split = frames.split
                 attributes["TANGENT"] = (frames.tangents.astype("f4"), "VEC4")
                 stem = Path(picture.normal_name).stem
@@ -116,8 +121,12 @@ def write_textured_glb(path: str | Path, mesh: TexturedMesh) -> None:
             attributes["TEXCOORD_0"] = ((split.uv * (1, -1) + (0, 1)).astype("f4"), "VEC2")
         if picture is None and mesh.vertex_color_linear is not None:
             attributes["COLOR_0"] = (np.clip(mesh.vertex_color_linear[vertex], 0, 1).astype("f4"), "VEC3")
-        vertices, faces = mesh.vertices[vertex], faces.reshape(-1, 3)
-        file.add_mesh(name, vertices, faces, len(materials), attributes, normals=normals[vertex])
+        vertices, faces = whole[vertex], faces.reshape(-1, 3)
+        number = file.add_mesh(name, vertices, faces, len(materials), attributes, normals=normals[vertex])
+        if mesh.targets:
+            moves = np.array([*mesh.targets.values()])
+            file.add_targets(number, (whole, mesh.faces), moves, mesh.weights, vertex)
+            file.meshes[number]["extras"] = {"targetNames": [*mesh.targets]}
         materials.append(material)
     nodes = [{"name": file.meshes[k]["name"], "mesh": k} for k in range(len(materials))]
     further = {"extensionsUsed": [*materials[0]["extensions"]]} if "extensions" in materials[0] else {}

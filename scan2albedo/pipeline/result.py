@@ -239,11 +239,16 @@ def write_result(
         if fitted is not None:
             write("fitted.glb", write_glb, fitted.vertices, fitted.faces, fitted.uv, shown)
             vertices, faces = fitted.template_vertices, fitted.model.template_faces
+            linear, moves = result.linear_model, dict[str, Any]()
+            if linear is not None and linear.model.names:
+                moves = dict(zip(("rest", "targets", "weights"), linear.neutral_and_targets(), strict=True))
             if result.template is not None:
-                write_template(staging.folder, result.template, deep, exr=files == "all")
+                write_template(staging.folder, result.template, deep, exr=files == "all", **moves)
             elif vertices is not None and faces is not None:
                 write("template.obj", write_obj, vertices, faces)
-        if fitted is not None and (linear := result.linear_model) is not None:
+                if moves:
+                    write("template.glb", write_textured_glb, TexturedMesh(vertices, faces, **moves))
+        if fitted is not None and linear is not None:
             placed = np.diag([*np.ones(3) / scan.mm_per_unit, 1]) @ invert_rigid(fitted.model_from_scan)
             write("coefficients.json", write_record, linear.record(placed))
             arrays = {"vertices": transform_points(placed, linear.vertices), "faces": linear.faces}
@@ -336,11 +341,13 @@ def write_template(
     exr: bool = False,
     stem: str = "template",
     mm_per_unit: float = 1.0,
+    **moves: Any,
 ) -> None:
     """Write a baked mesh in its own frame: OBJ in a unit of `mm_per_unit`, GLB in metres; alpha: seen.
 
-    With maps of a skin material they are PNG of 16 bits, 0 to 1, but for the displacement: from -4 to 4 mm,
-    and as EXR in mm; there is a normal map for DirectX, too, whose y points down, and an OpenUSD file.
+    `moves` are those of a `TexturedMesh`. With maps of a skin material they are PNG of 16 bits, 0 to 1, but
+    for the displacement: from -4 to 4 mm, and as EXR in mm; there is a normal map for DirectX, too, whose y
+    points down, and an OpenUSD file.
     """
     alone = len(template.tiles) == 1 and template.tiles[0].number == FIRST_TILE
     pictures, end = list[MeshPicture](), ".png"
@@ -368,7 +375,7 @@ def write_template(
             surface = encode_image(integers(np.stack(layers, -1)), ".png")
         named = f"{stem}{end}", picture, tile.faces, f"{stem}_normal{end}", normal
         pictures.append(MeshPicture(*named, surface))
-    mesh = TexturedMesh(template.vertices, template.faces, template.uv, tuple(pictures))
+    mesh = TexturedMesh(template.vertices, template.faces, template.uv, tuple(pictures), **moves)
     write_textured_obj(folder / f"{stem}.obj", mesh, mm_per_unit=mm_per_unit)
     write_textured_glb(folder / f"{stem}.glb", mesh)
     if template.tiles and template.tiles[0].maps:

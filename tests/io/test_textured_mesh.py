@@ -1,5 +1,9 @@
 """Meshes with pictures on their own coordinates come back as they were written."""
 
+import json
+import struct
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -74,3 +78,36 @@ def test_vertex_colours_stand_in_both(tmp_path):
         parsed = read_mesh_file(tmp_path / name)
         found = encode_srgb_bytes(parsed.vertex_color_linear[:, :3]).astype(int)  # alpha follows
         assert np.abs(found - encode_srgb_bytes(colors)).max() <= 1
+
+
+def test_morph_targets_lead_from_the_rest_to_the_vertices(sheet, tmp_path):
+    mesh, _ = sheet
+    lift = np.zeros_like(mesh.vertices)
+    lift[:, 2] = 0.2 * mesh.vertices[:, 0]
+    targets, weights = {"jawOpen": lift, "eyeWideLeft": np.roll(lift, 1, axis=1)}, np.array([0.75, 0.0])
+    moving = replace(mesh, rest=mesh.vertices - 0.75 * lift, targets=targets, weights=weights)
+    write_textured_glb(tmp_path / "mine.glb", moving)
+    data = (tmp_path / "mine.glb").read_bytes()
+    size = struct.unpack("<I", data[12:16])[0]
+    tree, binary = json.loads(data[20 : 20 + size]), data[28 + size :]
+
+    def array(number):
+        accessor = tree["accessors"][number]
+        view = tree["bufferViews"][accessor["bufferView"]]
+        values = np.frombuffer(binary, "<f4", 3 * accessor["count"], view["byteOffset"])
+        return values.reshape(-1, 3).astype(float)
+
+    assert len(tree["meshes"]) == 2
+    for part in tree["meshes"]:
+        assert part["extras"] == {"targetNames": ["jawOpen", "eyeWideLeft"]}
+        assert part["weights"] == [0.75, 0.0]
+        (primitive,) = part["primitives"]
+        moved, turned = array(primitive["attributes"]["POSITION"]), array(primitive["attributes"]["NORMAL"])
+        for weight, target in zip(weights, primitive["targets"], strict=True):
+            moved += weight * array(target["POSITION"])
+        nearest = np.linalg.norm(1000 * moved[:, None] - mesh.vertices, axis=2)
+        assert nearest.min(1).max() < 1e-3
+        # The first target tilts the sheet by as much everywhere, also beside the seam.
+        whole = vertex_normals(moving.rest + lift, mesh.faces)
+        found = turned + array(primitive["targets"][0]["NORMAL"])
+        np.testing.assert_allclose(found, whole[nearest.argmin(1)], atol=1e-5)
