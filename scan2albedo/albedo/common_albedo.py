@@ -198,21 +198,24 @@ def _averaged(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return the mean (N, 3) of log albedos (K, N, 3), gains (K, 3), weights (K, N) and spread (N,).
 
-    Gains and mean are the least squares of log a_k + log g_k = log a, weighed anew by Student's t.
+    Gains and mean are the least squares of log a_k + log g_k = log a, weighed anew by Student's t. With gains
+    known, what is brighter than the mean has heavier tails: highlights, and light from skin to skin in
+    hollows. Shadows of the cells are no part of it: texels have those that the picture shows.
     """
     robust, gains = weights, np.zeros((len(logs), 3))
-    for _ in range(_PASSES if len(logs) > 1 else 1):
+    for again in range(2 * _PASSES if len(logs) > 1 else 1):
         total = robust.sum(0)
         mean = np.einsum("kn,knc->nc", robust, logs) / total[:, None]
-        share = robust.sum(1)
-        # The last term holds the mean gain, which nothing tells, at 0.
-        system = np.diag(share) - robust @ (robust / total).T + np.outer(share, share) / share.sum()
-        right = np.array([weight @ (mean - log) for weight, log in zip(robust, logs, strict=True)])
-        gains = np.linalg.solve(system, right)
+        if again < _PASSES:
+            share = robust.sum(1)
+            # The last term holds the mean gain, which nothing tells, at 0.
+            system = np.diag(share) - robust @ (robust / total).T + np.outer(share, share) / share.sum()
+            right = np.array([weight @ (mean - log) for weight, log in zip(robust, logs, strict=True)])
+            gains = np.linalg.solve(system, right)
         mean += np.einsum("kn,kc->nc", robust / total, gains)
-        square = np.array(
-            [((log + gain - mean) ** 2).mean(-1) for log, gain in zip(logs, gains, strict=True)]
-        )
-        robust = robust_weights(np.sqrt(square), 1 / weights, 1.0)
+        beside = [log + gain - mean for log, gain in zip(logs, gains, strict=True)]
+        square = np.array([(apart**2).mean(-1) for apart in beside])
+        bright = again >= _PASSES and np.array([apart.mean(-1) > 0 for apart in beside])
+        robust = robust_weights(np.sqrt(square), 1 / weights, 1.0, bright)
     spread = np.sqrt((weights * square).sum(0) / weights.sum(0))
     return mean, np.exp(gains), robust, spread

@@ -17,7 +17,7 @@ from scan2albedo.albedo.light_priors import light_prior
 from scan2albedo.albedo.shadows import ShadowLattice
 from scan2albedo.albedo.soft_terms import DARKEST, SoftTerms
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.lighting.shading import log_rows, shade_with_derivatives
 from scan2albedo.optimization.least_squares import Damping, LeastSquaresPoint, NormalEquations, minimize
 
@@ -115,9 +115,15 @@ def cell_trust(level: Level) -> FloatArray:
     return np.clip(level.weight, 0.05, 1.0)
 
 
-def robust_weights(error: FloatArray, variance: FloatArray, repeats: float) -> FloatArray:
-    """Return (N,) the weights of Student's t of errors (N,), each of which is told `repeats` times."""
-    return np.asarray((FREEDOM + 1) / (FREEDOM + error**2 / variance) / (variance * repeats))
+def robust_weights(
+    error: FloatArray, variance: FloatArray, repeats: float, frequent: BoolArray | bool = False
+) -> FloatArray:
+    """Return (N,) the weights of Student's t of errors (N,), each of which is told `repeats` times.
+
+    Errors of a sign that is `frequent` (N,) have the tails of one degree of freedom, Cauchy's.
+    """
+    square = error**2 / variance * np.where(frequent, FREEDOM, 1.0)
+    return np.asarray((FREEDOM + 1) / (FREEDOM + square) / (variance * repeats))
 
 
 class Point:

@@ -25,8 +25,9 @@ class SharedLight:
         log V_k = log(A I_k + I_sk) + f_k + e_k,   log A = scale_k + likeness * mean + M u + a
 
     with the prior of A of a `Posterior`, shared by all images, and what each of them errs by alone: light f_k
-    that no part stands for, and noise e_k of Student's t, whose `noise` all images tell together. What moves
-    with the light is light, what stays is albedo. `points` are the images' own, at one likeness.
+    that no part stands for, and noise e_k of Student's t, whose `noise` all images tell together and whose
+    tails are heavier toward the dark: shadows that no ray finds. What moves with the light is light, what
+    stays is albedo. `points` are the images' own, at one likeness.
     """
 
     def __init__(
@@ -69,11 +70,12 @@ class SharedLight:
             self.total, smooth = known + 1 / self.own, self.nodes @ self.u
             beside = (top - known * smooth) / self.total
             self.error = [p.left - (smooth + beside)[c] for p, c in zip(self.points, self.cells, strict=True)]
-            weights = [robust_weights(e, v, repeats) for e, v in zip(self.error, self.variance, strict=True)]
-        misfit = sum(
-            float(((FREEDOM + 1) * np.log1p(e**2 / (FREEDOM * v)) + np.log(v)).sum())
-            for e, v in zip(self.error, self.variance, strict=True)
-        )
+            pairs = list(zip(self.error, self.variance, strict=True))
+            weights = [robust_weights(e, v, repeats, e < 0) for e, v in pairs]
+        misfit, free = 0.0, FREEDOM
+        for e, v in pairs:
+            tail = np.where(e < 0, free, 1.0)
+            misfit += float(((free + 1) / tail * np.log1p(tail * e**2 / (free * v)) + np.log(v)).sum())
         rough = float(self.u @ self.precision @ self.u) + float((beside**2 / self.own).sum())
         self.cost = 0.5 * (misfit / repeats + rough) + sum(point.prior.cost for point in self.points)
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.albedo.node_field import Scales
-from scan2albedo.albedo.posterior import Point, descend
+from scan2albedo.albedo.posterior import Point, descend, robust_weights
 from scan2albedo.core import Budget
 
 FAR = math.inf
@@ -245,3 +245,12 @@ def test_evidence_does_not_hang_on_how_often_the_cells_were_weighed(ball, scenes
     point = descend(_start(problem, model, _x(model, scenes)), 8, problem.meter).rescaled().rescaled()
     point = descend(point, 6, problem.meter).rescaled()
     assert point.log_evidence() == pytest.approx(_settled(point).log_evidence(), abs=0.3)
+
+
+def test_frequent_errors_count_less_by_cauchys_law():
+    sizes, variance = np.array([0.0, 1.0, 3.0]), np.full(3, 0.01)
+    rare = robust_weights(0.1 * sizes, variance, 2.0)
+    np.testing.assert_allclose(rare, 5 / (4 + sizes**2) / 0.02)
+    frequent = robust_weights(0.1 * sizes, variance, 2.0, np.array([True, True, False]))
+    np.testing.assert_allclose(frequent[:2] / frequent[0], 1 / (1 + sizes[:2] ** 2))
+    assert frequent[2] == rare[2]
