@@ -29,6 +29,7 @@ from scan2albedo.eyeglasses.lenses.scenes import Surface
 from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions, RegisteredEyeglasses
 from scan2albedo.eyeglasses.on_face.registration import register_on_face
 from scan2albedo.eyeglasses.on_face.start_poses import TriangulatedPoints, triangulate
+from scan2albedo.eyeglasses.proposed_keypoints import ProposedKeyPoints, propose_keypoints
 from scan2albedo.eyeglasses.skinning import skin
 from scan2albedo.eyeglasses.view_files import (
     Camera,
@@ -58,6 +59,7 @@ __all__ = [
     "LensPicture",
     "LensPictureOptions",
     "LensRim",
+    "ProposedKeyPoints",
     "RefractedRays",
     "RegisteredEyeglasses",
     "Surface",
@@ -71,6 +73,7 @@ __all__ = [
     "find_lens_rim",
     "insert_lenses",
     "read_cameras",
+    "propose_keypoints",
     "read_canonical",
     "read_keypoints",
     "read_labels",
