@@ -1,8 +1,10 @@
-"""The 20 key points of a frame proposed from its shape alone, in any pose and unit, each with a deviation."""
+"""The 20 key points of a frame proposed from its shape alone, in any pose and unit, each with a deviation.
+
+Inside, frames are scaled to 150 mm, about their true size, so that lengths are about in mm.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -14,12 +16,7 @@ from skimage.morphology import convex_hull_image
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.keypoints import (
-    KEY_POINT_COUNT,
-    KEY_POINT_NAMES,
-    checked_mesh,
-    typical_key_points,
-)
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR, checked_mesh, typical_key_points
 from scan2albedo.geometry.mesh import vertex_components
 from scan2albedo.geometry.oriented_points import oriented_points
 from scan2albedo.geometry.rays import RayCaster
@@ -34,6 +31,10 @@ from scan2albedo.geometry.rigid import (
 
 _UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
 _SLAB = 7.0
+"""How far behind the foremost place of its column a front reaches: folded temples lie behind it."""
+_WORN_MM = {("left_hinge", "right_hinge"): 138.0, ("left_rim_bottom", "right_rim_bottom"): 68.0}
+"""Distances on frames that fit the average face, 140 mm wide at the ears and 62 mm between the pupils."""
+_Places = dict[str, tuple[FloatArray, float]]
 
 
 class ProposedKeyPoints(NamedTuple):
@@ -45,451 +46,381 @@ class ProposedKeyPoints(NamedTuple):
     """(20,) standard deviation in mm; infinite where none was found."""
     mm_per_unit: float
     unit: str
-    """"mm", "cm", "m", "inch", or "unknown" for a size that is a usual frame's in none of them."""
+    """"mm", "cm", "m", "inch", or "unknown": in none of them has it the size of a frame."""
     log_odds: float
-    """How like a frame's they are; below -30 something else may have been taken for a frame."""
+    """How like a typical frame's they are; far below -20 something else may have been taken for a frame."""
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """A frame seen along its z-axis, about in mm; row 0 is lowest, the middle column at x = 0.
+    """A frame seen along its z-axis from an origin at x = 0, its middle column; row 0 is lowest.
 
-    `from_axes` maps axes to mesh; `depth` (H, W) is z of the foremost surface, -inf where there is none,
-    `front` (H, W) what belongs to the front, `openings` the left's and the right's (score, pixels, gap).
+    `depth` (H, W) is z of the foremost surface, `front` (H, W) what belongs to the front, `openings` are the
+    left's and the right's (score, pixels (H, W), cost).
     """
 
     axes: FloatArray
     origin: FloatArray
     depth: FloatArray
     front: BoolArray
-    openings: tuple[tuple[float, BoolArray, float], ...]
+    openings: list[tuple[float, BoolArray, float]]
     pixel: float
-    low: FloatArray
 
-    def place(self, pixels: FloatArray) -> FloatArray:
-        """Return (N, 2) x and y of rows and columns (N, 2)."""
-        return self.low + self.pixel * pixels[:, ::-1]
-
+    @property
     def score(self) -> float:
         return sum(found[0] for found in self.openings)
 
+    def place(self, pixels: FloatArray) -> FloatArray:
+        """Return x and y (N, 2) of rows and columns (N, 2)."""
+        return (pixels[:, ::-1] - (np.array(self.front.shape[::-1]) - 1) / 2) * self.pixel
 
-def symmetry_planes(points: FloatArray, size: float, count: int = 3) -> list[tuple[FloatArray, float, float]]:
-    """Return planes (normal, offset, misfit) in which points (N, 3) are most nearly their own mirror image."""
-    tree, few = cKDTree(points), points[:: max(len(points) // 300, 1)]
-
-    def refined(
-        normal: FloatArray, offset: float, own: FloatArray, steps: int
-    ) -> tuple[FloatArray, float, float]:
-        for step in range(steps):
-            away, nearest = tree.query(own - 2 * (own @ normal - offset)[:, None] * normal)
-            weight = 1 / (1 + (away / (0.015 * size * max(1, 6 - step))) ** 2) ** 2
-            there = points[nearest]
-            a, b = (weight @ p / weight.sum() for p in (own, there))
-            # The reflection I - 2 n n^T that leaves least: n spans the least of p q^T + q p^T.
-            both = ((own - a) * weight[:, None]).T @ (there - b)
-            normal = np.linalg.eigh(both + both.T)[1][:, 0]
-            offset = float(normal @ (a + b) / 2)
-        away = tree.query(own - 2 * (own @ normal - offset)[:, None] * normal)[0]
-        return normal, offset, float(np.mean(away**2 / (away**2 + (0.015 * size) ** 2)))
-
-    middle = points.mean(0)
-    axes = [*np.linalg.eigh(np.cov(points.T))[1].T, *super_fibonacci_rotations(30)[:, 0]]
-    # A temple that is missing or open draws the centroid to its side.
-    starts = [(n, float(n @ middle) + away * size) for n in axes for away in (-0.12, 0.0, 0.12)]
-    rough = sorted((refined(*start, few, 9) for start in starts), key=lambda plane: plane[2])
-    kept: list[tuple[FloatArray, float, float]] = []
-    for normal, offset, _ in rough:
-        if len(kept) < count and all(abs(normal @ other[0]) < 0.95 for other in kept):
-            kept.append(refined(normal, offset, points[:: max(len(points) // 2000, 1)], 12))
-    return sorted(kept, key=lambda plane: plane[2])
+    def ring(self) -> FloatArray:
+        """Return (N, 3) places of the front around both openings."""
+        both = self.openings[0][1] | self.openings[1][1]
+        at = np.argwhere(
+            ndimage.binary_dilation(both, iterations=max(2, round(1.5 / self.pixel))) & self.front
+        )
+        return np.column_stack([self.place(at.astype(float)), self.depth[tuple(at.T)]])
 
 
 class _Frame:
-    """Surface and rays of a frame of about 150 mm; panes apart."""
+    """Rays and evenly spread points of a frame, its panes apart."""
 
     def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
-        # The longest principal extent, as that of usual spectacles.
         turned, own = in_principal_frame(vertices, faces)
         low, high = turned[faces.ravel()].min(0), turned[faces.ravel()].max(0)
-        self.unit, self.middle = (
-            float((high - low).max()) / 150.0,
-            transform_points(invert_rigid(own), (low + high)[None] / 2)[0],
-        )
+        self.unit = float((high - low).max()) / 150
+        self.middle = transform_points(invert_rigid(own), (low + high)[None] / 2)[0]
         xyz = (vertices - self.middle) / self.unit
-        pane = _panes(xyz, faces)
+        # As the mesh joins its faces, and as places do: panes may touch rims, and files may part all faces.
+        joined = np.unique(np.round(xyz, 3), axis=0, return_inverse=True)[1].ravel()
+        pane = _panes(xyz, faces, faces) | _panes(xyz, faces, joined[faces])
+        pane &= not pane.all()
         self.rims = RayCaster(xyz, faces[~pane])
         self.panes = RayCaster(xyz, faces[pane]) if pane.any() else None
         self.points = oriented_points(xyz, faces[~pane], 0.8).points
 
-    def seen(self, axes: FloatArray, origin: FloatArray, half: tuple[float, float], pixel: float) -> _Seen:
-        """Return the frame along axes[2], x by y within `half` of the origin."""
+    def seen(
+        self, axes: FloatArray, origin: FloatArray, half: tuple[int, int] = (85, 45), pixel: float = 0.4
+    ):  # type: ignore[no-untyped-def]
+        """Return the frame along axes[2], with x and y within `half` of the origin."""
         x, y = ((np.arange(2 * round(h / pixel)) + 0.5) * pixel - round(h / pixel) * pixel for h in half)
-        grid = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2)
-        start = origin + grid @ axes[:2] + 200.0 * axes[2]
-        shape = len(y), len(x)
-        depth = 200.0 - self.rims.first_hit(start, -axes[2]).distance.reshape(shape)
-        glass = np.zeros(shape, bool)
+        start = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2) @ axes[:2] + origin + 200 * axes[2]
+        depth = (200 - self.rims.first_hit(start, -axes[2]).distance).reshape(len(y), -1)
+        glass = np.zeros_like(depth, bool)
         if self.panes is not None:
-            glass = np.isfinite(self.panes.first_hit(start, -axes[2]).distance).reshape(shape)
-        front, openings = _openings(depth, glass, pixel)
-        return _Seen(axes, origin, depth, front, openings, pixel, np.array([x[0], y[0]]))
+            glass = np.isfinite(self.panes.first_hit(start, -axes[2]).distance).reshape(depth.shape)
+        # Temples that are seen beside the front are far behind it.
+        front = depth > np.maximum(depth.max(0), depth.max() - 30) - _SLAB
+        openings = [_opening(front[:, ::k], (glass & ~front)[:, ::k], pixel) for k in (1, -1)]
+        return _Seen(
+            axes, origin, depth, front, [(s, a[:, ::k], c) for (s, a, c), k in zip(openings, (1, -1))], pixel
+        )
 
 
-def _panes(xyz: FloatArray, faces: IntArray) -> BoolArray:
-    """Return (F,) True for the faces of parts that are sheets, broader than rims and temples are."""
+def _panes(xyz: FloatArray, faces: IntArray, joined: IntArray) -> BoolArray:
+    """Return (F,) True for parts that hold a disc as no rim or temple does, by faces with `joined` corners."""
+    part = vertex_components(int(joined.max()) + 1, joined)[joined[:, 0]]
     pane = np.zeros(len(faces), bool)
-    joined = np.unique(np.round(xyz, 3), axis=0, return_inverse=True)[1].ravel()
-    # As the mesh joins its faces, and as places do: panes may touch rims, and files may part all faces.
-    parts = [
-        vertex_components(len(xyz), faces)[faces[:, 0]],
-        vertex_components(len(xyz), joined[faces])[joined[faces[:, 0]]],
-    ]
-    for part in parts:
-        if part.max() < 1000:
-            pane |= _sheets(xyz, faces, part)
-    return pane & ~pane.all()
-
-
-def _sheets(xyz: FloatArray, faces: IntArray, part: IntArray) -> BoolArray:
-    pane = np.zeros(len(faces), bool)
-    for number in np.unique(part):
+    for number in np.flatnonzero(np.bincount(part) >= 8):
         own = np.flatnonzero(part == number)
         corners = xyz[np.unique(faces[own])]
-        _, spread, axes = np.linalg.svd(corners - corners.mean(0), full_matrices=False)
-        flat = (corners - corners.mean(0)) @ axes.T
-        low, high = flat.min(0), flat.max(0)
-        if (high - low)[1] < 20:
-            continue
-        grid = np.stack(
-            np.meshgrid(*(np.arange(a, b, 1.0) for a, b in zip(low[:2], high[:2], strict=True))), -1
-        )
-        start = corners.mean(0) + grid.reshape(-1, 2) @ axes[:2] + 200.0 * axes[2]
-        hit = np.isfinite(RayCaster(xyz, faces[own]).first_hit(start, -axes[2]).distance)
-        # The widest disc in it: of lenses 10 mm and more, of what holds them a third of it.
-        pane[own] = ndimage.distance_transform_edt(np.pad(hit.reshape(grid.shape[:2]), 1)).max() > 9
+        middle = corners.mean(0)
+        axes = np.linalg.eigh(np.cov((corners - middle).T))[1].T[::-1]
+        low, high = np.percentile((corners - middle) @ axes.T, [0, 100], axis=0)
+        if (high - low)[1] > 20:
+            sides = (np.arange(a, b) for a, b in zip(low[:2], high[:2], strict=True))
+            grid = np.stack(np.meshgrid(*sides), -1)
+            rays = RayCaster(xyz, faces[own])
+            hit = rays.occluded(middle + grid.reshape(-1, 2) @ axes[:2] + 200 * axes[2], -axes[2])
+            pane[own] = ndimage.distance_transform_edt(np.pad(hit.reshape(grid.shape[:2]), 1)).max() > 9
     return pane
 
 
-def _openings(
-    depth: FloatArray, glass: BoolArray, pixel: float
-) -> tuple[BoolArray, tuple[tuple[float, BoolArray, float], ...]]:
-    """Return a front's pixels (H, W), and on either side the likeliest opening: (score, pixels, gap).
+def _opening(own: BoolArray, pane: BoolArray, pixel: float) -> tuple[float, BoolArray, float]:
+    """Return the likeliest opening at x > 0: its score, its pixels (H, W), and how much it is in doubt.
 
-    A hole that the rim encloses, a pane, or a hole of a rim that is closed by so many mm or by its convex
-    hull; each mm costs a quarter of a log odd, a larger area is likelier.
+    A hole that the front encloses by itself, with its mirror image, or once gaps of so many mm or its convex
+    hull close it; or a pane. The log odds are those of its area, a third less for each mm of gap.
     """
-    # Of what lies in a column the foremost; temples seen beside the front are far behind.
-    front = depth > np.maximum(depth.max(0), depth.max() - 30) - _SLAB
-    middle, found = front.shape[1] // 2, []
-    for turn in (1, -1):
-        own, pane = front[:, ::turn], (glass & ~front)[:, ::turn]
-        half = own | pane
-        half[:, : middle + 2] = False
-        best = -np.inf, np.zeros_like(front), np.inf
-        # No opening is larger than the front's half.
-        most = np.log(max(float(half.any(0).sum() * half.any(1).sum()), 1.0) * pixel**2)
-        tries = [(own, gap, gap / 3) for gap in (0.0, 1.5, 3.0, 6.0)]
-        tries += [(own | own[:, ::-1], gap, 0.7 + gap / 3) for gap in (0.0, 1.5, 3.0, 6.0)]
-        tries += [(~pane, 0.0, 0.3), (own | ~half, -1.0, 3.0)]
-        for mask, gap, cost in sorted(tries, key=lambda row: row[2]):
-            if most - cost < best[0] or not half.any():
-                break
-            if gap < 0:
-                mask = ~convex_hull_image(half) | own
-                mask[:, : middle + 2] = True
-            label = ndimage.label(ndimage.distance_transform_edt(~mask) * pixel > gap if gap > 0 else ~mask)[
-                0
-            ]
-            area = np.bincount(label.ravel())
-            area[
-                np.unique(np.concatenate([label[:, : middle + 1].ravel(), *label[[0, -1]], label[:, -1]]))
-            ] = 0
-            area[0] = 0
-            if area.max() * pixel**2 > 100 and (score := np.log(area.max() * pixel**2) - cost) > best[0]:
-                region = label == area.argmax()
-                if gap > 0:
-                    region = (ndimage.distance_transform_edt(~region) * pixel <= gap) & ~own
-                best = float(score), region, cost
-        found.append((best[0], best[1][:, ::turn], best[2]))
-    return front, tuple(found)
+    middle, half = own.shape[1] // 2, own | pane
+    half[:, : middle + 2] = False
+    both = own | own[:, ::-1]
+    tries = [
+        (mask, gap, cost + gap / 3) for mask, cost in ((own, 0.0), (both, 0.7)) for gap in (0, 1.5, 3, 6)
+    ]
+    tries += [(~pane, 0, 0.3), (own, -1, 3.0)]
+    best = -np.inf, np.zeros_like(own), np.inf
+    most = np.log(max(float(half.any(0).sum() * half.any(1).sum()), 1.0) * pixel**2)
+    for mask, gap, cost in sorted(tries, key=lambda row: row[2]):
+        if most - cost < best[0] or not half.any():
+            break
+        if gap < 0:
+            mask = mask | ~convex_hull_image(half)
+        label = ndimage.label(ndimage.distance_transform_edt(~mask) * pixel > gap if gap > 0 else ~mask)[0]
+        area = np.bincount(label.ravel()) * pixel**2
+        area[
+            np.unique(np.concatenate([[0], label[:, : middle + 1].ravel(), *label[[0, -1]], label[:, -1]]))
+        ] = 0
+        if area.max() > 100 and (score := float(np.log(area.max())) - cost) > best[0]:
+            region = label == area.argmax()
+            if gap > 0:
+                region = (ndimage.distance_transform_edt(~region) * pixel <= gap) & ~own
+            best = score, region, cost
+    return best
 
 
-def _fronts(frame: _Frame) -> Iterator[_Seen]:
-    """Yield how the frame looks where two openings are seen on both sides of a plane of symmetry."""
+def symmetry_planes(points: FloatArray, size: float, count: int = 3) -> list[tuple[FloatArray, float]]:
+    """Return planes (normal, offset) in which most of points (N, 3) are their own mirror image, best first."""
+    tree = cKDTree(points)
+
+    def refined(normal: FloatArray, offset: float, own: FloatArray) -> tuple[FloatArray, float, float]:
+        for step in range(10):
+            away, nearest = tree.query(own - 2 * (own @ normal - offset)[:, None] * normal)
+            odds = (away / (0.015 * size * max(1, 6 - step))) ** 2
+            weight = 1 / (1 + odds) ** 2
+            a, b = (weight @ p / weight.sum() for p in (own, points[nearest]))
+            # The reflection I - 2 n n^T that leaves least: n belongs to the least of p q^T + q p^T.
+            both = ((own - a) * weight[:, None]).T @ (points[nearest] - b)
+            normal = np.linalg.eigh(both + both.T)[1][:, 0]
+            offset = float(normal @ (a + b) / 2)
+        return normal, offset, float(np.mean(odds / (1 + odds)))
+
+    few, middle = points[:: max(len(points) // 300, 1)], points.mean(0)
+    axes = [*np.linalg.eigh(np.cov(points.T))[1].T, *super_fibonacci_rotations(30)[:, 0]]
+    # A single temple draws the centroid to its side.
+    starts = [(n, float(n @ middle) + away * size) for n in axes for away in (-0.12, 0, 0.12)]
+    kept: list[tuple[FloatArray, float, float]] = []
+    for normal, offset, _ in sorted((refined(*start, few) for start in starts), key=lambda plane: plane[2]):
+        if len(kept) < count and all(abs(normal @ other[0]) < 0.95 for other in kept):
+            kept.append(refined(normal, offset, points[:: max(len(points) // 2000, 1)]))
+    return [plane[:2] for plane in sorted(kept, key=lambda plane: plane[2])]
+
+
+def _fronts(frame: _Frame) -> list[_Seen]:
+    """Return how the frame looks where two openings are seen, upright, on both sides of a plane of symmetry."""
     looks: list[_Seen] = []
-    for normal, offset, _ in symmetry_planes(frame.points, 150.0):
-        origin = frame.points.mean(0)
-        origin = origin - (origin @ normal - offset) * normal
-        across = np.linalg.svd(normal[None])[2][1:]
-        coarse = []
+    for normal, offset in symmetry_planes(frame.points, 150):
+        middle, across = frame.points.mean(0), np.linalg.svd(normal[None])[2][1:]
+        origin, around = middle - (middle @ normal - offset) * normal, []
         for angle in np.linspace(0, 2 * np.pi, 36, endpoint=False):
-            z = np.cos(angle) * across[0] + np.sin(angle) * across[1]
-            coarse.append(frame.seen(np.stack([normal, np.cross(z, normal), z]), origin, (90, 90), 1.5))
-        scores = np.array([seen.score() for seen in coarse])
-        best = [
-            k
-            for k in range(36)
-            if np.isfinite(scores[k]) and scores[k] >= max(scores[k - 1], scores[(k + 1) % 36])
-        ]
-        looks += [coarse[k] for k in best]
-    looks.sort(key=_Seen.score, reverse=True)
-    for seen in looks[:6]:
-        if seen.score() > looks[0].score() - 4:
-            tries = [_levelled(frame, seen)]
-            tries += [_levelled(frame, tries[-1])]
-            tries += [_levelled(frame, tries[-1])]
-            yield max(tries, key=_Seen.score)
+            z = np.array([np.cos(angle), np.sin(angle)]) @ across
+            around.append(frame.seen(np.stack([normal, np.cross(z, normal), z]), origin, (90, 90), 1.5))
+        score = np.array([seen.score for seen in around])
+        peaks = np.isfinite(score) & (score >= np.roll(score, 1)) & (score >= np.roll(score, -1))
+        looks += [around[k] for k in np.flatnonzero(peaks)]
+    upright = []
+    for seen in sorted(looks, key=lambda seen: -seen.score)[:6]:
+        tries = [seen]
+        for _ in range(3):
+            ring = tries[-1].ring()
+            if len(ring) > 30:
+                # Upright are rims whose depth does not change with height.
+                turn = rotation_from_vector([-np.clip(np.arctan(_depth_of(ring)[3]), -0.15, 0.15), 0, 0])
+                move = np.array([0, *np.percentile(ring[:, 1:], [5, 95], axis=0).mean(0)])
+                tries.append(frame.seen(turn @ tries[-1].axes, tries[-1].origin + move @ tries[-1].axes))
+        upright.append(max(tries[1:] or tries, key=lambda seen: seen.score))
+    return [seen for seen in upright if np.isfinite(seen.score) and len(seen.ring()) > 30]
 
 
-def _ring(seen: _Seen) -> FloatArray:
-    """Return (N, 3) places of the front around both openings."""
-    near = ndimage.binary_dilation(
-        seen.openings[0][1] | seen.openings[1][1], iterations=max(2, round(1.5 / seen.pixel))
-    )
-    at = np.argwhere(near & seen.front)
-    return np.column_stack([seen.place(at.astype(float)), seen.depth[tuple(at.T)]])
-
-
-def _surface_terms(xy: FloatArray) -> FloatArray:
+def _terms(xy: FloatArray) -> FloatArray:
     return np.column_stack([np.ones(len(xy)), np.abs(xy[:, 0]), xy[:, 0] ** 2, xy[:, 1]])
 
 
-def _surface(ring: FloatArray) -> FloatArray:
-    """Return the coefficients (4,) of the surface nearest to most of some places (N, 3)."""
-    terms, weight = _surface_terms(ring[:, :2]), np.ones(len(ring))
+def _depth_of(ring: FloatArray) -> FloatArray:
+    """Return the coefficients (4,) of the surface on which most of a front's places (N, 3) lie."""
+    terms, weight = _terms(ring[:, :2]), np.ones(len(ring))
     for _ in range(6):
         found = np.linalg.lstsq(terms * weight[:, None], ring[:, 2] * weight, rcond=None)[0]
-        weight = 1 / (1 + ((ring[:, 2] - terms @ found) / 2.0) ** 2)
-    return found
+        weight = 1 / (1 + ((ring[:, 2] - terms @ found) / 2) ** 2)
+    return np.asarray(found)
 
 
-def _levelled(frame: _Frame, seen: _Seen) -> _Seen:
-    """Return the frame seen so that both rims stand upright, around their middle."""
-    ring = _ring(seen)
-    if len(ring) < 30:
-        return seen
-    turn = rotation_from_vector(np.array([-np.clip(np.arctan(_surface(ring)[3]), -0.15, 0.15), 0, 0]))
-    middle = np.array(
-        [0.0, *(np.percentile(ring[:, 1:], 5, axis=0) + np.percentile(ring[:, 1:], 95, axis=0)) / 2]
-    )
-    return frame.seen(turn @ seen.axes, seen.origin + middle @ seen.axes, (85, 45), 0.4)
-
-
-def _edge(seen: _Seen, opening: BoolArray, sign: int) -> tuple[FloatArray, FloatArray, float]:
-    """Return an opening's edge (360, 2), the rim's outside there (360, 2), and the rim's usual width.
-
-    Both run counterclockwise from the temple's side at half height, with x outward from the middle.
-    """
-    line = seen.place(max(find_contours(opening.astype(float), 0.5), key=len)) * [sign, 1]
-    line = line[:-1]
-    if np.cross(line, np.roll(line, -1, 0)).sum() < 0:
-        line = line[::-1]
-    half = (line[:, 1].min() + line[:, 1].max()) / 2
-    line = np.roll(line, -int((line[:, 0] - 9 * np.abs(line[:, 1] - half)).argmax()), 0)
-    run = np.cumsum(np.linalg.norm(np.diff(line, axis=0, append=line[:1]), axis=1))
-    place = np.linspace(0, run[-1], 360, endpoint=False)
-    edge = np.stack([np.interp(place, [0, *run], [*line[:, k], line[0, k]]) for k in range(2)], 1)
-    edge = ndimage.gaussian_filter1d(edge, 2, axis=0, mode="wrap")
-    along = np.roll(edge, -1, 0) - np.roll(edge, 1, 0)
-    out = np.stack([along[:, 1], -along[:, 0]], 1) / np.linalg.norm(along, axis=1)[:, None]
-    steps = np.arange(0.0, 15, 0.1)
-    places = (edge[:, None] + steps[:, None] * out[:, None]) * [sign, 1]
-    at = np.moveaxis((places - seen.low) / seen.pixel, -1, 0)[::-1]
-    solid = ndimage.map_coordinates(seen.front.astype(float), at, order=1) > 0.5
-    solid[:, steps < 2 * seen.pixel] |= solid.any(1)[:, None]
-    width = steps[np.argmin(np.column_stack([solid, np.zeros(360, bool)]), 1) - 1]
-    width[~solid[:, 10]] = 0.0
-    usual = float(np.median(width[width > 0])) if (width > 0).any() else 0.0
-    width = np.where(width > 2 * usual, usual, width)
-    return edge, edge + width[:, None] * out, usual
-
-
-def _extreme(outer: FloatArray, sign: int) -> tuple[int, float]:
-    """Return which of the outside's points (N, 2) is its highest or lowest, and how unsure x is.
-
-    A flat top is as high in many places: of those designs have the key point over the lens's middle.
-    """
-    height = sign * outer[:, 1]
-    weight = np.exp((height - height.max()) / 0.15)
-    weight /= weight.sum()
-    x = float(weight @ outer[:, 0])
-    precision = 1 / max(float(weight @ (outer[:, 0] - x) ** 2), 0.01)
-    usual = (outer[:, 0].min() + outer[:, 0].max()) / 2
-    x = (x * precision + usual / 16) / (precision + 1 / 16)
-    upper = height > np.median(height)
-    return int(np.where(upper, np.abs(outer[:, 0] - x), np.inf).argmin()), (precision + 1 / 16) ** -0.5
-
-
-def _bridge(seen: _Seen, low: float, high: float) -> list[tuple[float, float]]:
-    """Return from below (bottom, top) of what crosses the middle between two heights."""
-    middle = seen.front.shape[1] // 2
-    y = seen.place(np.column_stack([np.arange(len(seen.front)), np.zeros(len(seen.front))]))[:, 1]
-    column = seen.front[:, middle - 1 : middle + 1].any(1) & (y > low) & (y < high)
-    label, count = ndimage.label(column)
-    return [
-        (y[label == k].min() - seen.pixel / 2, y[label == k].max() + seen.pixel / 2)
-        for k in range(1, count + 1)
-    ]
-
-
-def _key_points(frame: _Frame, seen: _Seen) -> tuple[FloatArray, FloatArray]:
-    """Return key points (20, 3) in the axes of how the frame is seen, and deviations (20,), about in mm."""
-    points, deviation = np.full((KEY_POINT_COUNT, 3), np.nan), np.full(KEY_POINT_COUNT, np.inf)
-    ring = _ring(seen)
-    if len(ring) < 30 or not np.isfinite(seen.score()):
-        return points, deviation
-    fit = _surface(ring)
-    cloud = (frame.points - seen.origin) @ seen.axes.T
-    height = cloud[:, 2] - _surface_terms(np.clip(cloud[:, :2], ring[:, :2].min(0), ring[:, :2].max(0))) @ fit
+def _key_points(frame: _Frame, seen: _Seen) -> tuple[FloatArray, FloatArray, float]:
+    """Return key points (20, 3) in the axes of how a frame is seen, deviations (20,), and log odds."""
+    points, deviation = np.full((len(KEY_POINT_NAMES), 3), np.nan), np.full(len(KEY_POINT_NAMES), np.inf)
+    ring, cloud = seen.ring(), (frame.points - seen.origin) @ seen.axes.T
+    height = cloud[:, 2] - _terms(
+        np.clip(cloud[:, :2], *np.percentile(ring[:, :2], [0, 100], axis=0))
+    ) @ _depth_of(ring)
+    rims = [_rim(seen, region, sign) for (_, region, _), sign in zip(seen.openings, (1, -1), strict=True)]
+    low, high = min(edge[:, 1].min() for edge, _ in rims), max(outer[:, 1].max() for _, outer in rims) + 5
+    rows = np.flatnonzero(seen.front[:, seen.front.shape[1] // 2 - 1 :][:, :2].any(1))
+    y = (rows - (len(seen.front) - 1) / 2) * seen.pixel
+    y = y[(y > low) & (y < high)]
+    # What crosses the middle: a bridge, or two with a gap between them.
+    first = y[: np.argmax(np.append(np.diff(y), np.inf) > 1.5 * seen.pixel) + 1]
+    found: _Places = {}
+    if len(y):
+        found = {
+            "bridge_top": (np.array([0, y[-1] + seen.pixel / 2]), 0.5),
+            "bridge_bottom": (np.array([0, y[0] - seen.pixel / 2]), 0.5),
+        }
+    halves = []
+    for (edge, outer), sign, (*_, cost) in zip(rims, (1, -1), seen.openings, strict=True):
+        turn = np.array([sign, 1, 1])
+        half = _rim_points(edge, outer, first.mean() if len(y) else np.nan, cost)
+        half |= _temple_points(cloud * turn, height, outer)
+        halves.append((half, edge.mean(0)))
+        found |= {
+            ("left_" if sign > 0 else "right_") + name: (p * turn[: len(p)], sd)
+            for name, (p, sd) in half.items()
+        }
     front = cloud[np.abs(height) < _SLAB]
     tree = cKDTree(front[:, :2])
-
-    def put(name: str, place: FloatArray, sd: float) -> None:
+    for name, (place, sd) in found.items():
         k = KEY_POINT_NAMES.index(name)
         if len(place) == 2:
             away, near = tree.query(place, 6)
-            if away[0] > 3:
-                return
-            place = np.append(place, front[near, 2].mean())
-        points[k], deviation[k] = place, sd
-
-    edges = [_edge(seen, found[1], sign) for found, sign in zip(seen.openings, (1, -1), strict=True)]
-    crossing = _bridge(seen, min(e[0][:, 1].min() for e in edges), max(e[0][:, 1].max() for e in edges) + 10)
-    if crossing:
-        put("bridge_top", np.array([0, crossing[-1][1]]), 0.7)
-        put("bridge_bottom", np.array([0, crossing[0][0]]), 0.7)
-    for side, sign, (edge, outer, width), (*_, cost) in zip(
-        ("left", "right"), (1, -1), edges, seen.openings, strict=True
-    ):
-        turn = np.array([sign, 1, 1])
-
-        def own(name: str, place: FloatArray, sd: float) -> None:
-            put(f"{side}_{name}", place * turn[: len(place)], float(np.hypot(sd, cost * ("rim" in name))))
-
-        for name, up in (("rim_top", 1), ("rim_bottom", -1)):
-            at, sd = _extreme(outer, up)
-            own(name, outer[at], np.hypot(sd, 0.4))
-        half = (edge[:, 1].min() + edge[:, 1].max()) / 2
-        inner = int((-edge[:, 0] - 9 * np.abs(edge[:, 1] - half)).argmax())
-        own("rim_inner", outer[(inner + 30) % 360], 1.5)
-        own("rim_outer", outer[330], 1.5)
-        if crossing:
-            at, sd = _joint(seen, edge, crossing[0], width, sign)
-            own("rim_bridge", edge[at], sd)
-        _put_temple(frame, seen, cloud * turn, height, outer, sign, own)
-    return points, deviation
+            # Where a piece is missing there is nothing near.
+            place = np.append(place, front[near, 2].mean()) if away[0] < 3 else np.full(3, np.nan)
+        points[k], deviation[k] = place, sd if np.isfinite(place).all() else np.inf
+    (left, a), (right, b) = halves
+    for name in left.keys() & right.keys():
+        (p, _), (q, _) = left[name], right[name]
+        if "rim" in name:
+            apart = np.linalg.norm((p - a) - (q - b))
+        else:
+            # Bends do not change how far along a temple a point is.
+            apart = np.linalg.norm(p - left["hinge"][0]) - np.linalg.norm(q - right["hinge"][0])
+        for k in (KEY_POINT_NAMES.index(f"left_{name}"), KEY_POINT_NAMES.index(f"right_{name}")):
+            deviation[k] = np.hypot(deviation[k], apart / 2)
+    known = np.isfinite(points).all(1)
+    if known.sum() < 6:
+        return points, deviation, -np.inf
+    typical = typical_key_points()[known]
+    laid = transform_points(procrustes(points[known], typical, scale=True), points[known])
+    odds = -1.5 * np.log1p(((laid - typical) ** 2).sum(1) / 50).sum() - (~known).sum()
+    # What stands off a front is behind it: pads, hinges, temples.
+    behind, before = (height < -4).sum(), (height > 4).sum()
+    return (
+        points,
+        deviation,
+        float(odds + seen.score + 6 * (behind - before) / (behind + before + 0.01 * len(cloud))),
+    )
 
 
-def _joint(
-    seen: _Seen, edge: FloatArray, run: tuple[float, float], width: float, sign: int
-) -> tuple[int, float]:
-    """Return at which of an opening's edge points (N, 2) the bridge meets the rim, and how unsure it is."""
-    middle = seen.front.shape[1] // 2
-    front = seen.front[:, middle:] if sign > 0 else seen.front[:, middle - 1 :: -1]
-    y = seen.place(np.column_stack([np.arange(len(front)), np.zeros(len(front))]))[:, 1]
-    first, place = run[1] - run[0], np.array([0.0, sum(run) / 2])
-    for column in range(int(max(edge[:, 0].min() - width, 0) / seen.pixel)):
-        label = ndimage.label(front[:, column])[0]
-        at = int(np.abs(y - place[1]).argmin())
-        if not label[at] or (label == label[at]).sum() * seen.pixel > 1.6 * first + width:
-            break
-        place = np.array([(column + 0.5) * seen.pixel, y[label == label[at]].mean()])
-    away = np.linalg.norm(edge - place, axis=1)
-    return int(away.argmin()), float(np.hypot(1.0, (away.min() - width) / 4))
+def _rim(seen: _Seen, opening: BoolArray, sign: int) -> tuple[FloatArray, FloatArray]:
+    """Return an opening's edge (360, 2), and the rim's outside there (360, 2), with x > 0.
+
+    Both run counterclockwise from the temple's side at half height.
+    """
+    line = seen.place(max(find_contours(opening.astype(float), 0.5), key=len))[:-1] * [sign, 1]
+    following = np.roll(line, -1, 0)
+    if (line[:, 0] * following[:, 1] - line[:, 1] * following[:, 0]).sum() < 0:
+        line = line[::-1]
+    line = np.roll(line, -_side(line, 1), 0)
+    run = np.append(0, np.cumsum(np.linalg.norm(np.roll(line, -1, 0) - line, axis=1)))
+    place = np.linspace(0, run[-1], 360, endpoint=False)
+    edge = np.stack([np.interp(place, run, np.append(line[:, k], line[0, k])) for k in range(2)], 1)
+    edge = ndimage.gaussian_filter1d(edge, 2, axis=0, mode="wrap")
+    along = np.roll(edge, -1, 0) - np.roll(edge, 1, 0)
+    out = np.stack([along[:, 1], -along[:, 0]], 1) / np.linalg.norm(along, axis=1)[:, None]
+    steps = np.arange(0, 15, 0.1)
+    at = (edge[:, None] + steps[:, None] * out[:, None]) * [sign, 1] / seen.pixel
+    at += (np.array(seen.front.shape[::-1]) - 1) / 2
+    solid = ndimage.map_coordinates(seen.front.astype(float), np.moveaxis(at, -1, 0)[::-1], order=1) > 0.5
+    begun = steps >= 2 * seen.pixel
+    count = np.argmin(np.column_stack([solid[:, begun], np.zeros(360, bool)]), 1)
+    width = np.where(count > 0, steps[begun][count - 1], 0)
+    usual = np.median(width[width > 0]) if (width > 0).any() else 0
+    # Where bridge, temple and pads are joined the rim is as wide as elsewhere.
+    return edge, edge + np.where(width > 2 * usual, usual, width)[:, None] * out
 
 
-def _put_temple(
-    frame: _Frame,
-    seen: _Seen,
-    cloud: FloatArray,
-    height: FloatArray,
-    outer: FloatArray,
-    sign: int,
-    put: Callable[[str, FloatArray, float], None],
-) -> None:
-    """Put the key points from the hinge on; `cloud` (N, 3) is mirrored so that the temple is at x > 0."""
-    edge = float(outer[:, 0].max())
-    low, high = outer[:, 1].min() - 5, outer[:, 1].max() + 5
-    behind = (height < -12) & (cloud[:, 0] > 0.6 * edge)
-    near = behind & (height > -30) & (cloud[:, 1] > low) & (cloud[:, 1] < high)
-    level = float(cloud[:, 2][np.abs(height) < _SLAB].max())
-    depth = -height[behind].min(initial=0.0)
-    if depth < 45 or not near.any():
-        end = cloud[(np.abs(height) < 2 * _SLAB) & (cloud[:, 0] > 0.6 * edge)]
-        if len(end) == 0:
-            return
-        tip = end[end[:, 0] > end[:, 0].max() - 1]
-        put("hinge", tip.mean(0), np.hypot(2.0, tip[:, 1].std()))
-        return
-    at = float(np.median(cloud[near, 1]))
-    tall = max(float(np.percentile(np.abs(cloud[near, 1] - at), 90)), 1.0)
-    corner = cloud[(height > -16) & (cloud[:, 0] > edge - 8) & (np.abs(cloud[:, 1] - at) < tall)]
-    if len(corner) == 0:
-        return
-    outward = corner @ [1.0, 0, 1]
-    hinge = corner[outward > outward.max() - 0.7].mean(0)
-    hinge[1] = at
-    put("hinge", hinge, 1.5)
+def _side(line: FloatArray, sign: int) -> int:
+    """Return which of an outline's points (N, 2) is at half height on the temple's side, or the nose's."""
+    half = (line[:, 1].min() + line[:, 1].max()) / 2
+    return int((sign * line[:, 0] - 9 * np.abs(line[:, 1] - half)).argmax())
+
+
+def _rim_points(edge: FloatArray, outer: FloatArray, bridge: float, cost: float) -> _Places:
+    """Return the rim's key points in x and y, and deviations, of its edge (360, 2) and outside (360, 2)."""
+    found: _Places = {}
+    middle = (outer.min(0) + outer.max(0)) / 2
+    for name, up in (("rim_top", 1), ("rim_bottom", -1)):
+        height = up * (outer[:, 1] - middle[1])
+        weight = np.exp((height - height.max()) / 0.15)
+        x = weight @ outer[:, 0] / weight.sum()
+        sharp = 1 / max(weight @ (outer[:, 0] - x) ** 2 / weight.sum(), 0.01)
+        # A flat top is as high all along: designs have it within 4 mm of the lens's middle.
+        x, sd = (x * sharp + middle[0] / 16) / (sharp + 1 / 16), (sharp + 1 / 16) ** -0.5
+        at = np.where(height > 0, np.abs(outer[:, 0] - x), np.inf).argmin()
+        found[name] = outer[at], float(np.hypot(0.6 * sd, 0.5))
+    # A twelfth of the way around below half height, as on typical frames.
+    inner = _side(edge, -1)
+    found["rim_inner"], found["rim_outer"] = (outer[(inner + 30) % 360], 2.0), (outer[330], 2.0)
+    if np.isfinite(bridge):
+        nose = edge[90:270]
+        near = nose[np.linalg.norm(nose - [0, bridge], axis=1).argmin()]
+        level = nose[(nose[:, 0] + 9 * np.abs(nose[:, 1] - bridge)).argmin()]
+        at = np.linalg.norm(nose - (near + level) / 2, axis=1).argmin()
+        found["rim_bridge"] = nose[at], float(np.hypot(1.0, np.linalg.norm(near - level) / 2))
+    return {name: (place, float(np.hypot(sd, cost))) for name, (place, sd) in found.items()}
+
+
+def _temple_points(cloud: FloatArray, height: FloatArray, outer: FloatArray) -> _Places:
+    """Return key points from the hinge on, and deviations, of points (N, 3) `height` before the front's surface.
+
+    The temple is at x > 0, the rim's outside `outer` (360, 2).
+    """
+    side = cloud[:, 0] > 0.6 * outer[:, 0].max()
+    behind = side & (height < -12)
+    near = behind & (height > -30) & (np.abs(cloud[:, 1] - outer[:, 1].mean()) < np.ptp(outer[:, 1]) / 2 + 5)
+    if -height[behind].min(initial=0) < 45 or not near.any():
+        end = cloud[side & (np.abs(height) < 2 * _SLAB)]
+        end = end[end[:, 0] > end[:, 0].max(initial=0) - 1]
+        return {"hinge": (end.mean(0), float(np.hypot(2, end[:, 1].std())))} if len(end) else {}
+    level = np.median(cloud[near, 1])
+    tall = max(np.percentile(np.abs(cloud[near, 1] - level), 90), 1)
+    corner = cloud[
+        (height > -16) & (cloud[:, 0] > outer[:, 0].max() - 8) & (np.abs(cloud[:, 1] - level) < tall)
+    ]
     temple = cloud[behind]
+    if len(corner) == 0:
+        return {}
+    # Half way around the corner between front and temple.
+    outward = corner @ [1, 0, 1]
+    hinge = corner[outward > outward.max() - 0.7].mean(0)
+    hinge[1] = level
+    found: _Places = {"hinge": (hinge, 1.5)}
     reach = np.linalg.norm(temple - hinge, axis=1)
-    bins = np.arange(6.0, reach.max(), 2.0)
-    which = np.digitize(reach, bins)
-    line = np.array([temple[which == k].mean(0) for k in range(1, len(bins)) if (which == k).sum() > 2])
+    shell = np.digitize(reach, np.arange(6, reach.max(), 2))
+    line = np.array([hinge - [0, 0, 1], *(temple[shell == k].mean(0) for k in np.unique(shell)[1:-1])])
     if len(line) < 12:
-        return
+        return found
     along = temple @ (line[-1] - line[-6]) / np.linalg.norm(line[-1] - line[-6])
     tip = temple[(along > along.max() - 0.8) & (reach > reach.max() - 8)].mean(0)
-    put("temple_tip", tip, 0.8)
-    line = np.concatenate([hinge[None] + [[0, 0, -1.0]], line])
-    run = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-    knee, sd = _knee(run, line, run[-1] + np.linalg.norm(tip - line[-1]))
-
-    def outside(s: float) -> FloatArray:
-        center = np.array([np.interp(s, run, line[:, k]) for k in range(3)])
-        mine = temple[np.linalg.norm(temple[:, 1:] - center[1:], axis=1) < 1.2]
-        return np.array([mine[:, 0].max() if len(mine) else center[0], *center[1:]])
-
-    put("ear_bend", outside(knee), float(np.hypot(sd, 0.5)))
-    put("temple_middle", outside(knee / 2), float(np.hypot(sd / 2, 0.8)))
-
-
-def _knee(run: FloatArray, line: FloatArray, length: float) -> tuple[float, float]:
-    """Return where along a temple's middle line (N, 3), at `run` (N,), it turns down, and how unsure.
-
-    The posterior mean of the corner of two straight lines, before designs: two thirds of the way.
-    """
-    z, y = -line[:, 2], line[:, 1]
+    run = np.append(0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1)))
+    # Where the middle line turns down: the corner of two straight lines, before designs' two thirds.
     misfit = np.full(len(run), np.inf)
+    z, y = -line[:, 2], line[:, 1]
     for k in range(3, len(run) - 2):
         terms = np.column_stack([np.ones(len(z)), z, np.maximum(z - z[k], 0)])
         misfit[k] = ((y - terms @ np.linalg.lstsq(terms, y, rcond=None)[0]) ** 2).sum()
-    noise = max(misfit.min() / len(run), 0.1**2)
-    odds = -misfit / (2 * 5 * noise) - ((run / length - 0.69) / 0.06) ** 2 / 2
-    weight = np.exp(odds - odds[np.isfinite(odds)].max())
-    weight /= weight.sum()
-    mean = float(weight @ run)
-    return mean, float(np.sqrt(weight @ (run - mean) ** 2))
-
-
-def _likeness(points: FloatArray) -> float:
-    """Return log odds of key points (20, 3), NaN where unknown, against those of a typical frame."""
-    known, typical = np.isfinite(points).all(1), typical_key_points()
-    if known.sum() < 6:
-        return -np.inf
-    laid = transform_points(procrustes(points[known], typical[known], scale=True), points[known])
-    away = ((laid - typical[known]) ** 2).sum(1)
-    return float(-1.5 * np.log1p(away / (2 * 5.0**2)).sum() - 1.0 * (~known).sum())
+    odds = -misfit / (10 * max(misfit.min() / len(run), 0.01)) - ((run / run[-1] - 0.69) / 0.06) ** 2 / 2
+    share = np.exp(odds - odds.max()) / np.exp(odds - odds.max()).sum()
+    knee = share @ run
+    sd = np.sqrt(share @ (run - knee) ** 2)
+    for name, place, own in (
+        ("temple_middle", knee / 2, np.hypot(sd / 2, 0.8)),
+        ("ear_bend", knee, np.hypot(sd, 2)),
+    ):
+        at = np.array([np.interp(place, run, line[:, k]) for k in range(3)])
+        around = temple[np.linalg.norm(temple[:, 1:] - at[1:], axis=1) < 1.2]
+        at[0] = around[:, 0].max(initial=at[0])
+        found[name] = at, float(own)
+    return found | {"temple_tip": (tip, 0.8)}
 
 
 def propose_keypoints(mesh: Any) -> ProposedKeyPoints:
     """Return the 20 key points of a frame found from its shape, each with its deviation.
 
-    The frame is mirrored onto itself; along the directions of its plane of symmetry the two largest openings
-    that a rim encloses, or panes fill, are its front. Key points are extremes, joints and bends of the rims,
-    the bridge and the temples. Which way is up and which is forward, and how far all of it is in doubt, is
-    decided by the likeness to a typical frame's key points: other explanations widen the deviations by their
-    odds. The unit is the one in which a mean face wears the frame.
+    The frame is mirrored onto itself; in a direction within its plane of symmetry the openings that rims
+    enclose, or panes fill, are largest on both sides: its front. Key points are extremes, joints and bends of
+    rims, bridge and temples; deviations say how sharp they are and how far both sides agree. Which way is
+    up and which forward is decided by the likeness to a typical frame's key points; what other explanations
+    say widens the deviations by their odds. The unit is the one in which an average face wears the frame.
 
     Parameters
     ----------
@@ -510,37 +441,28 @@ def propose_keypoints(mesh: Any) -> ProposedKeyPoints:
     ('inch', True)
     """
     vertices, faces = checked_mesh(*((mesh.vertices, mesh.faces) if hasattr(mesh, "vertices") else mesh))
-    frame, tried = _Frame(vertices, faces), []
-    for seen in _fronts(frame):
-        for turned in (seen, frame.seen(seen.axes * [[-1], [-1], [1]], seen.origin, (85, 45), 0.4)):
-            points, deviation = _key_points(frame, turned)
-            odds = _likeness(points) + turned.score()
-            tried.append((odds, seen.origin + points @ turned.axes, deviation))
-    if not tried or not np.isfinite(odds := max(row[0] for row in tried)):
+    frame = _Frame(vertices, faces)
+    tried: list[tuple[float, FloatArray, FloatArray]] = []
+    for upright in _fronts(frame):
+        for seen in (upright, frame.seen(upright.axes * [[-1], [-1], [1]], upright.origin)):
+            points, deviation, odds = _key_points(frame, seen)
+            tried.append((odds, seen.origin + points @ seen.axes, deviation))
+    most, points, deviation = max(tried, key=lambda row: row[0], default=(-np.inf, np.zeros(0), np.zeros(0)))
+    if not np.isfinite(most):
         raise EyeglassesError(
-            "no front with two openings for lenses, alike on both sides, was found: place the key points"
+            "no front with two openings, alike on both sides, was found: place the key points"
         )
-    _, points, deviation = max(tried, key=lambda row: row[0])
-    share = np.exp([row[0] - odds for row in tried])
-    apart = np.nan_to_num([((p - points) ** 2).sum(1) for _, p, _ in tried])
+    share = np.exp([odds - most for odds, *_ in tried])
+    apart = np.nan_to_num([((other - points) ** 2).sum(1) for _, other, _ in tried])
     deviation = np.sqrt(deviation**2 + share @ apart / share.sum())
-    world = frame.middle + frame.unit * points
-    scale, unit = _unit(world)
-    return ProposedKeyPoints(world, deviation * frame.unit * scale, scale, unit, float(odds))
-
-
-def _unit(points: FloatArray) -> tuple[float, str]:
-    """Return mm a unit, and the unit's name, by which key points (20, 3) are as large as glasses that a mean face wears."""
-    logs = []
-    for a, b, length in (
-        ("left_hinge", "right_hinge", 138.0),
-        ("left_rim_bottom", "right_rim_bottom", 68.0),
-        ("left_hinge", "left_ear_bend", 108.0),
-    ):
-        away = float(np.linalg.norm(points[KEY_POINT_NAMES.index(a)] - points[KEY_POINT_NAMES.index(b)]))
-        if away > 0:
-            logs.append(np.log(length / away))
-    usual = float(np.mean(logs))
-    best = min(_UNITS_MM, key=lambda unit: abs(np.log(_UNITS_MM[unit]) - usual))
-    odds = -(((np.log(_UNITS_MM[best]) - usual) / 0.06) ** 2) / 2 + 6.9
-    return (_UNITS_MM[best], best) if odds > 0 else (float(np.exp(usual)), "unknown")
+    points = frame.middle + frame.unit * points
+    number = {name: k for k, name in enumerate(KEY_POINT_NAMES)}
+    sizes = {pair: np.linalg.norm(points[number[pair[0]]] - points[number[pair[1]]]) for pair in _WORN_MM}
+    log_mm = float(np.nanmean([np.log(_WORN_MM[pair] / size) for pair, size in sizes.items()]))
+    # Frames differ by 6 %; one in fifty is in another unit, any of twelve powers of e alike.
+    odds = {
+        unit: np.log(147.0 * 4) - ((np.log(mm) - log_mm) / 0.06) ** 2 / 2 for unit, mm in _UNITS_MM.items()
+    }
+    unit = max(odds, key=lambda name: odds[name])
+    unit, scale = (unit, _UNITS_MM[unit]) if odds[unit] > 0 else ("unknown", float(np.exp(log_mm)))
+    return ProposedKeyPoints(points, deviation * frame.unit * scale, scale, unit, most)
