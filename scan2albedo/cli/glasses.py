@@ -62,8 +62,8 @@ def key_points(
         typer.Option(
             "--out",
             "-o",
-            help="PNG file for a labelled picture, front and side; of a frame the JSON file of its key points, "
-            "with a picture of the same name beside it; otherwise <mesh stem>.keypoints.json beside the mesh.",
+            help="PNG file for a labelled picture. Of a MESH: JSON file, with a picture beside "
+            "it; <mesh stem>.keypoints.json beside the mesh when omitted.",
         ),
     ] = None,
     keypoints: Annotated[
@@ -71,7 +71,7 @@ def key_points(
     ] = None,
     unit: UnitOption = "auto",
 ) -> None:
-    """Say where the 20 key points of a frame go, or propose those of a frame; with -o, show it in a picture."""
+    """Say where the 20 key points of a frame go, or propose those of MESH; with -o, show it in a picture."""
     from scan2albedo.io.atomic import atomic_path, check_writable
     from scan2albedo.report.eyeglasses_views import key_point_chart, key_point_table
 
@@ -171,7 +171,7 @@ def canonicalize(
             try:
                 marks = None if keypoints is None else keypoints[number]
                 if frame_width is None or number == 0:
-                    scale = {"frame_width_mm": frame_width}
+                    scale: dict[str, Any] = {"frame_width_mm": frame_width}
                 elif not frames:
                     raise EyeglassesError("its scale is that of the first frame, which failed")
                 else:

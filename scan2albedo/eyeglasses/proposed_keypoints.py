@@ -10,14 +10,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from skimage.measure import find_contours
 from skimage.morphology import convex_hull_image
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR, checked_mesh, typical_key_points
-from scan2albedo.geometry.mesh import vertex_components
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, checked_mesh, typical_key_points
+from scan2albedo.geometry.mesh import neighbouring_faces
 from scan2albedo.geometry.oriented_points import oriented_points
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import (
@@ -92,10 +94,7 @@ class _Frame:
         self.unit = float((high - low).max()) / 150
         self.middle = transform_points(invert_rigid(own), (low + high)[None] / 2)[0]
         xyz = (vertices - self.middle) / self.unit
-        # As the mesh joins its faces, and as places do: panes may touch rims, and files may part all faces.
-        joined = np.unique(np.round(xyz, 3), axis=0, return_inverse=True)[1].ravel()
-        pane = _panes(xyz, faces, faces) | _panes(xyz, faces, joined[faces])
-        pane &= not pane.all()
+        pane = _panes(xyz, faces)
         self.rims = RayCaster(xyz, faces[~pane])
         self.panes = RayCaster(xyz, faces[pane]) if pane.any() else None
         self.points = oriented_points(xyz, faces[~pane], 0.8).points
@@ -112,15 +111,20 @@ class _Frame:
             glass = np.isfinite(self.panes.first_hit(start, -axes[2]).distance).reshape(depth.shape)
         # Temples that are seen beside the front are far behind it.
         front = depth > np.maximum(depth.max(0), depth.max() - 30) - _SLAB
-        openings = [_opening(front[:, ::k], (glass & ~front)[:, ::k], pixel) for k in (1, -1)]
-        return _Seen(
-            axes, origin, depth, front, [(s, a[:, ::k], c) for (s, a, c), k in zip(openings, (1, -1))], pixel
-        )
+        openings = []
+        for turn in (1, -1):
+            score, pixels, cost = _opening(front[:, ::turn], (glass & ~front)[:, ::turn], pixel)
+            openings.append((score, pixels[:, ::turn], cost))
+        return _Seen(axes, origin, depth, front, openings, pixel)
 
 
-def _panes(xyz: FloatArray, faces: IntArray, joined: IntArray) -> BoolArray:
-    """Return (F,) True for parts that hold a disc as no rim or temple does, by faces with `joined` corners."""
-    part = vertex_components(int(joined.max()) + 1, joined)[joined[:, 0]]
+def _panes(xyz: FloatArray, faces: IntArray) -> BoolArray:
+    """Return (F,) True for parts that hold a disc as no rim or temple does."""
+    joined = np.unique(np.round(xyz, 3), axis=0, return_inverse=True)[1].ravel()[faces]
+    # A pane that is sewn into a rim meets it where three faces share an edge.
+    one, other, _ = neighbouring_faces(joined)
+    pairs = coo_array((np.ones(len(one)), (one, other)), shape=(len(faces),) * 2)
+    part = connected_components(pairs, directed=False)[1]
     pane = np.zeros(len(faces), bool)
     for number in np.flatnonzero(np.bincount(part) >= 8):
         own = np.flatnonzero(part == number)
@@ -134,7 +138,7 @@ def _panes(xyz: FloatArray, faces: IntArray, joined: IntArray) -> BoolArray:
             rays = RayCaster(xyz, faces[own])
             hit = rays.occluded(middle + grid.reshape(-1, 2) @ axes[:2] + 200 * axes[2], -axes[2])
             pane[own] = ndimage.distance_transform_edt(np.pad(hit.reshape(grid.shape[:2]), 1)).max() > 9
-    return pane
+    return pane & ~pane.all()
 
 
 def _opening(own: BoolArray, pane: BoolArray, pixel: float) -> tuple[float, BoolArray, float]:
@@ -171,7 +175,7 @@ def _opening(own: BoolArray, pane: BoolArray, pixel: float) -> tuple[float, Bool
 
 
 def symmetry_planes(points: FloatArray, size: float, count: int = 3) -> list[tuple[FloatArray, float]]:
-    """Return planes (normal, offset) in which most of points (N, 3) are their own mirror image, best first."""
+    """Return planes (normal, offset) in which most of points (N, 3) mirror each other, best first."""
     tree = cKDTree(points)
 
     def refined(normal: FloatArray, offset: float, own: FloatArray) -> tuple[FloatArray, float, float]:
@@ -198,7 +202,7 @@ def symmetry_planes(points: FloatArray, size: float, count: int = 3) -> list[tup
 
 
 def _fronts(frame: _Frame) -> list[_Seen]:
-    """Return how the frame looks where two openings are seen, upright, on both sides of a plane of symmetry."""
+    """Return how the frame looks where two openings are seen on both sides of a plane of symmetry."""
     looks: list[_Seen] = []
     for normal, offset in symmetry_planes(frame.points, 150):
         middle, across = frame.points.mean(0), np.linalg.svd(normal[None])[2][1:]
@@ -360,7 +364,7 @@ def _rim_points(edge: FloatArray, outer: FloatArray, bridge: float, cost: float)
 
 
 def _temple_points(cloud: FloatArray, height: FloatArray, outer: FloatArray) -> _Places:
-    """Return key points from the hinge on, and deviations, of points (N, 3) `height` before the front's surface.
+    """Return key points from the hinge on, and deviations, of points (N, 3) `height` before the front.
 
     The temple is at x > 0, the rim's outside `outer` (360, 2).
     """
@@ -447,11 +451,11 @@ def propose_keypoints(mesh: Any) -> ProposedKeyPoints:
         for seen in (upright, frame.seen(upright.axes * [[-1], [-1], [1]], upright.origin)):
             points, deviation, odds = _key_points(frame, seen)
             tried.append((odds, seen.origin + points @ seen.axes, deviation))
-    most, points, deviation = max(tried, key=lambda row: row[0], default=(-np.inf, np.zeros(0), np.zeros(0)))
-    if not np.isfinite(most):
+    if not tried or not np.isfinite(most := max(odds for odds, *_ in tried)):
         raise EyeglassesError(
             "no front with two openings, alike on both sides, was found: place the key points"
         )
+    _, points, deviation = max(tried, key=lambda row: row[0])
     share = np.exp([odds - most for odds, *_ in tried])
     apart = np.nan_to_num([((other - points) ** 2).sum(1) for _, other, _ in tried])
     deviation = np.sqrt(deviation**2 + share @ apart / share.sum())
@@ -460,9 +464,9 @@ def propose_keypoints(mesh: Any) -> ProposedKeyPoints:
     sizes = {pair: np.linalg.norm(points[number[pair[0]]] - points[number[pair[1]]]) for pair in _WORN_MM}
     log_mm = float(np.nanmean([np.log(_WORN_MM[pair] / size) for pair, size in sizes.items()]))
     # Frames differ by 6 %; one in fifty is in another unit, any of twelve powers of e alike.
-    odds = {
+    likely = {
         unit: np.log(147.0 * 4) - ((np.log(mm) - log_mm) / 0.06) ** 2 / 2 for unit, mm in _UNITS_MM.items()
     }
-    unit = max(odds, key=lambda name: odds[name])
-    unit, scale = (unit, _UNITS_MM[unit]) if odds[unit] > 0 else ("unknown", float(np.exp(log_mm)))
+    unit = max(likely, key=lambda name: likely[name])
+    unit, scale = (unit, _UNITS_MM[unit]) if likely[unit] > 0 else ("unknown", float(np.exp(log_mm)))
     return ProposedKeyPoints(points, deviation * frame.unit * scale, scale, unit, most)

@@ -170,8 +170,7 @@ def key_point_chart(
         upright = align_key_points(keypoints, in_own_axes(keypoints))
         vertices, marks = transform_points(upright, mesh.vertices), transform_points(upright, keypoints)
         faces = mesh.faces
-    known = np.isfinite(marks).all(1)
-    points = {name: marks[k] for k, name in enumerate(KEY_POINT_NAMES) if known[k]}
+    points = {name: p for name, p in zip(KEY_POINT_NAMES, marks, strict=True) if np.isfinite(p).all()}
     x, _, z = map(float, (vertices.min(0) + vertices.max(0)) / 2)
     half = 0.77 * float(np.ptp(vertices, axis=0).max())
     temple = [name for name in points if name.startswith(("left_temple", "left_ear"))]

@@ -13,7 +13,6 @@ from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import KEY_POINT_NAMES, find_lens_rim, propose_keypoints
 from scan2albedo.geometry.mesh import without_unreferenced
 from scan2albedo.geometry.rigid import random_rotation, rotation_from_vector
-from scan2albedo.io import load_scan
 from scan2albedo.synthetic import GlassesBend, eyeglasses
 from scan2albedo.synthetic.head import join
 
