@@ -101,7 +101,7 @@ class _Frame:
 
     def seen(
         self, axes: FloatArray, origin: FloatArray, half: tuple[int, int] = (85, 45), pixel: float = 0.4
-    ):  # type: ignore[no-untyped-def]
+    ) -> _Seen:
         """Return the frame along axes[2], with x and y within `half` of the origin."""
         x, y = ((np.arange(2 * round(h / pixel)) + 0.5) * pixel - round(h / pixel) * pixel for h in half)
         start = np.stack(np.meshgrid(x, y), -1).reshape(-1, 2) @ axes[:2] + origin + 200 * axes[2]
@@ -351,9 +351,14 @@ def _rim_points(edge: FloatArray, outer: FloatArray, bridge: float, cost: float)
         x, sd = (x * sharp + middle[0] / 16) / (sharp + 1 / 16), (sharp + 1 / 16) ** -0.5
         at = np.where(height > 0, np.abs(outer[:, 0] - x), np.inf).argmin()
         found[name] = outer[at], float(np.hypot(0.6 * sd, 0.5))
-    # A twelfth of the way around below half height, as on typical frames.
-    inner = _side(edge, -1)
-    found["rim_inner"], found["rim_outer"] = (outer[(inner + 30) % 360], 2.0), (outer[330], 2.0)
+    # Below the middle of the sides as on typical frames: a twelfth of the way around, and facing 30 degrees
+    # down. People place these anywhere along the side.
+    along = np.roll(edge, -12, 0) - np.roll(edge, 12, 0)
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    for name, arc, up in (("rim_inner", (_side(edge, -1) + 30) % 360, -1), ("rim_outer", 330, 1)):
+        turned = (along @ [0.5, up * 0.75**0.5]).argmax()
+        at = np.linalg.norm(outer - (outer[arc] + outer[turned]) / 2, axis=1).argmin()
+        found[name] = outer[at], float(np.hypot(3.5, np.linalg.norm(outer[arc] - outer[turned]) / 2))
     if np.isfinite(bridge):
         nose = edge[90:270]
         near = nose[np.linalg.norm(nose - [0, bridge], axis=1).argmin()]
