@@ -146,7 +146,8 @@ def read_frame(
         ratio = marks_mm / scale if marks_mm else 1.0
         proposed = None
         if fill or not placed:
-            proposed = eyeglasses.propose_keypoints((parsed.vertices, parsed.faces))
+            with errors_of(mesh.name, EyeglassesError):
+                proposed = eyeglasses.propose_keypoints((parsed.vertices, parsed.faces))
             marks = np.where(own[:, None], marks, proposed.points / ratio)
             stated = zip(KEY_POINT_NAMES, proposed.deviation, own, strict=True)
             deviations.update({n: float(sd) for n, sd, by_hand in stated if np.isfinite(sd) and not by_hand})
