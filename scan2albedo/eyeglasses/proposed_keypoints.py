@@ -34,8 +34,6 @@ from scan2albedo.geometry.rigid import (
 _UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
 _SLAB = 7.0
 """How far behind the foremost place of its column a front reaches: folded temples lie behind it."""
-_WORN_MM = {("left_hinge", "right_hinge"): 138.0, ("left_rim_bottom", "right_rim_bottom"): 68.0}
-"""Distances on frames that fit the average face, 140 mm wide at the ears and 62 mm between the pupils."""
 _Places = dict[str, tuple[FloatArray, float]]
 
 
@@ -126,8 +124,8 @@ def _panes(xyz: FloatArray, faces: IntArray) -> BoolArray:
     pairs = coo_array((np.ones(len(one)), (one, other)), shape=(len(faces),) * 2)
     part = connected_components(pairs, directed=False)[1]
     pane = np.zeros(len(faces), bool)
-    for number in np.flatnonzero(np.bincount(part) >= 8):
-        own = np.flatnonzero(part == number)
+    by_part = np.split(np.argsort(part, kind="stable"), np.cumsum(np.bincount(part))[:-1])
+    for own in (faces_of for faces_of in by_part if len(faces_of) >= 8):
         corners = xyz[np.unique(faces[own])]
         middle = corners.mean(0)
         axes = np.linalg.eigh(np.cov((corners - middle).T))[1].T[::-1]
@@ -244,9 +242,8 @@ def _key_points(frame: _Frame, seen: _Seen) -> tuple[FloatArray, FloatArray, flo
     """Return key points (20, 3) in the axes of how a frame is seen, deviations (20,), and log odds."""
     points, deviation = np.full((len(KEY_POINT_NAMES), 3), np.nan), np.full(len(KEY_POINT_NAMES), np.inf)
     ring, cloud = seen.ring(), (frame.points - seen.origin) @ seen.axes.T
-    height = cloud[:, 2] - _terms(
-        np.clip(cloud[:, :2], *np.percentile(ring[:, :2], [0, 100], axis=0))
-    ) @ _depth_of(ring)
+    within = np.clip(cloud[:, :2], *np.percentile(ring[:, :2], [0, 100], axis=0))
+    height = cloud[:, 2] - _terms(within) @ _depth_of(ring)
     rims = [_rim(seen, region, sign) for (_, region, _), sign in zip(seen.openings, (1, -1), strict=True)]
     low, high = min(edge[:, 1].min() for edge, _ in rims), max(outer[:, 1].max() for _, outer in rims) + 5
     rows = np.flatnonzero(seen.front[:, seen.front.shape[1] // 2 - 1 :][:, :2].any(1))
@@ -266,10 +263,8 @@ def _key_points(frame: _Frame, seen: _Seen) -> tuple[FloatArray, FloatArray, flo
         half = _rim_points(edge, outer, first.mean() if len(y) else np.nan, cost)
         half |= _temple_points(cloud * turn, height, outer)
         halves.append((half, edge.mean(0)))
-        found |= {
-            ("left_" if sign > 0 else "right_") + name: (p * turn[: len(p)], sd)
-            for name, (p, sd) in half.items()
-        }
+        side = "left_" if sign > 0 else "right_"
+        found |= {side + name: (p * turn[: len(p)], sd) for name, (p, sd) in half.items()}
     front = cloud[np.abs(height) < _SLAB]
     tree = cKDTree(front[:, :2])
     for name, (place, sd) in found.items():
@@ -297,11 +292,8 @@ def _key_points(frame: _Frame, seen: _Seen) -> tuple[FloatArray, FloatArray, flo
     odds = -1.5 * np.log1p(((laid - typical) ** 2).sum(1) / 50).sum() - (~known).sum()
     # What stands off a front is behind it: pads, hinges, temples.
     behind, before = (height < -4).sum(), (height > 4).sum()
-    return (
-        points,
-        deviation,
-        float(odds + seen.score + 6 * (behind - before) / (behind + before + 0.01 * len(cloud))),
-    )
+    odds += seen.score + 6 * (behind - before) / (behind + before + 0.01 * len(cloud))
+    return points, deviation, float(odds)
 
 
 def _rim(seen: _Seen, opening: BoolArray, sign: int) -> tuple[FloatArray, FloatArray]:
@@ -382,9 +374,8 @@ def _temple_points(cloud: FloatArray, height: FloatArray, outer: FloatArray) -> 
         return {"hinge": (end.mean(0), float(np.hypot(2, end[:, 1].std())))} if len(end) else {}
     level = np.median(cloud[near, 1])
     tall = max(np.percentile(np.abs(cloud[near, 1] - level), 90), 1)
-    corner = cloud[
-        (height > -16) & (cloud[:, 0] > outer[:, 0].max() - 8) & (np.abs(cloud[:, 1] - level) < tall)
-    ]
+    outmost = (height > -16) & (cloud[:, 0] > outer[:, 0].max() - 8)
+    corner = cloud[outmost & (np.abs(cloud[:, 1] - level) < tall)]
     temple = cloud[behind]
     if len(corner) == 0:
         return {}
@@ -411,14 +402,11 @@ def _temple_points(cloud: FloatArray, height: FloatArray, outer: FloatArray) -> 
     share = np.exp(odds - odds.max()) / np.exp(odds - odds.max()).sum()
     knee = share @ run
     sd = np.sqrt(share @ (run - knee) ** 2)
-    for name, place, own in (
-        ("temple_middle", knee / 2, np.hypot(sd / 2, 0.8)),
-        ("ear_bend", knee, np.hypot(sd, 2)),
-    ):
+    for name, place, own in (("temple_middle", knee / 2, 0.8), ("ear_bend", knee, 2)):
         at = np.array([np.interp(place, run, line[:, k]) for k in range(3)])
         around = temple[np.linalg.norm(temple[:, 1:] - at[1:], axis=1) < 1.2]
         at[0] = around[:, 0].max(initial=at[0])
-        found[name] = at, float(own)
+        found[name] = at, float(np.hypot(sd * place / knee, own))
     return found | {"temple_tip": (tip, 0.8)}
 
 
@@ -457,21 +445,18 @@ def propose_keypoints(mesh: Any) -> ProposedKeyPoints:
             points, deviation, odds = _key_points(frame, seen)
             tried.append((odds, seen.origin + points @ seen.axes, deviation))
     if not tried or not np.isfinite(most := max(odds for odds, *_ in tried)):
-        raise EyeglassesError(
-            "no front with two openings, alike on both sides, was found: place the key points"
-        )
+        raise EyeglassesError("no front with two openings on both sides was found: place the key points")
     _, points, deviation = max(tried, key=lambda row: row[0])
     share = np.exp([odds - most for odds, *_ in tried])
     apart = np.nan_to_num([((other - points) ** 2).sum(1) for _, other, _ in tried])
     deviation = np.sqrt(deviation**2 + share @ apart / share.sum())
     points = frame.middle + frame.unit * points
-    number = {name: k for k, name in enumerate(KEY_POINT_NAMES)}
-    sizes = {pair: np.linalg.norm(points[number[pair[0]]] - points[number[pair[1]]]) for pair in _WORN_MM}
-    log_mm = float(np.nanmean([np.log(_WORN_MM[pair] / size) for pair, size in sizes.items()]))
-    # Frames differ by 6 %; one in fifty is in another unit, any of twelve powers of e alike.
-    likely = {
-        unit: np.log(147.0 * 4) - ((np.log(mm) - log_mm) / 0.06) ** 2 / 2 for unit, mm in _UNITS_MM.items()
-    }
+    known = np.isfinite(points).all(1)
+    worn = procrustes(points[known], typical_key_points()[known], scale=True)
+    log_mm = float(np.log(np.linalg.norm(worn[0, :3])))
+    # A typical frame fits the average face, and others differ by 7 % from it; one in fifty has no unit of
+    # these, any of twelve powers of e alike.
+    likely = {unit: np.log(500) - ((np.log(mm) - log_mm) / 0.07) ** 2 / 2 for unit, mm in _UNITS_MM.items()}
     unit = max(likely, key=lambda name: likely[name])
     unit, scale = (unit, _UNITS_MM[unit]) if likely[unit] > 0 else ("unknown", float(np.exp(log_mm)))
     return ProposedKeyPoints(points, deviation * frame.unit * scale, scale, unit, most)
