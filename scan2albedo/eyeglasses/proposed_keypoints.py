@@ -48,7 +48,7 @@ class ProposedKeyPoints(NamedTuple):
     unit: str
     """"mm", "cm", "m", "inch", or "unknown": in none of them has it the size of a frame."""
     log_odds: float
-    """How like a typical frame's they are; far below -20 something else may have been taken for a frame."""
+    """How like a typical frame's they are; below -12 something else may have been taken for a frame."""
 
 
 @dataclass(frozen=True)
@@ -449,7 +449,9 @@ def propose_keypoints(mesh: Any) -> ProposedKeyPoints:
     _, points, deviation = max(tried, key=lambda row: row[0])
     share = np.exp([odds - most for odds, *_ in tried])
     apart = np.nan_to_num([((other - points) ** 2).sum(1) for _, other, _ in tried])
-    deviation = np.sqrt(deviation**2 + share @ apart / share.sum())
+    # Or something else was taken for a front, and the key points are anywhere: frames are found at -5 or above.
+    none = np.exp(min(-12 - most, 50.0))
+    deviation = np.sqrt(deviation**2 + (share @ apart + none * 60**2) / (share.sum() + none))
     points = frame.middle + frame.unit * points
     known = np.isfinite(points).all(1)
     worn = procrustes(points[known], typical_key_points()[known], scale=True)

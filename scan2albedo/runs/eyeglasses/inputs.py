@@ -195,7 +195,7 @@ def proposed_note(deviations_mm: Mapping[str, float], placed: int, log_odds: flo
     )
     if deviations_mm:
         said += f"; median deviation {np.median(list(deviations_mm.values())):.1f} mm"
-    if log_odds < -20:
+    if log_odds < -12:
         said += f"; it is hardly like a frame (log odds {log_odds:.0f})"
     return f"{said}{'; unsure: ' + ', '.join(unsure) if unsure else ''}: look at `glasses key-points`"
 
