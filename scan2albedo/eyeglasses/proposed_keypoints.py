@@ -449,7 +449,7 @@ def propose_keypoints(mesh: Any) -> ProposedKeyPoints:
     _, points, deviation = max(tried, key=lambda row: row[0])
     share = np.exp([odds - most for odds, *_ in tried])
     apart = np.nan_to_num([((other - points) ** 2).sum(1) for _, other, _ in tried])
-    # Or something else was taken for a front, and the key points are anywhere: frames are found at -5 or above.
+    # Or something else was taken for a front, and they are anywhere: frames were found at -5 or above.
     none = np.exp(min(-12 - most, 50.0))
     deviation = np.sqrt(deviation**2 + (share @ apart + none * 60**2) / (share.sum() + none))
     points = frame.middle + frame.unit * points
