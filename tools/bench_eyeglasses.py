@@ -10,6 +10,7 @@
     python tools/bench_eyeglasses.py glass [--seeds 2]
     python tools/bench_eyeglasses.py lenses [--pixels 160] [--pictures FOLDER]
     python tools/bench_eyeglasses.py pictures [--tuned]
+    python tools/bench_eyeglasses.py proposed [--tuned] [--pictures FOLDER]
 
 weights: real frames. Both get the same lattice and the same fixed nodes (eight a key point); key points are
 farthest points from the leftmost vertex on. libigl solves on the lattice's cells, cut into six tetrahedra
@@ -48,6 +49,11 @@ pictures: frames on painted faces in three pictures: errors of the front with th
 with labels of one view and of all (1 px off), with and without pictures or true masks; proposed key points
 beside their stated deviations, proposed masks beside true ones. Frames, people and colours that nothing was
 chosen on; with `--tuned` those that were looked at.
+
+proposed: key points of synthetic frames in any pose and unit, whole, with lenses, bent, folded, damaged,
+proposed from their shape: errors in mm beside stated deviations, whether the unit was found, points that were
+missed, or proposed where the mesh has none (extra). Seeds that nothing was chosen on; with `--tuned` those
+that were looked at. Then the real frames, which were looked at, beside placed points.
 """
 
 from __future__ import annotations
@@ -64,6 +70,7 @@ from benchmarks.eyeglasses_glass import bench_glass
 from benchmarks.eyeglasses_lenses import bench_lenses
 from benchmarks.eyeglasses_modes import bench_modes
 from benchmarks.eyeglasses_pictures import bench_pictures
+from benchmarks.eyeglasses_proposed import bench_proposed
 from benchmarks.eyeglasses_registration import bench_registration
 from benchmarks.eyeglasses_rims import bench_real, bench_refined, bench_synthetic
 from benchmarks.weights import fixed_nodes, igl_bbw, kuhn_tetrahedra
@@ -94,6 +101,7 @@ SECTIONS = (
     "glass",
     "lenses",
     "pictures",
+    "proposed",
 )
 FRAMES = ("frame_giraut.stl", "sunglasses_khronos.glb")
 
@@ -198,6 +206,8 @@ def main() -> None:
         bench_refined(DATA, tuned=arguments.tuned)
     elif arguments.section == "glass":
         bench_glass(DATA, arguments.seeds or 2)
+    elif arguments.section == "proposed":
+        bench_proposed(DATA, arguments.pictures, tuned=arguments.tuned)
     elif arguments.section == "pictures":
         bench_pictures(DATA, tuned=arguments.tuned)
     elif arguments.section == "lenses":

@@ -54,15 +54,34 @@ def _one_frame(frame: Path, stage: str, json_summary: bool) -> Iterator[Progress
 
 @app.command("key-points")
 def key_points(
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="PNG file for a labelled picture, front and side.")
+    frame: Annotated[
+        Path | None, typer.Argument(help="A frame's mesh, whose key points are proposed.", metavar="[MESH]")
     ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            help="PNG file for a labelled picture. Of a MESH: JSON file, with a picture beside "
+            "it; <mesh stem>.keypoints.json beside the mesh when omitted.",
+        ),
+    ] = None,
+    keypoints: Annotated[
+        Path | None, typer.Option(help="Placed key points, which stay; only the others are proposed.")
+    ] = None,
+    unit: UnitOption = "auto",
 ) -> None:
-    """Say where the 20 key points of a frame go; with -o, show it in a labelled picture."""
+    """Say where the 20 key points of a frame go, or propose those of MESH; with -o, show it in a picture."""
     from scan2albedo.io.atomic import atomic_path, check_writable
     from scan2albedo.report.eyeglasses_views import key_point_chart, key_point_table
 
     try:
+        if frame is not None:
+            from scan2albedo.runs.eyeglasses.inputs import write_proposed
+
+            with _one_frame(frame, "glasses", False) as progress:
+                write_proposed(frame, out, keypoints, unit, progress.say)
+            return
         if out is not None:
             check_writable(out.parent)
         typer.echo(key_point_table())
@@ -152,7 +171,7 @@ def canonicalize(
             try:
                 marks = None if keypoints is None else keypoints[number]
                 if frame_width is None or number == 0:
-                    scale = {"frame_width_mm": frame_width}
+                    scale: dict[str, Any] = {"frame_width_mm": frame_width}
                 elif not frames:
                     raise EyeglassesError("its scale is that of the first frame, which failed")
                 else:

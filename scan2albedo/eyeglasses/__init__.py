@@ -29,6 +29,7 @@ from scan2albedo.eyeglasses.lenses.scenes import Surface
 from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions, RegisteredEyeglasses
 from scan2albedo.eyeglasses.on_face.registration import register_on_face
 from scan2albedo.eyeglasses.on_face.start_poses import TriangulatedPoints, triangulate
+from scan2albedo.eyeglasses.proposed_keypoints import ProposedKeyPoints, propose_keypoints
 from scan2albedo.eyeglasses.skinning import skin
 from scan2albedo.eyeglasses.view_files import (
     Camera,
@@ -46,10 +47,11 @@ from scan2albedo.lighting.environment import DistantLights, distant_directions, 
 __all__ = [
     "KEY_POINT_NAMES", "SKELETON", "BoundedBiharmonicWeights", "Camera", "CanonicalEyeglasses",
     "CanonicalSet", "CanonicalizationOptions", "DistantLights", "FaceRegistrationOptions", "InsertedLens",
-    "LensMaterial", "LensPicture", "LensPictureOptions", "LensRim", "RefractedRays", "RegisteredEyeglasses",
-    "Surface", "ThinLens", "TriangulatedPoints", "ViewLabels", "bounded_biharmonic_weights", "canonicalize",
-    "distant_directions", "environment_weights", "find_lens_rim", "insert_lenses", "read_cameras",
-    "read_canonical", "read_keypoints", "read_labels", "read_masks", "read_registered", "read_start",
-    "refine_lens_rim", "refract", "register_on_face", "skin", "solve_weights", "triangulate", "write_cameras",
-    "write_canonical", "write_keypoints", "write_labels", "write_masks", "write_registered", "write_start",
+    "LensMaterial", "LensPicture", "LensPictureOptions", "LensRim", "ProposedKeyPoints", "RefractedRays",
+    "RegisteredEyeglasses", "Surface", "ThinLens", "TriangulatedPoints", "ViewLabels",
+    "bounded_biharmonic_weights", "canonicalize", "distant_directions", "environment_weights",
+    "find_lens_rim", "insert_lenses", "propose_keypoints", "read_cameras", "read_canonical", "read_keypoints",
+    "read_labels", "read_masks", "read_registered", "read_start", "refine_lens_rim", "refract",
+    "register_on_face", "skin", "solve_weights", "triangulate", "write_cameras", "write_canonical",
+    "write_keypoints", "write_labels", "write_masks", "write_registered", "write_start",
 ]  # fmt: skip

@@ -22,7 +22,7 @@ from scan2albedo.eyeglasses.on_face.inputs import RegisteredEyeglasses
 from scan2albedo.geometry.rigid import is_rigid, procrustes, transform_points
 from scan2albedo.io.glb import write_skinned_glb
 from scan2albedo.io.npz import read_npz, write_npz
-from scan2albedo.io.records import Content, Matrix, Record, plain_json, read_record, write_record
+from scan2albedo.io.records import Content, Matrix, Number, Record, plain_json, read_record, write_record
 from scan2albedo.io.units import MM_PER_UNIT
 
 LengthUnit = Literal["mm", "cm", "m"]
@@ -94,22 +94,31 @@ class KeyPointsFile(Record):
     key_points: Annotated[
         dict[KeyPointName, tuple[float, float, float] | None], AfterValidator(named_key_points)
     ] = Field(description="Coordinates by name; null, or no entry, where a key point was not found.")
+    deviations_mm: Annotated[dict[KeyPointName, Number], AfterValidator(named_key_points)] = Field(
+        {}, description="Standard deviations of proposed key points by name; placed ones have none."
+    )
 
 
-def write_keypoints(path: str | Path, keypoints: ArrayLike, unit: LengthUnitIfKnown = "mm") -> None:
+def write_keypoints(
+    path: str | Path,
+    keypoints: ArrayLike,
+    unit: LengthUnitIfKnown = "mm",
+    deviations_mm: Mapping[str, float] | None = None,
+) -> None:
     """Write key points (20, 3), in the order of `KEY_POINT_NAMES`, as JSON; rows with NaN as null.
 
-    Their `unit` is only noted. Raises ValueError for another shape, OutputError when writing fails.
+    Their `unit`, and deviations by name, are only noted. Raises ValueError for another shape, OutputError
+    when writing fails.
 
     Parameters
     ----------
-    path, keypoints, unit
+    path, keypoints, unit, deviations_mm
     """
     entries = {
         name: (float(p[0]), float(p[1]), float(p[2])) if np.isfinite(p).all() else None
         for name, p in zip(KEY_POINT_NAMES, checked_keypoints("keypoints", keypoints), strict=True)
     }
-    write_record(path, KeyPointsFile(unit=unit, key_points=entries))
+    write_record(path, KeyPointsFile(unit=unit, key_points=entries, deviations_mm=dict(deviations_mm or {})))
 
 
 def read_keypoints(path: str | Path) -> FloatArray:

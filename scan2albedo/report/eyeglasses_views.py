@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.ndimage import affine_transform, binary_dilation
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.eyeglasses import Camera, RegisteredEyeglasses
 from scan2albedo.eyeglasses.canonicalization import CanonicalEyeglasses
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, KEY_POINT_PLACES
@@ -153,27 +154,39 @@ def _view_panel(frame: RegisteredEyeglasses, number: int, view: SeenView, head: 
     return Panel(title, picture, dots, colors)
 
 
-def key_point_chart() -> Figure:
-    """Return a matplotlib figure of a synthetic frame with the names of its key points."""
+def key_point_chart(
+    mesh: RawScan | None = None, keypoints: FloatArray | None = None, deviations_mm: Mapping[str, float] = {}
+) -> Figure:
+    """Return a matplotlib figure of a frame in mm with the names of its key points (20, 3).
+
+    Of a synthetic frame when there is none; deviations stand beside the names.
+    """
     from matplotlib.figure import Figure
 
-    glasses = eyeglasses(shape=GlassesShape(bridge_width=19, bridge_height=5), nose_pads=False)
-    points = dict(zip(KEY_POINT_NAMES, glasses.keypoints, strict=True))
-    x, _, z = map(float, (glasses.vertices.min(0) + glasses.vertices.max(0)) / 2)
+    if mesh is None or keypoints is None:
+        glasses = eyeglasses(shape=GlassesShape(bridge_width=19, bridge_height=5), nose_pads=False)
+        vertices, faces, marks = glasses.vertices, glasses.faces, glasses.keypoints
+    else:
+        upright = align_key_points(keypoints, in_own_axes(keypoints))
+        vertices, marks = transform_points(upright, mesh.vertices), transform_points(upright, keypoints)
+        faces = mesh.faces
+    points = {name: p for name, p in zip(KEY_POINT_NAMES, marks, strict=True) if np.isfinite(p).all()}
+    x, _, z = map(float, (vertices.min(0) + vertices.max(0)) / 2)
+    half = 0.77 * float(np.ptp(vertices, axis=0).max())
     temple = [name for name in points if name.startswith(("left_temple", "left_ear"))]
     front = [name for name in points if "temple" not in name and "ear" not in name]
     pictures = (
-        ("from the front (left is the wearer's left)", View((0, 0, 0), 112), front),
+        ("from the front (left is the wearer's left)", View((x, 0, 0), half), front),
         (
             "from the wearer's left; the right temple likewise",
-            View((x, 0, z), 112, yaw_deg=-90),
-            ["left_hinge", "left_rim_top", "left_rim_bottom", *temple],
+            View((x, 0, z), half, yaw_deg=-90),
+            [name for name in ("left_hinge", "left_rim_top", "left_rim_bottom", *temple) if name in points],
         ),
     )
     figure = Figure(figsize=(12, 10), dpi=100, layout="constrained")
     size, line = 1400, {"arrowstyle": "-", "color": "gray", "shrinkB": 0}
     for axes, (title, view, names) in zip(figure.subplots(2, 1), pictures, strict=True):
-        axes.imshow(render_mesh(glasses.vertices, glasses.faces, view=view, size=size))
+        axes.imshow(render_mesh(vertices, faces, view=view, size=size))
         axes.set_title(title, fontsize=12)
         axes.set_axis_off()
         places = dict(zip(names, view.pixels([points[name] for name in names], size), strict=True))
@@ -184,7 +197,8 @@ def key_point_chart() -> Figure:
         for row, level in ((upper, -270), ([name for name in ordered if name not in upper], 270)):
             for number, name in enumerate(row):
                 at, beside = tuple(places[name]), ((number + 0.5) * size / len(row), middle + level)
-                axes.annotate(name, at, beside, arrowprops=line, fontsize=10, ha="center", va="center")
+                said = f"{name}\n+- {deviations_mm[name]:.1f} mm" if name in deviations_mm else name
+                axes.annotate(said, at, beside, arrowprops=line, fontsize=10, ha="center", va="center")
                 axes.plot(*places[name], "o", color="crimson", markersize=5)
         axes.set_ylim(middle + 320, middle - 320)
     return figure

@@ -29,8 +29,8 @@ class CanonicalFrameRecord(RunRecord):
 
     name: str = Field(min_length=1, description="Name of the frame.")
     input: InputRecord
-    keypoints_file: str = Field(description="Path as given.")
-    keypoints_sha256: str = Field(pattern=SHA256)
+    keypoints_file: str | None = Field(description="Path as given; null when all were proposed.")
+    keypoints_sha256: str | None = Field(pattern=SHA256)
     mm_per_unit: Number = Field(gt=0, description="Of the mesh's file.")
     scale: Number = Field(gt=0, description="Factor on the frame in mm; 1 unless it was of no true size.")
     canonical_from_frame: Matrix = Field(
@@ -153,12 +153,12 @@ def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, dict[str
                 "glb_weight_cut": weight_cut,
                 "glb_moved_max_mm": float(np.linalg.norm(cut, axis=1).max()),
             }
-            mesh, keypoints = frame.files["mesh"], frame.files["keypoints"]
+            mesh, keypoints = frame.files["mesh"], frame.files.get("keypoints")
             Staging(folder, _FRAME_FILES).write_record(
                 name=frame.name,
                 input=InputRecord.of(frame.scan, Path(mesh.file), mesh.sha256),
-                keypoints_file=keypoints.file,
-                keypoints_sha256=keypoints.sha256,
+                keypoints_file=keypoints and keypoints.file,
+                keypoints_sha256=keypoints and keypoints.sha256,
                 mm_per_unit=frame.mm_per_unit,
                 scale=canonical.scale,
                 canonical_from_frame=plain_json(canonical.canonical_from_frame),

@@ -1,7 +1,7 @@
 """What the commands for glasses are given: frames, cameras and the rest of their files, in millimetres."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +12,12 @@ from scan2albedo import eyeglasses
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import EyeglassesError, errors_of
-from scan2albedo.eyeglasses import Camera, LensMaterial, read_cameras
+from scan2albedo.eyeglasses import Camera, LensMaterial, read_cameras, write_keypoints
 from scan2albedo.eyeglasses.frame_files import read_keypoints_with_unit
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.mean_keypoints import WIDTHS_MM, front_width
 from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.io.atomic import atomic_path, check_writable
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.images import read_image_linear
 from scan2albedo.io.load_scan import file_sha256, input_sha256, load_scan, load_scan_with
@@ -24,6 +25,7 @@ from scan2albedo.io.parsed_mesh import ParsedMesh
 from scan2albedo.io.records import Record
 from scan2albedo.io.result_records import SHA256
 from scan2albedo.io.units import MM_PER_UNIT, PLAUSIBLE_GLASSES_MM, check_unit, glasses_millimetres_per_unit
+from scan2albedo.report.eyeglasses_views import key_point_chart
 
 CANONICAL = ".npz"
 """Extension of frames that bring their weights, and of results whose pose is a start."""
@@ -53,6 +55,8 @@ class GlassesFrame:
     mm_per_unit: float
     files: Mapping[str, FileRecord]
     weights: FloatArray | None = None
+    deviations_mm: Mapping[str, float] = field(default_factory=dict)
+    """Of the key points that nobody placed, by name."""
 
     @property
     def missing_key_points(self) -> tuple[str, ...]:
@@ -96,8 +100,11 @@ def read_frame(
     *,
     frame_width_mm: float | None = None,
     mm_per_unit: float | None = None,
+    fill: bool = False,
 ) -> GlassesFrame:
     """Read a mesh and its key points, ``<stem>.keypoints.json`` beside it when omitted.
+
+    Without either they are proposed from the mesh; with `fill` those that nobody placed are.
 
     The front's true width, or the scale of another frame's file, goes before all units. The mesh's unit
     "auto" is the one in which the key points lie on it, when their file states their own; otherwise the
@@ -107,13 +114,19 @@ def read_frame(
     """
     check_unit(unit)
     marks_file = keypoints_beside(mesh) if keypoints is None else keypoints
-    marks, marks_unit = read_keypoints_with_unit(marks_file)
+    marks, marks_unit = np.full((len(KEY_POINT_NAMES), 3), np.nan), "unknown"
+    placed = keypoints is not None or (marks_file.is_file() and not fill)
+    if placed:
+        marks, marks_unit = read_keypoints_with_unit(marks_file)
+    own = np.isfinite(marks).all(1)
+    deviations: dict[str, float] = {}
+    told: list[str] = []
     usual = WIDTHS_MM if widths_mm is None else widths_mm
     low, high = (np.array(PLAUSIBLE_GLASSES_MM) * usual / WIDTHS_MM).tolist()
     marks_mm, scale, ratio = MM_PER_UNIT.get(marks_unit, 0.0), 0.0, 1.0
 
     def decide(parsed: ParsedMesh, components: IntArray) -> tuple[float, str]:
-        nonlocal scale, ratio
+        nonlocal scale, ratio, marks
         scale, how = MM_PER_UNIT.get(unit, 0.0), f"{unit}, as given"
         if marks_mm and not scale:
             # The unit in which the key points lie on the mesh: units are factors of ten apart.
@@ -129,6 +142,14 @@ def read_frame(
                 )
             scale, how = MM_PER_UNIT[found], f"{found}, decided from the key points on it, in {marks_unit}"
         ratio = marks_mm / scale if marks_mm else 1.0
+        proposed = None
+        if fill or not placed:
+            with errors_of(mesh.name, EyeglassesError):
+                proposed = eyeglasses.propose_keypoints((parsed.vertices, parsed.faces))
+            marks = np.where(own[:, None], marks, proposed.points / ratio)
+            stated = zip(KEY_POINT_NAMES, proposed.deviation, own, strict=True)
+            deviations.update({n: float(sd) for n, sd, by_hand in stated if np.isfinite(sd) and not by_hand})
+            told.append(proposed_note(deviations, int(own.sum()), proposed.log_odds))
         width = front_width(ratio * marks, parsed.vertices)
         if mm_per_unit is not None or frame_width_mm is not None:
             scale = mm_per_unit or (frame_width_mm or 0.0) / width
@@ -138,6 +159,8 @@ def read_frame(
         elif scale:
             owner = (marks_unit, marks_file.name) if marks_mm else (unit, mesh.name)
             glasses_millimetres_per_unit(marks, *owner, (low, high))
+        elif proposed is not None and proposed.unit != "unknown":
+            scale, how = proposed.mm_per_unit, f"{proposed.unit}, in which a mean face wears it"
         else:
             fits = [u for u, mm in MM_PER_UNIT.items() if usual[0] <= width * mm <= usual[1]]
             if len(fits) == 1:
@@ -156,8 +179,23 @@ def read_frame(
         return scale, f"unit: {how}; {size}" if width > 0 else f"unit: {how}"
 
     scan = load_scan_with(mesh, decide)
-    files = {"mesh": _hashed(mesh, mesh=True), "keypoints": _hashed(marks_file)}
-    return GlassesFrame(scan.name, scan, marks * ratio * scale, scale, files)
+    scan = replace(scan, notes=(*scan.notes, *told))
+    files = {"mesh": _hashed(mesh, mesh=True)} | ({"keypoints": _hashed(marks_file)} if placed else {})
+    return GlassesFrame(scan.name, scan, marks * ratio * scale, scale, files, deviations_mm=deviations)
+
+
+def proposed_note(deviations_mm: Mapping[str, float], placed: int, log_odds: float) -> str:
+    """Return a sentence about key points that were proposed, and which of them are unsure."""
+    unsure = [f"{name} ({sd:.1f} mm)" for name, sd in deviations_mm.items() if sd > 3]
+    missing = len(KEY_POINT_NAMES) - placed - len(deviations_mm)
+    said = (
+        f"{len(deviations_mm)} key points are proposed from its shape, {placed} placed, {missing} not found"
+    )
+    if deviations_mm:
+        said += f"; median deviation {np.median(list(deviations_mm.values())):.1f} mm"
+    if log_odds < -12:
+        said += f"; it is hardly like a frame (log odds {log_odds:.0f})"
+    return f"{said}{'; unsure: ' + ', '.join(unsure) if unsure else ''}: look at `glasses key-points`"
 
 
 def read_registration(
@@ -362,3 +400,25 @@ def _hashed(path: Path, *, mesh: bool = False) -> FileRecord:
         return FileRecord(file=str(path), sha256=input_sha256(path) if mesh else file_sha256(path))
     except OSError as error:
         raise EyeglassesError(f"{path}: {error.strerror}; check the path") from error
+
+
+def write_proposed(
+    mesh: Path, out: Path | None, placed: Path | None, unit: str, say: Callable[[str], None]
+) -> None:
+    """Write a frame's proposed key points in mm, and a picture of them beside the file.
+
+    Placed ones, in a file of their own, stay. Raises EyeglassesError or ScanError, naming the file, when one
+    cannot be read, shows no frame or is there already; OutputError when writing fails.
+    """
+    target = keypoints_beside(mesh) if out is None else out
+    if target.is_file():
+        raise EyeglassesError(f"{target} is there already: move it, or give -o another name")
+    check_writable(target.parent)
+    frame = read_frame(mesh, placed, unit, fill=True)
+    for note in frame.scan.notes:
+        say(f"{frame.name}: {note}")
+    chart = key_point_chart(frame.scan, frame.keypoints, frame.deviations_mm)
+    with atomic_path(target.with_suffix(".png")) as staging:
+        chart.savefig(staging, format="png")
+    write_keypoints(target, frame.keypoints, "mm", frame.deviations_mm)
+    say(f"{frame.name}: key points in {target}, to look at: {target.with_suffix('.png')}")

@@ -76,7 +76,7 @@ class LensesRecord(RunRecord):
     name: str = Field(min_length=1, description="Name of the frame.")
     options: Figures = Field(description="Settings of the pictures.")
     input: InputRecord = Field(description="The frame.")
-    keypoints: FileRecord
+    keypoints: FileRecord | None
     mm_per_unit: Number = Field(gt=0, description="Of the frame's file.")
     head: InputRecord
     cameras: FileRecord
@@ -240,7 +240,8 @@ def run_lenses(
 
     how = "drawn" if source.pictures is None else "put into photographs"
     say(f"{frame.name}: lenses are {how} for {', '.join(camera.name for camera in source.cameras)}")
-    with errors_of(f"{files['mesh'].file} with {files['keypoints'].file}", EyeglassesError):
+    marks = files.get("keypoints")
+    with errors_of(f"{files['mesh'].file}{f' with {marks.file}' if marks else ''}", EyeglassesError):
         rendered = render_lenses(
             surface_of(frame.scan, _FRAME_ALBEDO),
             frame.keypoints,
@@ -296,7 +297,7 @@ def run_lenses(
             name=frame.name,
             options=asdict(options),
             input=InputRecord.of(frame.scan, Path(files["mesh"].file), files["mesh"].sha256),
-            keypoints=files["keypoints"],
+            keypoints=files.get("keypoints"),
             mm_per_unit=frame.mm_per_unit,
             head=InputRecord.of(head, Path(files["head"].file), files["head"].sha256),
             cameras=files["cameras"],

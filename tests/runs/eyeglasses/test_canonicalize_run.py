@@ -333,7 +333,7 @@ def test_usage_errors_and_nothing_done_are_2(done, tmp_path, monkeypatch):
     assert answer.exit_code == 2
     assert [row["status"] for row in json.loads(answer.stdout)] == ["failed", "failed"]
     assert answer.stderr.count("error:") == 2
-    assert "`scan2albedo glasses key-points` says which key points to place" in answer.stderr
+    assert "none.stl" in answer.stderr
     assert "no frame" not in answer.stderr
     assert list(out.iterdir()) == []
     missing = run(monkeypatch, first, "-o", out, "--mean", tmp_path / "none.json")
