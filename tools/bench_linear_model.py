@@ -1,11 +1,12 @@
 """Coefficients of a linear face model from scans: ours beside a fit to 51 landmarks, in one run.
 
-    python tools/bench_linear_model.py [--shapes 8] [--seed 0]
+    python tools/bench_linear_model.py [--shapes 8] [--mixtures 3] [--seed 0]
 
 The model is made of the ICT faces: identities' principal directions and twelve expressions. Scans are, first,
 shapes of the model itself as a two-pod scanner sees them (noise 0.2 mm, holes, spikes, hair, shoulders, any
 pose), whose coefficients are known; then each ICT person with a model made without that person, where the
-least error is that of the basis itself, fitted to the true correspondences; then two real scans. The peer is
+least error is that of the basis itself, fitted to the true correspondences; then mixtures of expressions as
+weights of blendshapes; then two real scans. The peer is
 what flame-fitting does (`fit_lmk3d.py`): pose, then pose and coefficients, by least squares to 51 landmarks
 with its weights, here by SciPy; its landmarks are the true ones with 1 mm of noise (real scans: those placed
 by hand). Needs ../shared/data. Nothing was tuned on the people; james and flame_scan were seen before.
@@ -15,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -164,6 +166,34 @@ def people(seed: int) -> None:
         print(f"{name:10}" + "".join(f"{value:8.3f}" for value in row), flush=True)
 
 
+def blendshapes(mixtures: int, seed: int) -> None:
+    """Print how well the weights of three expressions at once are found, of people in the model and not."""
+    print(
+        "weights of blendshapes, mixtures of three of twelve: mean and greatest error, person in / left out"
+    )
+    for name in IDENTITIES[1:]:
+        row = list[float]()
+        for without in ("", name):
+            model, _ = ict_model(without)
+            with (
+                np.load(face_data("ict_faces.npz")) as data,
+                np.load(face_data("ict_expressions.npz")) as moves,
+            ):
+                shape, names = data[f"shape_{name}"].astype(float), tuple(moves.files)
+            basis = np.array(model.basis, float)
+            basis[..., model.shapes :] /= EXPRESSION_SD
+            model, errors = replace(model, basis=basis, names=names), list[FloatArray]()
+            for number in range(mixtures):
+                rng, truth = np.random.default_rng([seed, number]), np.zeros(len(names))
+                truth[rng.choice(len(names), 3, replace=False)] = rng.uniform(0.3, 0.9, 3)
+                face = shape + basis[..., model.shapes :] @ truth
+                scan, _ = raw_like(face, model.faces, seed + number)
+                _, found, _, _ = ours(scan, model)
+                errors.append(np.abs(found.coefficients[model.shapes :] - truth))
+            row += [float(np.mean(errors)), float(np.max(errors))]
+        print(f"{name:10}" + "".join(f"{value:8.3f}" for value in row), flush=True)
+
+
 def real_scans() -> None:
     print(
         "real scans: mean distance of the scan's face to the model, mm; 51 landmarks placed by hand, mean mm"
@@ -184,10 +214,12 @@ def real_scans() -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=Path(__file__).name)
     parser.add_argument("--shapes", type=int, default=8)
+    parser.add_argument("--mixtures", type=int, default=3)
     parser.add_argument("--seed", type=int, default=0)
     chosen = parser.parse_args()
     own_shapes(chosen.shapes, chosen.seed)
     people(chosen.seed)
+    blendshapes(chosen.mixtures, chosen.seed)
     real_scans()
 
 
