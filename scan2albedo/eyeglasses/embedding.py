@@ -163,7 +163,7 @@ def embed(
 
 
 def _distances(places: FloatArray, metric: str) -> FloatArray:
-    apart = squareform(pdist(places, metric)) if len(places) > 1 else np.zeros((1, 1))
+    apart = squareform(pdist(places, metric))
     np.fill_diagonal(apart, np.inf)
     return np.asarray(apart)
 
