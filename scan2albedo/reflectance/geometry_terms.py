@@ -258,10 +258,8 @@ class GeometryObjective:
         """Return the state after a turn about its middle (rad), a shift (mm) and a change of coefficients."""
         middle = state.vertices.mean(0)
         # A turn of more than a radian in one step is a runaway.
-        turn = step[:3] / max(1.0, float(np.linalg.norm(step[:3])))
-        pivot, away = compose(np.eye(3), middle), compose(np.eye(3), -middle)
-        motion = compose(rotation_from_vector(turn), np.zeros(3))
-        pose = compose(np.eye(3), step[3:6]) @ pivot @ motion @ away @ state.scene_from_model
+        turn = rotation_from_vector(step[:3] / max(1.0, float(np.linalg.norm(step[:3]))))
+        pose = compose(turn, middle - turn @ middle + step[3:6]) @ state.scene_from_model
         coefficients = state.coefficients.copy()
         coefficients[: len(step) - 6] += step[6:]
         return GeometryState(self.model, pose, coefficients)

@@ -118,14 +118,14 @@ def fit_image(
         warnings.warn(f"{text}{found.best.cost:.4g}", RuntimeWarning, stacklevel=2)
     best, used = found.best.state, terms.used
     b, g, t = terms.split(best.parameters)
-    face = model.reconstruct(b)
-    radiance = terms.response.shade(face.reflectance.chosen(used), best.light).radiance_linear
+    face, light = model.reconstruct(b), terms.light(best.parameters)
+    radiance = terms.response.shade(face.reflectance.chosen(used), light).radiance_linear
     off = np.linalg.norm(radiance - terms.observed) / np.linalg.norm(terms.observed)
     return ImageFit(
         face=face,
         light_coefficients=g.copy(),
         scale_rgb=np.exp(t),
-        light=best.light,
+        light=light,
         radiance_linear=among_all(used, len(model.known), radiance),
         relative_rmse=float(off),
         objective=found.best.cost,
@@ -143,22 +143,10 @@ def photometric_penalty(off: FloatArray) -> tuple[float, FloatArray]:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Colours (U, 3) of the vertices used at parameters p = (b, g, t), and their parts."""
+    """Colours (U, 3) of the vertices used at parameters p = (b, g, t)."""
 
     parameters: FloatArray
     color: FloatArray
-    diffuse: FloatArray
-    """(U, 3) c."""
-    total: FloatArray
-    """(U,) s."""
-    share: FloatArray
-    """(U, 3) w'."""
-    light: FloatArray
-    """(81, 3)."""
-    diffuse_light: FloatArray
-    """(U, 3) radiance of a white diffuse surface."""
-    lobe_light: FloatArray
-    """(U, 3, 3) radiance of each lobe of weight 1, by lobe and channel."""
     distance: float = 0.0
     gradient: FloatArray | None = None
     """`distance`, `gradient`: of the caller's function, and (U, 3) by the colours; None without one."""
@@ -207,17 +195,23 @@ class ImageTerms:
         first = self.basis[1].shape[1]
         return parameters[:first], parameters[first:-3], parameters[-3:]
 
+    def light(self, parameters: FloatArray) -> FloatArray:
+        """Return the harmonics (81, 3) of the light of parameters (P,)."""
+        _, g, t = self.split(parameters)
+        return self.lighting.light(g, scale_rgb=np.exp(t))
+
+    def factors(self, parameters: FloatArray) -> Iterator[FloatArray]:
+        """Yield c (U, 3), s (U,), w' (U, 3), and radiances of a white surface and of lobes (U, 3, 3)."""
+        b, light = self.split(parameters)[0], self.light(parameters)
+        yield from (mean + basis @ b for mean, basis in zip(self.mean, self.basis, strict=True))
+        yield from (self.response.diffuse @ light, self.response.specular @ light)
+
     def predict(self, parameters: FloatArray, before: Prediction | None = None) -> Prediction:
         """Return the colours of parameters (P,), reached by a step from `before`."""
-        b, g, t = self.split(parameters)
-        diffuse, total, share = (mean + basis @ b for mean, basis in zip(self.mean, self.basis, strict=True))
-        light = self.lighting.light(g, scale_rgb=np.exp(t))
-        diffuse_light = self.response.diffuse @ light
-        lobe_light = self.response.specular @ light
+        diffuse, total, share, diffuse_light, lobe_light = self.factors(parameters)
         color = diffuse * diffuse_light + total[:, None] * np.einsum("vk,vkj->vj", share, lobe_light)
-        parts = parameters, color, diffuse, total, share, light, diffuse_light, lobe_light
         if self.perceptual is None:
-            return Prediction(*parts)
+            return Prediction(parameters, color)
         # Arrays of their own, so that a function that writes into its arguments harms nobody.
         predicted, observed = np.full((2, self.count, 3), np.nan)
         predicted[self.used], observed[self.used] = color, self.observed
@@ -244,7 +238,7 @@ class ImageTerms:
             curvature = max(bend / length, 0.0) if length > 0 else 0.0
         else:
             curvature = float(np.sum(gradient**2)) / (2 * abs(distance)) if distance else 0.0
-        return Prediction(*parts, distance, gradient, curvature)
+        return Prediction(parameters, color, distance, gradient, curvature)
 
     def numbers(self, state: Prediction) -> FloatArray:
         """Return the parameters (P,)."""
@@ -274,14 +268,15 @@ class ImageTerms:
     def jacobian(self, at: Prediction) -> FloatArray:
         """Return the derivatives (U, 3, P) of the colours by the parameters."""
         _, _, t = self.split(at.parameters)
+        diffuse, total, share, diffuse_light, lobe_light = self.factors(at.parameters)
         by_diffuse, by_total, by_share = self.basis
-        weights = by_total[:, None] * at.share[..., None] + at.total[:, None, None] * by_share
-        by_b = by_diffuse * at.diffuse_light[..., None] + np.swapaxes(at.lobe_light, 1, 2) @ weights
-        specular = np.einsum("vk,vkh->vh", at.total[:, None] * at.share, self.response.specular)
+        weights = by_total[:, None] * share[..., None] + total[:, None, None] * by_share
+        by_b = by_diffuse * diffuse_light[..., None] + np.swapaxes(lobe_light, 1, 2) @ weights
+        specular = np.einsum("vk,vkh->vh", total[:, None] * share, self.response.specular)
         by_g = np.empty((*at.color.shape, self.lighting.components))
         by_t = np.zeros((*at.color.shape, 3))
         for channel in range(3):
-            reflected = at.diffuse[:, channel, None] * self.response.diffuse + specular
+            reflected = diffuse[:, channel, None] * self.response.diffuse + specular
             by_g[:, channel] = reflected @ (np.exp(t[channel]) * self.lighting.basis[:, :, channel].T)
             by_t[:, channel, channel] = at.color[:, channel]
         return np.concatenate([by_b, by_g, by_t], axis=2)

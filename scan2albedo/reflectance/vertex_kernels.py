@@ -133,7 +133,7 @@ def solve_bounded(normal, mean, prior, estimate):  # type: ignore[no-untyped-def
                     for k in range(6):
                         term = matrix[max(n, k), min(n, k)] * found[k]
                         slope, rounding = slope - term, rounding + abs(term)
-                if (held[n] and slope > 4 * np.finfo(np.float64).eps * rounding) or found[n] < 0.0:
+                if (held[n] and slope > 64 * np.finfo(np.float64).eps * rounding) or found[n] < 0.0:
                     wrong = n
                     break
             if wrong < 0:
