@@ -180,10 +180,24 @@ def _align_all(grid, model, rotations, translations, sigmas, scores):  # type: i
             scores[start] = _linearize(grid, model, rotation, translation, sigma, matrix, gradient)
             if scores[start] == 0.0:
                 break
-            if i + 1 < len(sigmas):
-                for k in range(6):
-                    matrix[k, k] += 1e-9
-                _move(rotation, translation, np.linalg.solve(matrix, gradient))
+            if i + 1 == len(sigmas):
+                continue
+            for k in range(6):
+                matrix[k, k] += 1e-9
+            step = np.linalg.solve(matrix, gradient)
+            angle = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
+            translation += step[3:]
+            if angle < 1e-12:
+                continue
+            limited = min(angle, 0.5)  # radians: linearisations about a far pose are trusted no further
+            a, b, c = step[0] / angle, step[1] / angle, step[2] / angle
+            sin, cos = np.sin(limited), np.cos(limited)
+            for column in range(3):
+                v0, v1, v2 = rotation[0, column], rotation[1, column], rotation[2, column]
+                along = (a * v0 + b * v1 + c * v2) * (1 - cos)
+                rotation[0, column] = v0 * cos + (b * v2 - c * v1) * sin + a * along
+                rotation[1, column] = v1 * cos + (c * v0 - a * v2) * sin + b * along
+                rotation[2, column] = v2 * cos + (a * v1 - b * v0) * sin + c * along
 
 
 @njit(cache=True, nogil=True)
@@ -221,69 +235,41 @@ def _linearize(grid, model, rotation, translation, sigma, matrix, gradient):  # 
         score += rho
         n0, n1, n2 = n0 + qn[s, 0], n1 + qn[s, 1], n2 + qn[s, 2]
         length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
-        _add_plane(matrix, gradient, row, rho, n0 / length, n1 / length, n2 / length, x0, x1, x2, e0, e1, e2)
-        _add_point(matrix, gradient, 0.1 * rho, x0, x1, x2, e0, e1, e2)
+        n0, n1, n2 = n0 / length, n1 / length, n2 / length
+        row[0], row[1], row[2] = x1 * n2 - x2 * n1, x2 * n0 - x0 * n2, x0 * n1 - x1 * n0
+        row[3], row[4], row[5] = n0, n1, n2
+        residual = n0 * e0 + n1 * e1 + n2 * e2
+        for a in range(6):
+            gradient[a] -= rho * row[a] * residual
+            for b in range(a + 1):
+                matrix[a, b] += rho * row[a] * row[b]
+        # The planes of the three axes, rows (x cross e_i, e_i), summed in closed form.
+        w = 0.1 * rho
+        xx, yy, zz = x0 * x0, x1 * x1, x2 * x2
+        matrix[0, 0] += w * (yy + zz)
+        matrix[1, 1] += w * (xx + zz)
+        matrix[2, 2] += w * (xx + yy)
+        matrix[1, 0] -= w * x0 * x1
+        matrix[2, 0] -= w * x0 * x2
+        matrix[2, 1] -= w * x1 * x2
+        matrix[3, 1] += w * x2
+        matrix[3, 2] -= w * x1
+        matrix[4, 0] -= w * x2
+        matrix[4, 2] += w * x0
+        matrix[5, 0] += w * x1
+        matrix[5, 1] -= w * x0
+        for axis in range(3):
+            matrix[3 + axis, 3 + axis] += w
+        gradient[0] -= w * (x1 * e2 - x2 * e1)
+        gradient[1] -= w * (x2 * e0 - x0 * e2)
+        gradient[2] -= w * (x0 * e1 - x1 * e0)
+        gradient[3] -= w * e0
+        gradient[4] -= w * e1
+        gradient[5] -= w * e2
     for a in range(6):
         for b in range(a):
             matrix[b, a] = matrix[a, b]
     return score
-
-
-@njit(cache=True, nogil=True)
-def _add_plane(matrix, gradient, row, weight, n0, n1, n2, x0, x1, x2, e0, e1, e2):  # type: ignore[no-untyped-def]
-    row[0] = x1 * n2 - x2 * n1
-    row[1] = x2 * n0 - x0 * n2
-    row[2] = x0 * n1 - x1 * n0
-    row[3], row[4], row[5] = n0, n1, n2
-    residual = n0 * e0 + n1 * e1 + n2 * e2
-    for a in range(6):
-        gradient[a] -= weight * row[a] * residual
-        for b in range(a + 1):
-            matrix[a, b] += weight * row[a] * row[b]
-
-
-@njit(cache=True, nogil=True)
-def _add_point(matrix, gradient, weight, x0, x1, x2, e0, e1, e2):  # type: ignore[no-untyped-def]
-    """Add the planes of the three axes, rows (x cross e_i, e_i), summed in closed form."""
-    xx, yy, zz = x0 * x0, x1 * x1, x2 * x2
-    matrix[0, 0] += weight * (yy + zz)
-    matrix[1, 1] += weight * (xx + zz)
-    matrix[2, 2] += weight * (xx + yy)
-    matrix[1, 0] -= weight * x0 * x1
-    matrix[2, 0] -= weight * x0 * x2
-    matrix[2, 1] -= weight * x1 * x2
-    matrix[3, 1] += weight * x2
-    matrix[3, 2] -= weight * x1
-    matrix[4, 0] -= weight * x2
-    matrix[4, 2] += weight * x0
-    matrix[5, 0] += weight * x1
-    matrix[5, 1] -= weight * x0
-    for axis in range(3):
-        matrix[3 + axis, 3 + axis] += weight
-    gradient[0] -= weight * (x1 * e2 - x2 * e1)
-    gradient[1] -= weight * (x2 * e0 - x0 * e2)
-    gradient[2] -= weight * (x0 * e1 - x1 * e0)
-    gradient[3] -= weight * e0
-    gradient[4] -= weight * e1
-    gradient[5] -= weight * e2
-
-
-@njit(cache=True, nogil=True)
-def _move(rotation, translation, step):  # type: ignore[no-untyped-def]
-    angle = np.sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
-    for axis in range(3):
-        translation[axis] += step[3 + axis]
-    if angle < 1e-12:
-        return
-    limited = min(angle, 0.5)  # radians: linearisations about a far pose are trusted no further
-    a, b, c = step[0] / angle, step[1] / angle, step[2] / angle
-    sin, cos = np.sin(limited), np.cos(limited)
-    for column in range(3):
-        v0, v1, v2 = rotation[0, column], rotation[1, column], rotation[2, column]
-        along = (a * v0 + b * v1 + c * v2) * (1 - cos)
-        rotation[0, column] = v0 * cos + (b * v2 - c * v1) * sin + a * along
-        rotation[1, column] = v1 * cos + (c * v0 - a * v2) * sin + b * along
-        rotation[2, column] = v2 * cos + (a * v1 - b * v0) * sin + c * along
 
 
 @njit(cache=True, nogil=True)

@@ -78,15 +78,11 @@ def linear_refinement(vertex_count: int, faces: IntArray, levels: int) -> sparse
     matrix = sparse.identity(vertex_count, format="csr")
     current = np.asarray(faces, np.int64)
     for _ in range(levels):
-        _, finer = refine(matrix.shape[0], current)
-        count = matrix.shape[0]
-        ends = np.full((finer.max() + 1 - count, 2), -1, np.int64)
-        for corner, (start, end) in enumerate(((0, 1), (1, 2), (2, 0))):
-            ends[finer[3::4][:, corner] - count] = current[:, [start, end]]
+        count, (ends, _) = matrix.shape[0], mesh.edges_with_faces(current)  # in the order of `refine`
         rows = np.repeat(np.arange(len(ends)), 2)
         halves = sparse.csr_matrix((np.full(len(rows), 0.5), (rows, ends.ravel())), shape=(len(ends), count))
         matrix = sparse.vstack([sparse.identity(count), halves]).tocsr() @ matrix
-        current = finer
+        current = refine(count, current)[1]
     return matrix
 
 

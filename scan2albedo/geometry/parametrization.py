@@ -1,12 +1,11 @@
 """One flip-free chart of a disc-like surface in the unit square: Tutte, SLIM, xatlas."""
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.linalg import splu
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ModelError
 from scan2albedo.geometry import mesh
+from scan2albedo.geometry.operators import filled_over_mesh
 
 SQUARENESS = 2.5
 """Exponent p of the boundary curve ``|x|^p + |y|^p = 1``: 2 is a circle (78 % of the square), 2.5 fills 85 %,
@@ -128,14 +127,9 @@ def boundary_curve(vertices: FloatArray, loop: IntArray) -> FloatArray:
 
 def tutte(vertex_count: int, faces: IntArray, loop: IntArray, target: FloatArray) -> FloatArray:
     """Return the (V, 2) map with every inner vertex at the mean of its neighbours, `loop` at `target`."""
-    ring = mesh.adjacency(vertex_count, faces)
-    laplacian = (sparse.diags(np.asarray(ring.sum(1)).ravel()) - ring).tocsr()
-    inner = np.setdiff1d(np.arange(vertex_count), loop)
     uv = np.zeros((vertex_count, 2))
     uv[loop] = target
-    if len(inner):
-        uv[inner] = splu(laplacian[inner][:, inner].tocsc()).solve(-laplacian[inner][:, loop] @ target)
-    return uv
+    return filled_over_mesh(uv, mesh.vertex_mask(vertex_count, loop), faces)
 
 
 def signed_areas(uv: FloatArray, faces: IntArray) -> FloatArray:

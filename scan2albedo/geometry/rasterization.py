@@ -282,9 +282,8 @@ def scan_colors(scan: RawScan, face: IntArray, barycentric: FloatArray) -> tuple
     else:
         places = scan.uv[face]
         places = places - np.floor(places.min(axis=1, keepdims=True) + _HAIR)  # by whole periods
-        u, v = np.einsum("nk,nkc->nc", barycentric, places).T % (1 + 2 * _HAIR)
-        height, width = scan.texture_linear.shape[:2]
-        pixels = np.stack([u * width - 0.5, (1 - v) * height - 0.5], axis=1)
+        uv = np.einsum("nk,nkc->nc", barycentric, places) % (1 + 2 * _HAIR)
+        pixels = pixels_from_uv(uv, scan.texture_linear.shape[:2])
         colors, shown = bilinear(scan.texture_linear, pixels), None
         if scan.color_seen is not None:
             shown = bilinear(scan.color_seen[..., None].astype(np.float32), pixels)[:, 0] > 1 - _HAIR

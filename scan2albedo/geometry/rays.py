@@ -55,7 +55,8 @@ class RayCaster:
         Directions (N, 3) are of any length; one direction (3,) for all rays is faster. Origins that serve
         many times may be `local`, that is from `to_local`.
         """
-        start, heading = np.asarray(origins, np.float32 if local else np.float64), _single(directions)
+        start = np.asarray(origins, np.float32 if local else np.float64)
+        heading = np.ascontiguousarray(directions, np.float32)
         # Embree wants a direction a ray: one block of a common direction serves every block of rays.
         common = np.tile(heading, (min(len(start), _CHUNK), 1)) if heading.ndim == 1 else None
         result = np.zeros(len(start), bool)
@@ -76,7 +77,7 @@ class RayCaster:
 
         def shoot(block: slice) -> None:
             local = self.to_local(start[block])
-            face[block] = self._scene.run(local, _single(heading[block]), query="INTERSECT")
+            face[block] = self._scene.run(local, heading[block].astype(np.float32), query="INTERSECT")
 
         each_block(shoot, blocks(len(start), _CHUNK))
         # Each ray meets its triangle again in float64, by Moeller and Trumbore.
@@ -92,10 +93,6 @@ class RayCaster:
         weights = np.maximum(np.stack([1 - u - v, u, v], 1), 0.0)
         barycentric[hit] = weights / weights.sum(1, keepdims=True)
         return RayHits(face, barycentric, distance)
-
-
-def _single(values: ArrayLike) -> NDArray[np.float32]:
-    return np.ascontiguousarray(values, np.float32)
 
 
 def blocks(count: int, size: int) -> list[slice]:

@@ -93,9 +93,7 @@ def rotation_from_vector(rotation_vector_rad: ArrayLike) -> Matrix:
 
 def rotation_angle_rad(rotation: ArrayLike) -> float:
     """Return the angle in radians of a (3, 3) rotation, accurate near 0 and pi."""
-    matrix = np.asarray(rotation, float)
-    axis = np.array([matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]])
-    return float(np.arctan2(np.linalg.norm(axis), np.trace(matrix) - 1))
+    return float(Rotation.from_matrix(rotation).magnitude())
 
 
 def super_fibonacci_rotations(count: int) -> Matrix:
