@@ -34,7 +34,8 @@ def frontal_estimate(frontal):
 @pytest.mark.parametrize("azimuth_deg", [0, 30, 60])
 @pytest.mark.parametrize(
     ("shape", "kind", "percent", "off_deg"),
-    [("hemisphere", "wood", 0.01, 4), ("hemisphere", "skin", 0.03, 4), ("bumps", "skin", 0.05, 7)],
+    # Light from the front hardly changes with its direction: rounding turns it by some degrees (7.8 on AMD).
+    [("hemisphere", "wood", 0.01, 4), ("hemisphere", "skin", 0.03, 4), ("bumps", "skin", 0.05, 9)],
 )
 def test_one_light(scenes, shape, kind, percent, off_deg, azimuth_deg):
     scene = scenes.scene(shape, kind, [(azimuth_deg, 0, 2.0, FAR)])
