@@ -146,7 +146,7 @@ class _Colours:
         point, p = self.point, self.point.problem
         found = LightColours.white(self.lamps, nodes=len(p.field.used))
         log_ratio = np.zeros((len(p.value), 3))
-        state = point.model.soft(point.light_x)
+        _, _, waves = point.model.soft(point.light_x)
         for number, (c, ratio) in enumerate(zip(self.channels, self.ratios, strict=True)):
             x = self.x[self.at(number)]
             light, white = self.light(x)
@@ -155,7 +155,7 @@ class _Colours:
             gain /= float(np.average(np.exp(p.nodes @ cast), weights=light * p.level.weight))
             found.lamps[:, c] = gain * np.exp(x[: self.lamps])
             found.ambient[c], found.bounce[c] = gain, gain * math.exp(x[-3])
-            found.harmonics[:, c] = gain * (state.harmonics + x[self.lamps : -3]) - state.harmonics
+            found.harmonics[:, c] = gain * (waves + x[self.lamps : -3]) - waves
             found.cast[:, c] = cast
             log_ratio[:, c] = math.log(gain) + np.log(light / point.light) + p.nodes @ cast
         # Of the colours' posterior and prior where there is none (Dickey, see `light_priors.parts_steps`).

@@ -35,18 +35,6 @@ class Hypothesis:
 
 
 @dataclass(frozen=True)
-class SoftState:
-    """Soft light relative to ambient light of 1, of which the part `fill` reaches hidden places.
-
-    `bounce` is the mean albedo by which the surface lights itself, `harmonics` (8,) the environment's.
-    """
-
-    fill: float
-    bounce: float
-    harmonics: FloatArray
-
-
-@dataclass(frozen=True)
 class LightModel:
     """Which parameters are free, and how a vector x holds them.
 
@@ -146,12 +134,13 @@ class LightModel:
         reflectance = Reflectance(self.brdf, roughness, tail.get("specular", 0.0), exponent)
         return Hypothesis(np.reshape(rows, (-1, 5)), reflectance, self.radius_deg)
 
-    def soft(self, x: FloatArray) -> SoftState:
-        """Return the state of soft light that x stands for."""
+    def soft(self, x: FloatArray) -> tuple[float, float, FloatArray]:
+        """Return soft light relative to ambient light of 1: its part that reaches hidden places, the mean albedo
+        by which the surface lights itself, and the environment's harmonics (8,)."""
         tail, harmonics = self._values(x), np.zeros(HARMONICS)
         if self.environment:
             harmonics = x[self.position_of("environment") :][:HARMONICS]
-        return SoftState(tail.get("occlusion", 1.0), tail.get("bounce", 0.0), harmonics)
+        return tail.get("occlusion", 1.0), tail.get("bounce", 0.0), harmonics
 
     def position_of(self, part: str) -> int:
         """Return where in x a part is, its first parameter; ValueError when it is not free."""

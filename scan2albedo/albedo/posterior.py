@@ -193,10 +193,10 @@ class Point:
 
     def bounced(self) -> FloatArray:
         """Return (N,) the light that the surface throws onto itself."""
-        soft, state = self.problem.soft, self.model.soft(self.light_x)
+        soft, (_, albedo, waves) = self.problem.soft, self.model.soft(self.light_x)
         if soft.bounce is None:
             return np.zeros(len(self.light))
-        return state.bounce * soft.bounce(self.lamps.sum(0) + soft.transfer[:, 1:] @ state.harmonics)
+        return albedo * soft.bounce(self.lamps.sum(0) + soft.transfer[:, 1:] @ waves)
 
     def quadratic(self) -> tuple[FloatArray, FloatArray]:
         """Return matrix (P, P) and gradient (P,) of the cost in x, the nodes' field following each step."""

@@ -31,11 +31,11 @@ class SoftTerms:
 
     def add(self, model: LightModel, x: FloatArray, light: FloatArray, slopes: FloatArray) -> None:
         """Turn `light` (N,), lamps under constant ambient light of 1, into I; `slopes` (N, P) follow."""
-        state, direct = model.soft(x), light - 1
+        (fill, albedo, waves), direct = model.soft(x), light - 1
         if model.environment:
             first = model.position_of("environment")
             slopes[:, first : first + HARMONICS] = self.transfer[:, 1:]
-            direct = direct + self.transfer[:, 1:] @ state.harmonics
+            direct = direct + self.transfer[:, 1:] @ waves
         received = np.zeros_like(light)
         if model.bounce:
             at = model.position_of("bounce")
@@ -43,11 +43,11 @@ class SoftTerms:
             if self.bounce is not None:
                 bounced = self.bounce(slopes)
                 received = bounced[:, at].copy()
-                slopes += state.bounce * bounced
+                slopes += albedo * bounced
             slopes[:, at] = received
         if model.occlusion:
             slopes[:, model.position_of("occlusion")] = 1 - self.transfer[:, 0]
-        light[:] = self.ambient(state.fill) + direct + state.bounce * received
+        light[:] = self.ambient(fill) + direct + albedo * received
         dark = light < DARKEST
         light[dark] = DARKEST
         slopes[dark] = 0

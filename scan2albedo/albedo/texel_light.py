@@ -21,7 +21,6 @@ from scan2albedo.albedo.soft_terms import DARKEST
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.lighting.environment_light import open_shading, open_transfer
-from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.lighting.shading import Reflectance, Shading, shade_rows
 from scan2albedo.lighting.shadow_map import ShadowMap
 
@@ -210,12 +209,12 @@ def _soft_light(
     `lamps` (L, N) is the light of the lamps, of which it throws too; the colours are in their order.
     """
     model, mask, caster = solution.model, scene.image.mask, scene.shadows[0]
-    state = model.soft(solution.x)
+    fill, albedo, waves = model.soft(solution.x)
     occluded, waves = (
         caster is not None,
-        np.vstack([colours.ambient, state.harmonics[:, None] + colours.harmonics]),
+        np.vstack([colours.ambient, waves[:, None] + colours.harmonics]),
     )
-    environment = EnvironmentLight(waves, occluded=occluded, fill=state.fill, bounce=state.bounce)
+    environment = EnvironmentLight(waves, occluded=occluded, fill=fill, bounce=albedo)
     light = harmonics(scene.image.normal[mask], 2) @ open_shading(environment)
     if caster is None:
         return environment, light
@@ -223,9 +222,9 @@ def _soft_light(
     finest = scene.at(scene.options.sizes[2])
     level, terms = finest.level, finest.soft
     hidden = open_transfer(level.normal) - terms.transfer
-    hidden[:, 0] *= 1 - state.fill
+    hidden[:, 0] *= 1 - fill
     change = -hidden @ waves
-    if terms.bounce is not None and state.bounce:
-        direct = cell_means(level, lamps.sum(0), mask) + terms.transfer[:, 1:] @ state.harmonics
-        change += state.bounce * terms.bounce(direct)[:, None] * colours.bounce
+    if terms.bounce is not None and albedo:
+        direct = cell_means(level, lamps.sum(0), mask) + terms.transfer[:, 1:] @ waves
+        change += albedo * terms.bounce(direct)[:, None] * colours.bounce
     return environment, light + along_surface(level, change, scene.image)

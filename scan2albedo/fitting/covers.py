@@ -6,8 +6,6 @@ eye is a cover or not by one sum of log odds: ends like a thing's speak for it, 
 how rare covers are against it. A cover leaves a hole, over which the model keeps its own shape.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.stats import norm
 
@@ -39,31 +37,25 @@ RARE = 7.0
 """Log odds against covers, and against people's faces that stand so far before what the modes make."""
 
 
-@dataclass(frozen=True)
-class Uncovered:
-    """The scan without covers, the covers alone (None: there are none), and their area in mm^2."""
-
-    scan: ScanSurface
-    covers: ScanSurface | None = None
-    covered_mm2: float = 0.0
-
-
-def uncovered(scan: ScanSurface, model: AnnotatedSurface, reference: FloatArray, meter: Meter) -> Uncovered:
-    """Return the scan without what stands far before the eyes: lenses with their frame, a visor.
+def uncovered(
+    scan: ScanSurface, model: AnnotatedSurface, reference: FloatArray, meter: Meter
+) -> tuple[ScanSurface, ScanSurface | None, float]:
+    """Return the scan without what stands far before the eyes (lenses with their frame, a visor), what does,
+    if anything, and its area in mm^2.
 
     `reference` (C, 3) are control points at rest, in the scan's frame and about of its size. Models without
     landmarks, which do not say where eyes are, get the scan as it is.
     """
     if model.landmark_points is None or meter.exhausted or not _covers(scan, model, reference).any():
-        return Uncovered(scan)
+        return scan, None, 0.0
     cover = _covers(scan, model, persons_face(scan, model, reference))
     meter.count(STEPS)
     gone = np.any(cover[scan.faces], axis=1)
     if not gone.any() or gone.all():
-        return Uncovered(scan)
+        return scan, None, 0.0
     border = mesh.vertex_mask(len(cover), scan.faces[gone])
     covered_mm2 = float(mesh.face_areas(scan.vertices, scan.faces[gone]).sum())
-    return Uncovered(_part(scan, ~gone, border), _part(scan, gone, border), covered_mm2)
+    return _part(scan, ~gone, border), _part(scan, gone, border), covered_mm2
 
 
 def _part(scan: ScanSurface, chosen: BoolArray, border: BoolArray) -> ScanSurface:

@@ -12,7 +12,7 @@ from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import FitError
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.fitting.alignment import SIZE_SD, aligned, proportioned
-from scan2albedo.fitting.covers import Uncovered, uncovered
+from scan2albedo.fitting.covers import uncovered
 from scan2albedo.fitting.forces import MIN_ROBUST_MM, ForceGates
 from scan2albedo.fitting.landmark_pull import WRONG_MM, LandmarkPull, openings
 from scan2albedo.fitting.mouth_opening import corners_pulled, mouth_opened
@@ -118,26 +118,28 @@ def fit(
     pull = None if pull is None else pull.moved(correction)
     reference = model.front + similarity.scale * (model.control_vertices - model.front)
     steps = list[PlanStep]()
-    bare = uncovered(surface, model, reference, meter) if chosen.covers else Uncovered(surface)
-    if bare.covered_mm2 > 0:
+    bare, covers, covered_mm2 = surface, None, 0.0
+    if chosen.covers:
+        bare, covers, covered_mm2 = uncovered(surface, model, reference, meter)
+    if covered_mm2 > 0:
         reason = (
-            f"{bare.covered_mm2 / 100:.0f} cm2 of the scan lie far before the eyes, as glasses do; they are "
+            f"{covered_mm2 / 100:.0f} cm2 of the scan lie far before the eyes, as glasses do; they are "
             "left out, and the model's own shape stands there"
         )
         steps.append(PlanStep.doubt("fit.covers", reason))
     covered = np.zeros(len(scan.faces), bool)
-    if bare.covers is not None:
+    if covers is not None:
         points = transform_points(pose, scan.vertices)
-        apart, beside = (part.nearest.query(points).distance for part in (bare.covers, bare.scan))
+        apart, beside = (part.nearest.query(points).distance for part in (covers, bare))
         covered = np.any((apart <= beside)[scan.faces], axis=1)
-    deformation = Deformation(model, reference, bare.scan, chosen, meter, covered_mm2=bare.covered_mm2)
+    deformation = Deformation(model, reference, bare, chosen, meter, covered_mm2=covered_mm2)
     deformation = corners_pulled(mouth_opened(deformation, pull))
     if chosen.colors and not meter.exhausted:
         shown = scan.without_faces(covered) if covered.any() else scan
         painted = painted_pull(shown, pose, model, deformation.reference)
         pull = painted if pull is None else pull.with_more(painted)
     samples = SurfaceSamples.of(model, deformation.reference, 0)
-    reference = proportioned(bare.scan, samples, deformation.reference, chosen, meter, pull)
+    reference = proportioned(bare, samples, deformation.reference, chosen, meter, pull)
     if pull is not None:
         count = int((pull.numbers >= 0).sum())
         pull, left_out = pull.without_wrong(model, reference)
@@ -150,7 +152,7 @@ def fit(
             steps.append(PlanStep.doubt("fit.landmarks", reason))
     if pull is not None:
         reference = pull.followed(model, reference)
-        pull = pull.held(reference, bare.scan)
+        pull = pull.held(reference, bare)
     deformation = replace(deformation, reference=reference, landmarks=pull)
     q, ran = run_stages(deformation)
     fitted = fitted_face(deformation, q, ran, pose, similarity.scale, scan.name)

@@ -68,16 +68,6 @@ _DARKEST, _EVEN = 0.15, 0.02
 
 
 @dataclass(frozen=True)
-class PaintedFeature:
-    """Landmarks `numbers` (L,) seen in the colours at `places` (L, 2), `sigma_mm` (L,) each."""
-
-    name: str
-    numbers: tuple[int, ...]
-    places: FloatArray
-    sigma_mm: FloatArray
-
-
-@dataclass(frozen=True)
 class _Places:
     """Points (N,) of a feature by its line: `along` (N, 2) on the line, and `up` (N,) from there."""
 
@@ -163,23 +153,27 @@ def painted_pull(
     found = [] if landmarks is None else painted_features(scan, frame_from_scan, landmarks)
     if landmarks is None or model.landmark_points is None or not found:
         return None
-    numbers = [number for feature in found for number in feature.numbers]
-    places = np.concatenate([feature.places for feature in found])
+    sides, shown, sigma_mm = zip(*found, strict=True)
+    numbers = [number for side in sides for number in side.numbers]
+    places = np.concatenate(shown)
     return LandmarkPull(
         numbers=np.full(len(numbers), SHOWN_BY_COLOR),
         matrix=model.subdivision(LANDMARK_LEVELS).points_matrix(model.landmark_points)[numbers],
         targets=np.column_stack([places, landmarks[numbers, 2]]),
-        sigma_mm=np.concatenate([feature.sigma_mm for feature in found]),
+        sigma_mm=np.concatenate(sigma_mm),
         wrong_mm=np.full(len(numbers), np.inf),
-        axes=np.concatenate([np.tile([*_axes(f.name), 0.0], (len(f.numbers), 1)) for f in found]),
+        axes=np.concatenate([np.tile([*_axes(f.name), 0.0], (len(f.numbers), 1)) for f in sides]),
         still=np.isin(numbers, STILL),
     )
 
 
 def painted_features(
     scan: RawScan, frame_from_scan: FloatArray, landmarks: FloatArray
-) -> list[PaintedFeature]:
-    """Return what a scan's colours show of brows, eyes and lips, near landmarks (68, 3) of the model."""
+) -> list[tuple[_Template, FloatArray, FloatArray]]:
+    """Return brows, eyes and lips that a scan's colours show, near landmarks (68, 3) of the model.
+
+    Each with the places (L, 2) of its landmarks and their deviations (L,), mm.
+    """
     if not scan.has_color:
         return []
     low, high = landmarks[17:, :2].min(0) - _MARGIN_MM, landmarks[17:, :2].max(0) + _MARGIN_MM
@@ -207,7 +201,7 @@ def painted_features(
             error = _EXACT_MM[side.name] ** 2 + 1 / told
             # Its landmarks err alike: they count as six.
             sigma_mm = np.sqrt(error * max(len(side.numbers) / 6, 1))
-            found.append(PaintedFeature(side.name, side.numbers, places.mean(axis=0), sigma_mm))
+            found.append((side, places.mean(axis=0), sigma_mm))
     return found
 
 
