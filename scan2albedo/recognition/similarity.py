@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import RecognitionError
+from scan2albedo.geometry.rays import blocks
 from scan2albedo.recognition.templates import TemplateOptions, Templates, common_chart, image_coefficients
 
 STABILIZER = 1e-3
@@ -189,21 +190,19 @@ def comparable_similarities(a: Templates, b: Templates, window: int) -> FloatArr
     # Sums of weighed similarities over orientations and windows, and of weights, of all pairs. Templates of
     # the first set are prepared in parts, which bounds the memory: 0.5 MB a template of 256 pixels.
     totals, windows = np.empty((len(a), len(b))), np.empty((len(a), len(b)))
-    for top in range(0, len(a), 16 * LANES):
-        part = a.select(range(top, min(top + 16 * LANES, len(a))))
+    for above in blocks(len(a), 16 * LANES):
+        part = a.select(range(len(a))[above])
         rows, row_weight = _planes(part, window)
-        for left in range(0, len(b), LANES):
-            block = b.select(range(left, min(left + LANES, len(b))))
+        for beside in blocks(len(b), LANES):
+            block = b.select(range(len(b))[beside])
             columns, weight = _planes(block, window)
-            total, lane_weight = np.zeros((len(part), LANES)), _lanes(weight, LANES)
+            total, lane_weight = np.zeros((len(part), LANES)), _lanes(weight)
             for o in range(len(rows[0])):
-                own, lanes = [plane[o] for plane in rows], [_lanes(plane[o], LANES) for plane in columns]
-                _add_window_similarities(
-                    *own, row_weight, *lanes, lane_weight, window, np.float32(STABILIZER), total
-                )
-            here = slice(top, top + len(part)), slice(left, left + len(block))
-            totals[here] = total[:, : len(block)]
-            windows[here] = row_weight.reshape(len(part), -1) @ weight.reshape(len(block), -1).T
+                own, lanes = [plane[o] for plane in rows], [_lanes(plane[o]) for plane in columns]
+                settings = window, np.float32(STABILIZER)
+                _add_window_similarities(*own, row_weight, *lanes, lane_weight, *settings, total)
+            totals[above, beside] = total[:, : len(block)]
+            windows[above, beside] = row_weight.reshape(len(part), -1) @ weight.reshape(len(block), -1).T
     bands = a.coefficients.shape[1]
     return np.divide(totals, windows * bands, out=np.full(totals.shape, np.nan), where=windows > 0)
 
@@ -219,9 +218,9 @@ def _planes(templates: Templates, window: int) -> tuple[list[NDArray[np.float32]
     return [*planes, np.maximum(energy, 0).astype(np.float32)], _window_weights(templates.weight, window)
 
 
-def _lanes(plane: NDArray[np.float32], lanes: int) -> NDArray[np.float32]:
-    """Return (h, w, lanes) of (N <= lanes, h, w), 0 in the lanes left over."""
-    result = np.zeros((*plane.shape[1:], lanes), np.float32)
+def _lanes(plane: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return (h, w, LANES) of (N <= LANES, h, w), 0 in the lanes left over."""
+    result = np.zeros((*plane.shape[1:], LANES), np.float32)
     result[..., : len(plane)] = np.moveaxis(plane, 0, -1)
     return result
 

@@ -161,12 +161,9 @@ class PhotometricTerm:
         # The line of sight turns against the vertex: its derivative is -(I - v v^T) / distance.
         direct += across / distance[:, None, None]
         # direct - by_normal dn / dx, a block row for each of the used vertices.
-        shape = (3 * len(used), vertices.size)
-        at, turned = (
-            sparse.bsr_matrix((blocks / self.unit, used, np.arange(len(used) + 1)), shape=shape)
-            for blocks in (direct, by_normal)
-        )
-        jacobian = at - turned @ vertex_normal_jacobian(vertices, self.faces)
+        start, shape = np.arange(len(used) + 1), (3 * len(used), vertices.size)
+        moved, turned = (sparse.bsr_matrix((one, used, start), shape=shape) for one in (direct, by_normal))
+        jacobian = (moved - turned @ vertex_normal_jacobian(vertices, self.faces)) / self.unit
         _, weight = photometric_penalty(off)
         return LocalTerm(jacobian, (weight * off).ravel(), weight.ravel())
 
