@@ -1,4 +1,4 @@
-"""One flip-free chart of a disc-like surface in the unit square: Tutte, SLIM, xatlas."""
+"""One flip-free chart of a disc-like surface in the unit square: Tutte, SLIM."""
 
 import numpy as np
 
@@ -10,8 +10,6 @@ from scan2albedo.geometry.operators import filled_over_mesh
 SQUARENESS = 2.5
 """Exponent p of the boundary curve ``|x|^p + |y|^p = 1``: 2 is a circle (78 % of the square), 2.5 fills 85 %,
 3 fills 88 %. The corners take up some angular distortion."""
-LAST_ATLAS: list[object] = []
-"""Kept until the next one: an atlas that ends too soon can wait forever for a thread that goes to sleep."""
 
 
 def parametrize_disc(vertices: FloatArray, faces: IntArray, *, mirror: IntArray | None = None) -> FloatArray:
@@ -24,25 +22,11 @@ def parametrize_disc(vertices: FloatArray, faces: IntArray, *, mirror: IntArray 
     .. [1] W. T. Tutte, "How to draw a graph", 1963.
     .. [2] M. Rabinovich et al., "Scalable Locally Injective Mappings", ACM TOG 36(2), 2017.
     """
-    import xatlas
-
     index = np.asarray(faces, np.int64)
     uv = flatten_disc(vertices, index, mirror=mirror)
-    # Fill the unit square, xatlas's margin around the chart, its centre at 0.5.
+    # Fill the unit square but for the margin that xatlas leaves around a chart of 512 texels.
     low, high = uv.min(0), uv.max(0)
-    unit = (uv - low) / (high - low)
-    LAST_ATLAS[:] = [atlas := xatlas.Atlas()]
-    atlas.add_uv_mesh(unit.astype(np.float32), index.astype(np.uint32))
-    pack = xatlas.PackOptions()
-    pack.padding, pack.resolution = 2, 512
-    pack.rotate_charts = pack.rotate_charts_to_axis = False
-    atlas.generate(pack_options=pack)
-    origin, _, packed = atlas.get_mesh(0)
-    span = packed.max(0) - packed.min(0)
-    if atlas.chart_count != 1 or len(np.unique(origin)) != len(uv) or span.min() <= 0:
-        raise ModelError(f"xatlas packed {atlas.chart_count} charts or lost vertices, expected one chart")
-    # float32 and texel snapping are xatlas's; its scale is kept, the double precision coordinates too.
-    uv = 0.5 + (unit - 0.5) * np.minimum(span, 1.0)
+    uv = 0.5 + ((uv - low) / (high - low) - 0.5) * (516 / 517)
     flipped = int(np.sum(signed_areas(uv, index) <= 0))
     if flipped:
         said = f"the chart has {flipped} of {len(index)} faces flipped or without area"

@@ -10,6 +10,7 @@ import threading
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from tempfile import TemporaryFile
 
 from scan2albedo.errors import OutputError, one_line
 from scan2albedo.io import leftovers
@@ -266,13 +267,10 @@ def cannot_write(out: Path) -> Iterator[None]:
 def check_writable(out: Path) -> None:
     """Prove that a file can be written in `out`, made if missing. Raises OutputError with the cause."""
     make_folder(out)
-    probe = hidden_path(out / "probe")
     try:
-        probe.touch(exist_ok=False)
+        TemporaryFile(dir=out).close()
     except OSError as error:
         raise OutputError(f"cannot write into {out}: {error.strerror}; choose another folder") from error
-    finally:
-        finished(probe)
 
 
 @contextmanager

@@ -195,17 +195,6 @@ class GltfFile:
             node["name"] = str(number)
         return glb_bytes(tree, self.rest) if self.binary else json.dumps(tree).encode()
 
-    def inverse_binds(self, skin: int) -> FloatArray:
-        """Return (J, 4, 4) inverse bind matrices of a skin; identities where it has none."""
-        entry = self.tree["skins"][skin]
-        count = len(entry["joints"])
-        if "inverseBindMatrices" not in entry:
-            return np.tile(np.eye(4), (count, 1, 1))
-        accessor = self.tree["accessors"][entry["inverseBindMatrices"]]
-        if accessor["componentType"] != 5126 or accessor["type"] != "MAT4" or "bufferView" not in accessor:
-            raise ValueError("inverse bind matrices are not stored as plain 4x4 floats")
-        return self._array(accessor)[:count].reshape(count, 4, 4).transpose(0, 2, 1).astype(np.float64)
-
     def _numbers(self, accessor: dict[str, Any]) -> FloatArray:
         """Return (count, components) of an accessor, whole numbers as parts of their range (glTF 3.6.2)."""
         if "bufferView" not in accessor and "sparse" not in accessor:
@@ -213,17 +202,17 @@ class GltfFile:
         shape = accessor["count"], _COMPONENTS[accessor["type"]]
         stored = np.zeros(shape, _DTYPES[accessor["componentType"]])
         if "bufferView" in accessor:
-            stored[:] = self._array(accessor)
+            stored[:] = self.array(accessor)
         if "sparse" in accessor:
             few = accessor["sparse"]
-            at = self._array({"type": "SCALAR", "count": few["count"], **few["indices"]})[:, 0]
-            stored[at] = self._array({**accessor, "byteOffset": 0, "count": few["count"], **few["values"]})
+            at = self.array({"type": "SCALAR", "count": few["count"], **few["indices"]})[:, 0]
+            stored[at] = self.array({**accessor, "byteOffset": 0, "count": few["count"], **few["values"]})
         quantized = "KHR_mesh_quantization" in self.tree.get("extensionsUsed", ())
         if stored.dtype.kind == "f" or not accessor.get("normalized", not quantized):
             return stored.astype(np.float64)
         return np.maximum(stored / np.iinfo(stored.dtype).max, -1)
 
-    def _array(self, accessor: dict[str, Any]) -> NDArray[Any]:
+    def array(self, accessor: dict[str, Any]) -> NDArray[Any]:
         """Return (count, components) what an accessor of a buffer view holds."""
         dtype, width = np.dtype(_DTYPES[accessor["componentType"]]), _COMPONENTS[accessor["type"]]
         view = self.tree["bufferViews"][accessor["bufferView"]]
@@ -405,8 +394,14 @@ def _skinning_transforms(
     total = weights.sum(1, keepdims=True)
     if not (total > 0).all():
         raise ValueError("a vertex of a skinned mesh has no weights")
-    places = np.array([scene.graph[str(joint)][0] for joint in file.tree["skins"][skin]["joints"]])
-    transforms = places @ file.inverse_binds(skin)
+    entry = file.tree["skins"][skin]
+    transforms = np.array([scene.graph[str(joint)][0] for joint in entry["joints"]])
+    if "inverseBindMatrices" in entry:  # else they are identities
+        accessor = file.tree["accessors"][entry["inverseBindMatrices"]]
+        if accessor["componentType"] != 5126 or accessor["type"] != "MAT4" or "bufferView" not in accessor:
+            raise ValueError("inverse bind matrices are not stored as plain 4x4 floats")
+        columns = file.array(accessor)[: len(transforms)].reshape(len(transforms), 4, 4)
+        transforms = transforms @ columns.transpose(0, 2, 1).astype(np.float64)
     blended, block = np.empty((len(joints), 4, 4)), 1 << 16  # to spare memory
     for start in range(0, len(joints), block):
         rows = slice(start, start + block)

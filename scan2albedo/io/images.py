@@ -206,11 +206,9 @@ def write_exr_channels(path: str | Path, channels: dict[str, NDArray[np.float32]
 def write_exr(path: str | Path, linear: ArrayLike) -> None:
     """Write a linear image (H, W, 3 or 4), or (H, W) as channel Y; see `write_exr_channels` for errors."""
     image = np.asarray(linear, np.float32)
-    if image.ndim == 2:
-        write_exr_channels(path, {"Y": image})
-    else:
-        _check_rgb(image)
-        write_exr_channels(path, {c: image[..., i] for i, c in enumerate("RGBA"[: image.shape[2]])})
+    _check_shape(image)
+    planes = np.moveaxis(np.atleast_3d(image), 2, 0)
+    write_exr_channels(path, dict(zip("Y" if image.ndim == 2 else "RGBA", planes, strict=False)))
 
 
 def write_png(path: str | Path, image: ArrayLike) -> None:
@@ -251,8 +249,7 @@ def encode_image(image: ArrayLike, extension: str, floats: type = np.uint8) -> b
     from PIL import Image
 
     array = np.asarray(image)
-    if array.ndim != 2:
-        _check_rgb(array)
+    _check_shape(array)
     if array.dtype.kind == "f":
         if not np.isfinite(array).all():
             raise ValueError(f"an image of shape {array.shape} holds NaN or infinite values")
@@ -285,8 +282,8 @@ def encode_image(image: ArrayLike, extension: str, floats: type = np.uint8) -> b
     return file.getvalue()
 
 
-def _check_rgb(image: NDArray[np.generic]) -> None:
-    if image.ndim != 3 or image.shape[2] not in (3, 4):
+def _check_shape(image: NDArray[np.generic]) -> None:
+    if image.ndim != 2 and (image.ndim != 3 or image.shape[2] not in (3, 4)):
         raise ValueError(f"an image has shape {image.shape}, expected (H, W), (H, W, 3) or (H, W, 4)")
 
 

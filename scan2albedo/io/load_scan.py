@@ -188,8 +188,7 @@ def input_sha256(source: str | Path | RawScan, textures: str | Path | None = Non
         for file in files_of_scan(Path(source), textures):
             digest.update(f"{file.stat().st_size}:".encode())
             with file.open("rb") as opened:
-                while block := opened.read(1 << 20):
-                    digest.update(block)
+                hashlib.file_digest(opened, lambda: digest)
     except OSError as error:
         raise ScanError(f"{source}: cannot be read: {error.strerror or error}; check the path") from error
     return digest.hexdigest()

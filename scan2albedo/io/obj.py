@@ -12,7 +12,7 @@ from scan2albedo.io import limits, parsed_mesh
 from scan2albedo.io import text_tables as tables
 from scan2albedo.io.atomic import write_text
 from scan2albedo.io.color import linear_of_srgb_numbers
-from scan2albedo.io.parsed_mesh import Material, MaterialText, ParsedMesh, ScanFolder, ScanPictures, decoded
+from scan2albedo.io.parsed_mesh import GREY, Material, ParsedMesh, ScanFolder, ScanPictures, decoded
 
 
 class ObjLines:
@@ -142,7 +142,7 @@ def _plain_text(data: bytes) -> bytes:
 def files_of_obj(path: Path, folder: ScanFolder) -> list[str]:
     """Return the names of the material libraries and textures of an OBJ file."""
     names: list[str] = []
-    materials: dict[str, MaterialText] = {}
+    materials: dict[str, Material] = {}
     text = _plain_text(limits.read_bytes(path))
     for match in re.findall(rb"^[ \t]*mtllib[ \t]+([^\n]+)", text, re.MULTILINE):
         for library in folder.library_names(decoded(match).strip()):
@@ -166,7 +166,7 @@ def _materials(
     """Return (material index of each polygon or None, materials used, notes)."""
     notes: list[str] = []
     # The materials of all libraries that the file names.
-    known: dict[str, MaterialText] = {}
+    known: dict[str, Material] = {}
     words = list(dict.fromkeys(lines.names(b"mtllib")))
     limits.require_at_most(lines.name, "material libraries", len(words), limits.MATERIALS, "join them")
     total, folder = 0, pictures.folder
@@ -196,5 +196,5 @@ def _materials(
     index = np.where(current < 0, -1, number[np.maximum(current, 0)])
     lost = (name for name in order if name not in known)
     notes += [f"material {name} is not in the material library: went on without it" for name in lost]
-    materials, lacking = pictures.materials(known.get(name, MaterialText(name)) for name in order)
+    materials, lacking = pictures.materials(known.get(name, Material(name, None, GREY)) for name in order)
     return index, materials, tuple(dict.fromkeys((*notes, *lacking)))

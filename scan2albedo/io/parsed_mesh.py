@@ -87,18 +87,24 @@ def _folded(name: str) -> str:
     return unicodedata.normalize("NFC", name).casefold()
 
 
+GREY = (float(srgb_to_linear(0.5)),) * 3
+"""Base colour of materials of which OBJ, MTL and PLY files say none."""
+
+
 @dataclass(frozen=True)
 class Material:
     """One surface material; its base colour shows where it has no texture (H, W, 3), or none was found.
 
     A texture (H, W, 4) has alpha, which is 0 where no picture showed the surface. `uv_placement` is
-    the scale (2) and the offset (2) with which coordinates look it up.
+    the scale (2) and the offset (2) with which coordinates look it up. `texture_file` is the picture that an
+    MTL or PLY file names, in which `ScanPictures` finds the texture.
     """
 
     name: str
     texture_linear: NDArray[np.float32] | None = None
     base_color_linear: tuple[float, float, float] = (0.5, 0.5, 0.5)
     uv_placement: tuple[float, ...] = (1, 1, 0, 0)
+    texture_file: str | None = None
 
 
 @dataclass(frozen=True)
@@ -161,16 +167,6 @@ _OPTION = re.compile(
 )
 
 
-@dataclass(frozen=True)
-class MaterialText:
-    """Name, diffuse colour (sRGB as written), texture file and how it is moved, of one `newmtl` block."""
-
-    name: str
-    diffuse_srgb: tuple[float, float, float] = (0.5, 0.5, 0.5)
-    texture_file: str | None = None
-    uv_placement: tuple[float, ...] = Material.uv_placement
-
-
 def decoded(data: bytes) -> str:
     """Return text of an OBJ or MTL file; bytes that are no UTF-8 are kept as surrogates."""
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
@@ -178,8 +174,8 @@ def decoded(data: bytes) -> str:
     return data.removeprefix(codecs.BOM_UTF8).decode("utf-8", "surrogateescape")
 
 
-def parse_mtl(text: str) -> dict[str, MaterialText]:
-    """Return the materials of an MTL text by name, with spaces in names.
+def parse_mtl(text: str) -> dict[str, Material]:
+    """Return the materials of an MTL text by name, with spaces in names; `ScanPictures` reads their textures.
 
     Of the options of a picture `-s` and `-o` are read, others skipped. Shadeless exports have the picture in
     `map_Ka` or `map_Ke`; it is taken where `map_Kd` is missing.
@@ -187,7 +183,7 @@ def parse_mtl(text: str) -> dict[str, MaterialText]:
     >>> parse_mtl("newmtl skin\\nKd 1 0 0\\nmap_Kd -s 1 1 1 -clamp on my face.png")["skin"].texture_file
     'my face.png'
     """
-    materials: dict[str, MaterialText] = {}
+    materials: dict[str, Material] = {}
     name = None
     for raw in text.splitlines():
         if len(raw) > limits.NAME_BYTES:
@@ -196,14 +192,14 @@ def parse_mtl(text: str) -> dict[str, MaterialText]:
         keyword, rest = keyword.lower(), rest.strip()
         if keyword == "newmtl":
             name = rest
-            materials[name] = MaterialText(name)
+            materials[name] = Material(name, base_color_linear=GREY)
         elif name is not None and keyword == "kd":
             try:
                 values = [min(max(float(token), 0.0), 1.0) for token in rest.split()[:3]]
             except ValueError:
                 values = []
-            red, green, blue = {1: values * 3, 3: values}.get(len(values), MaterialText.diffuse_srgb)
-            materials[name] = replace(materials[name], diffuse_srgb=(red, green, blue))
+            red, green, blue = srgb_to_linear({1: values * 3, 3: values}.get(len(values), [0.5] * 3)).tolist()
+            materials[name] = replace(materials[name], base_color_linear=(red, green, blue))
         elif name is not None and rest and keyword in ("map_kd", "map_ka", "map_ke"):
             if keyword != "map_kd" and materials[name].texture_file is not None:
                 continue
@@ -227,16 +223,15 @@ class ScanPictures:
     pixels: int = 0
     read: dict[Path, NDArray[np.float32] | str] = field(default_factory=dict)
 
-    def materials(self, texts: Iterable[MaterialText]) -> tuple[tuple[Material, ...], tuple[str, ...]]:
+    def materials(self, named: Iterable[Material]) -> tuple[tuple[Material, ...], tuple[str, ...]]:
         """Return materials with textures, and notes on missing or damaged ones; may raise TooLargeError."""
         materials, notes = [], []
-        for text in texts:
-            red, green, blue = (float(c) for c in srgb_to_linear(text.diffuse_srgb))
-            picture = None if text.texture_file is None else self._picture(text.texture_file)
+        for one in named:
+            picture = None if one.texture_file is None else self._picture(one.texture_file)
             if isinstance(picture, str):
                 notes.append(f"{picture}: went on without it")
                 picture = None
-            materials.append(Material(text.name, picture, (red, green, blue), text.uv_placement))
+            materials.append(replace(one, texture_linear=picture))
         return tuple(materials), tuple(notes)
 
     def _picture(self, name: str) -> NDArray[np.float32] | str:
@@ -273,7 +268,7 @@ class ScanPictures:
             return materials, notes
         for name in self.folder.or_named_like(scan, []):
             if (file := self.folder.find(name)) is not None:
-                found, _ = self.materials([MaterialText(file.name, texture_file=file.name)])
+                found, _ = self.materials([Material(file.name, None, GREY, texture_file=file.name)])
                 if found[0].texture_linear is None:
                     break
                 lacking = (note.partition(": went on without")[0] for note in notes)

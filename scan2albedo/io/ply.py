@@ -14,7 +14,7 @@ from scan2albedo.geometry.operators import vertex_average
 from scan2albedo.io import limits, parsed_mesh
 from scan2albedo.io.color import linear_of_srgb_numbers
 from scan2albedo.io.obj import ObjLines
-from scan2albedo.io.parsed_mesh import MaterialText, ParsedMesh, ScanFolder, ScanPictures, damaged
+from scan2albedo.io.parsed_mesh import GREY, Material, ParsedMesh, ScanFolder, ScanPictures, damaged
 from scan2albedo.io.text_tables import NumberLines, byte_ranges, number_lines, walk_rows
 
 _TYPES = {
@@ -152,7 +152,8 @@ def mesh_of_columns(
         colors = np.stack(means, axis=1).astype(np.float32)
     limits.require_at_most(path.name, "textures", len(texture_files), limits.MATERIALS, "join them into one")
     pictures = ScanPictures(folder)
-    materials, notes = pictures.materials(MaterialText(name, texture_file=name) for name in texture_files)
+    named = [Material(name, None, GREY, texture_file=name) for name in texture_files]
+    materials, notes = pictures.materials(named)
     materials, notes = pictures.or_named_like(path, uv, materials, notes)
     material = None
     if len(materials) > 1 and "texnumber" in of_face:

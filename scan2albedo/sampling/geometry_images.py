@@ -17,7 +17,6 @@ from scan2albedo.face_model.annotation import FittedSurface
 from scan2albedo.face_model.appearance import appearance, placed
 from scan2albedo.geometry.mesh import face_areas, normalized, turned_against_neighbours, vertex_normals
 from scan2albedo.geometry.operators import linear_refinement
-from scan2albedo.geometry.parametrization import LAST_ATLAS
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.geometry.rigid import compose, invert_rigid, transform_directions, transform_points
 from scan2albedo.io.color import linear_to_srgb, srgb_to_linear
@@ -29,6 +28,8 @@ _CHECK_SIZE = 48
 """Side of the grid on which the texture is held against the shape."""
 MOST_FACES = 15_000
 """Larger surfaces are simplified to this for charting: xatlas's time grows faster than linearly."""
+LAST_ATLAS: list[object] = []
+"""Kept until the next one: an atlas that ends too soon can wait forever for a thread that goes to sleep."""
 
 
 def geometry_image(fitted: FittedSurface, scan: RawScan | None, size: int = 512) -> GeometryImage:

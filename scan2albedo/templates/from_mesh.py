@@ -53,8 +53,7 @@ def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_s
     # The template vertices that it uses, and its faces among them.
     source, clean_faces = without_unreferenced(disc.vertices, disc.faces)
     clean, faces = disc.vertices[source], np.array(given.faces, np.int64)
-    start, control_faces = decimated(clean, clean_faces, control_size)
-    control = fit_limit_surface(start, control_faces, clean, clean_faces)
+    control, control_faces = fit_limit_surface(clean, clean_faces, control_size)
     subdivision = LoopSubdivision.of(len(control), control_faces, LANDMARK_LEVELS)
     # The cleaned vertices are placed on the limit surface, loose ones where the nearest of these is.
     inner = project(subdivision, control, clean, vertex_normals(clean, clean_faces))
@@ -217,34 +216,27 @@ def _landmarks(
     return SurfacePoints(placed.face[chosen], placed.barycentric[chosen])
 
 
-def decimated(vertices: FloatArray, faces: IntArray, size: int) -> tuple[FloatArray, IntArray]:
-    """Return a mesh of about `size` vertices, denser where the surface bends; smaller ones stay as they are.
+def fit_limit_surface(vertices: FloatArray, faces: IntArray, size: int) -> tuple[FloatArray, IntArray]:
+    """Return about `size` control vertices and faces whose limit surface passes near a dense mesh (K, 3).
 
-    Edges collapse shortest first, measured between (position, 12 mm times normal).
-    """
-    import igl
-
-    if len(vertices) <= 1.2 * size:
-        return vertices, faces
-    lifted = np.asfortranarray(np.hstack([vertices, 12 * vertex_normals(vertices, faces)]))
-    target = int(len(faces) * size / len(vertices))
-    collapsed, index, _, _ = igl.decimate(lifted, np.asfortranarray(faces.astype(np.int32)), target)
-    return np.ascontiguousarray(collapsed[:, :3]), np.asarray(index, np.int64)
-
-
-def fit_limit_surface(
-    start: FloatArray, control_faces: IntArray, vertices: FloatArray, faces: IntArray
-) -> FloatArray:
-    """Return the control vertices, from `start` (C, 3), whose limit surface passes near a dense mesh (K, 3).
-
-    Alternates projection of the dense vertices x_i on the limit surface, A_i P, with
+    The control mesh P_0 is the dense one with edges collapsed, shortest first as measured between (position,
+    12 mm times normal), so that it is denser where the surface bends; a small mesh keeps its vertices. Then
+    projection of the dense vertices x_i on the limit surface, A_i P, alternates with
 
         min_P  sum_i |A_i P - x_i|^2 + s N / C |L (P - P_0)|^2,  L the graph Laplacian, s small.
     """
+    import igl
+
+    start, control_faces, across = vertices, faces, vertex_normals(vertices, faces)
+    if len(vertices) > 1.2 * size:
+        lifted = np.asfortranarray(np.hstack([vertices, 12 * across]))
+        target = int(len(faces) * size / len(vertices))
+        collapsed, index, _, _ = igl.decimate(lifted, np.asfortranarray(faces.astype(np.int32)), target)
+        start, control_faces = np.ascontiguousarray(collapsed[:, :3]), np.asarray(index, np.int64)
     count = len(start)
     subdivision = LoopSubdivision.of(count, control_faces, 2)
     chosen = np.unique(np.linspace(0, len(vertices) - 1, min(len(vertices), 30_000)).astype(int))
-    targets, normals = vertices[chosen], vertex_normals(vertices, faces)[chosen]
+    targets, normals = vertices[chosen], across[chosen]
     ring = adjacency(count, control_faces)
     valence = np.maximum(np.asarray(ring.sum(1)).ravel(), 1)
     smooth = sparse.identity(count) - sparse.diags(1 / valence) @ ring
@@ -253,7 +245,7 @@ def fit_limit_surface(
     for _ in range(4):
         rows = subdivision.points_matrix(project(subdivision, control, targets, normals))
         control = splu((rows.T @ rows + stiff).tocsc()).solve(rows.T @ targets + stiff @ start)
-    return control
+    return control, control_faces
 
 
 def project(

@@ -11,6 +11,7 @@ from scan2albedo.errors import ModelError
 from scan2albedo.geometry import mesh as meshes
 from scan2albedo.geometry.mesh import boundary_loops, edges_with_faces, face_cross_products
 from scan2albedo.geometry.rigid import compose
+from scan2albedo.io.repair import first_equal_row
 
 MIN_VERTICES, MENDABLE_SHARE = 100, 0.02
 """A template with fewer vertices is refused, and one that is a surface only without more of its faces."""
@@ -63,8 +64,7 @@ def template_surface(vertices: FloatArray, faces: IntArray, name: str) -> Templa
     xyz = (given - origin) * UNITS_MM[unit]
     # Vertices at equal positions (UV seams) are joined, unless that makes an edge with three faces.
     step = 1e-7 * float(np.max(np.ptp(xyz, axis=0)))
-    _, first, inverse = np.unique(np.round(xyz / step), axis=0, return_index=True, return_inverse=True)
-    welded = _proper(xyz, first[inverse.ravel()][index])
+    welded = _proper(xyz, first_equal_row(np.round(xyz / step))[index])
     if len(welded) == 0 or int(edges_with_faces(welded)[1].max()) > 2:
         welded = _proper(xyz, index)
     if len(welded) == 0:
@@ -88,8 +88,7 @@ def _proper(xyz: FloatArray, faces: IntArray) -> IntArray:
     """Drop faces with a repeated corner, no area, or the same corners as an earlier face."""
     area = np.linalg.norm(face_cross_products(xyz, faces), axis=1)
     good = faces[area > 1e-14 * area.max()]
-    _, first = np.unique(np.sort(good, axis=1), axis=0, return_index=True)
-    return good[np.sort(first)]
+    return good[first_equal_row(np.sort(good, axis=1)) == np.arange(len(good))]
 
 
 def largest_component(vertex_count: int, faces: IntArray) -> IntArray:

@@ -5,6 +5,7 @@ import pytest
 
 from scan2albedo.errors import OutputError, ScanError
 from scan2albedo.io import load_scan
+from scan2albedo.io.color import srgb_to_linear
 from scan2albedo.io.load_scan import input_sha256
 from scan2albedo.io.obj import read_obj, write_obj
 from scan2albedo.io.parsed_mesh import ScanFolder, parse_mtl
@@ -235,8 +236,9 @@ def test_damaged_lines_are_named(tmp_path, text, message):
 
 
 def test_mtl_numbers_that_are_none_leave_the_default():
-    assert parse_mtl("newmtl a\nKd red green\n")["a"].diffuse_srgb == (0.5, 0.5, 0.5)
-    assert parse_mtl("newmtl a\nKd 0.25\n")["a"].diffuse_srgb == (0.25, 0.25, 0.25)
+    grey, quarter = srgb_to_linear([0.5, 0.25]).tolist()
+    assert parse_mtl("newmtl a\nKd red green\n")["a"].base_color_linear == (grey, grey, grey)
+    assert parse_mtl("newmtl a\nKd 0.25\n")["a"].base_color_linear == (quarter, quarter, quarter)
     assert parse_mtl("Kd 1 1 1\nmap_Kd lost.png\n") == {}
     assert parse_mtl("newmtl a\n\tmap_Kd\t2 faces.png\n")["a"].texture_file == "2 faces.png"
 

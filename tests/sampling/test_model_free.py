@@ -7,7 +7,6 @@ import xatlas
 
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import GeometryImageError
-from scan2albedo.geometry.parametrization import LAST_ATLAS
 from scan2albedo.sampling import geometry_image_of_scan, geometry_images
 
 
@@ -28,7 +27,7 @@ def test_an_atlas_outlives_its_chart():
     kept = []
     for _ in range(2):
         geometry_image_of_scan(RawScan(sphere.vertices, sphere.faces), 32)
-        kept += LAST_ATLAS
+        kept += geometry_images.LAST_ATLAS
     assert [type(atlas) for atlas in kept] == [xatlas.Atlas] * 2
     assert kept[0] is not kept[1]
 
