@@ -135,8 +135,9 @@ class LightModel:
         return Hypothesis(np.reshape(rows, (-1, 5)), reflectance, self.radius_deg)
 
     def soft(self, x: FloatArray) -> tuple[float, float, FloatArray]:
-        """Return soft light relative to ambient light of 1: its part that reaches hidden places, the mean albedo
-        by which the surface lights itself, and the environment's harmonics (8,)."""
+        """Return soft light relative to ambient light of 1: its part that reaches hidden places, the mean
+        albedo by which the surface lights itself, and the environment's harmonics (8,).
+        """
         tail, harmonics = self._values(x), np.zeros(HARMONICS)
         if self.environment:
             harmonics = x[self.position_of("environment") :][:HARMONICS]

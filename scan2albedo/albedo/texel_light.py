@@ -21,6 +21,7 @@ from scan2albedo.albedo.soft_terms import DARKEST
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.lighting.environment_light import open_shading, open_transfer
+from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.lighting.shading import Reflectance, Shading, shade_rows
 from scan2albedo.lighting.shadow_map import ShadowMap
 
@@ -209,11 +210,8 @@ def _soft_light(
     `lamps` (L, N) is the light of the lamps, of which it throws too; the colours are in their order.
     """
     model, mask, caster = solution.model, scene.image.mask, scene.shadows[0]
-    fill, albedo, waves = model.soft(solution.x)
-    occluded, waves = (
-        caster is not None,
-        np.vstack([colours.ambient, waves[:, None] + colours.harmonics]),
-    )
+    fill, albedo, own = model.soft(solution.x)
+    occluded, waves = caster is not None, np.vstack([colours.ambient, own[:, None] + colours.harmonics])
     environment = EnvironmentLight(waves, occluded=occluded, fill=fill, bounce=albedo)
     light = harmonics(scene.image.normal[mask], 2) @ open_shading(environment)
     if caster is None:
@@ -225,6 +223,6 @@ def _soft_light(
     hidden[:, 0] *= 1 - fill
     change = -hidden @ waves
     if terms.bounce is not None and albedo:
-        direct = cell_means(level, lamps.sum(0), mask) + terms.transfer[:, 1:] @ waves
+        direct = cell_means(level, lamps.sum(0), mask) + terms.transfer[:, 1:] @ own
         change += albedo * terms.bounce(direct)[:, None] * colours.bounce
     return environment, light + along_surface(level, change, scene.image)
