@@ -297,10 +297,7 @@ def batch(
 @app.command()
 @_with_flags("size", "quality", "seed")
 def demo(
-    context: typer.Context,
-    out: OutOption = Path("demo_out"),
-    json_summary: JsonOption = False,
-    **flags: Any,
+    context: typer.Context, out: OutOption = Path("demo_out"), json_summary: JsonOption = False, **flags: Any
 ) -> None:
     """Process the built-in raw scan and print the error against its ground truth."""
     _process_options(context)

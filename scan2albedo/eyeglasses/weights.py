@@ -177,12 +177,7 @@ def solve_lattice(
 
 
 def minimize_bounded(
-    matrix: sparse.csr_matrix,
-    right: FloatArray,
-    *,
-    tolerance: float,
-    max_steps: int = 60,
-    meter: Meter,
+    matrix: sparse.csr_matrix, right: FloatArray, *, tolerance: float, max_steps: int = 60, meter: Meter
 ) -> BoundedMinimum:
     """Minimise x^T A x / 2 - b^T x over 0 <= x <= 1 for each column b (N,) of `right`, A positive definite.
 

@@ -294,11 +294,7 @@ def _assembled(
                 labels = np.where(more, other.labels, labels)
             shown = shown | more
         image = replace(
-            image,
-            texture_linear=common.albedo_linear,
-            texture_valid=seen & mask,
-            skin=skin,
-            labels=labels,
+            image, texture_linear=common.albedo_linear, texture_valid=seen & mask, skin=skin, labels=labels
         )
         rows += common.plan
         maps = {"coverage.png": common.coverage / len(spool.names), "disagreement.png": common.disagreement}

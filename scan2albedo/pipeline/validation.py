@@ -9,14 +9,7 @@ from numpy.typing import NDArray
 
 from scan2albedo.albedo import albedo_error, estimate_albedo
 from scan2albedo.core.lights import PointLight
-from scan2albedo.synthetic import (
-    Material,
-    SyntheticScene,
-    face,
-    hemisphere,
-    light_at,
-    with_normal_error,
-)
+from scan2albedo.synthetic import Material, SyntheticScene, face, hemisphere, light_at, with_normal_error
 
 PAPER_MSE_PERCENT = {"hemisphere": 1.07, "face": 2.01}
 """The paper's albedo MSE by scene."""
