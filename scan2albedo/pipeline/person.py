@@ -263,12 +263,12 @@ def _assembled(
     near, first = np.full(len(shape.vertices), np.nan), next(spool.fits())
     for fit in spool.fits():
         near = np.fmin(near, fit.residual_mm)
+    found_shape = {
+        name: getattr(shape, name) for name in ("vertices", "faces", "control_points", "landmarks")
+    }
     neutral = replace(
         first,
-        vertices=shape.vertices,
-        faces=shape.faces,
-        control_points=shape.control_points,
-        landmarks=shape.landmarks,
+        **found_shape,
         template_vertices=shape.model.template_of(shape.control_points),
         residual_mm=near,
         metrics={
@@ -298,23 +298,18 @@ def _assembled(
         )
         rows += common.plan
         maps = {"coverage.png": common.coverage / len(spool.names), "disagreement.png": common.disagreement}
+        taken = ("albedo_linear", "expected_error", "plan", "trace", "converged")
+        shared: dict[str, Any] = {name: getattr(common, name) for name in taken}
+        shared |= dict.fromkeys(("uncertainty", "albedo_deviation", "environment"))
         estimate = replace(
             lit,
-            albedo_linear=common.albedo_linear,
+            **shared,
             lights=(),
-            parameters=lit.parameters,
             shading=np.repeat(mask[..., None], 3, 2).astype(np.float32),
             specular=np.zeros(mask.shape, np.float32),
             shadow=mask.astype(np.float32),
             confidence=1 - common.expected_error,
-            plan=common.plan,
-            trace=common.trace,
-            converged=common.converged,
             image=image,
-            uncertainty=None,
-            albedo_deviation=None,
-            environment=None,
-            expected_error=common.expected_error,
         )
     return PersonResult(
         scan=RawScan(shape.vertices, shape.faces, name=name),

@@ -47,20 +47,12 @@ class GlassesShape:
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> Self:
         """Return measures in the range that opticians sell."""
+        ranges = {"lens_width": (46, 56), "lens_height": (32, 46), "squareness": (2.1, 3.4)}
+        ranges |= {"bridge_width": (15, 22), "bridge_height": (4.2, 6), "rim_width": (2.6, 4.5)}
+        ranges |= {"rim_depth": (3, 4.5), "wrap_radius": (180, 400), "temple_length": (135, 150)}
+        ranges |= {"temple_spread": (0, 6), "temple_height": (4, 7), "temple_width": (2.4, 3.6)}
         return cls(
-            lens_width=rng.uniform(46, 56),
-            lens_height=rng.uniform(32, 46),
-            squareness=rng.uniform(2.1, 3.4),
-            bridge_width=rng.uniform(15, 22),
-            bridge_height=rng.uniform(4.2, 6),
-            rim_width=rng.uniform(2.6, 4.5),
-            rim_depth=rng.uniform(3, 4.5),
-            wrap_radius=rng.uniform(180, 400),
-            temple_length=rng.uniform(135, 150),
-            temple_spread=rng.uniform(0, 6),
-            temple_height=rng.uniform(4, 7),
-            temple_width=rng.uniform(2.4, 3.6),
-            ear_angle_deg=rng.uniform(35, 50),
+            **{name: rng.uniform(*pair) for name, pair in {**ranges, "ear_angle_deg": (35, 50)}.items()}
         )
 
     @property

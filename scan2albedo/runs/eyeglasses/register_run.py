@@ -206,14 +206,12 @@ def write_registration_files(done: PlacedFrame, out: Path) -> dict[str, Any]:
             inputs=dict(given.files),
             mm_per_unit=given.frame.mm_per_unit,
             world_from_glasses=plain_json(result.world_from_glasses),
-            converged=result.converged,
-            iterations=result.iterations,
-            seconds=done.seconds,
-            depth_observed=result.depth_observed,
-            unobserved=result.unobserved,
-            views=done.views,
+            **{
+                name: getattr(result, name)
+                for name in ("converged", "iterations", "depth_observed", "unobserved")
+            },
+            **{name: getattr(done, name) for name in ("seconds", "views", "notes")},
             plan=result.plan.steps,
             metrics=figures,
-            notes=done.notes,
         )
     return figures
