@@ -146,10 +146,8 @@ def _of_table(text: str, file: Path) -> _Points:
 
 
 def _of_json(text: str, file: Path) -> _Points:
-    try:
+    with errors_of(f"{file}: is no JSON", ScanError, ValueError, RecursionError, advice=_ADVICE):
         tree = parse_json(file.name, text.encode())
-    except (ValueError, RecursionError) as error:
-        raise ScanError(f"{file}: is no JSON ({error}); {_ADVICE}") from error
     listed = tree.get("landmarks", tree) if isinstance(tree, dict) else tree
     if isinstance(listed, dict):
         listed = [{"number": number, "scan": place} for number, place in listed.items()]
@@ -164,10 +162,9 @@ def _of_json(text: str, file: Path) -> _Points:
 
 
 def _of_picked_points(text: str, file: Path) -> _Points:
-    try:
+    faults, said = (ElementTree.ParseError, RecursionError), f"{file}: is not a file of picked points"
+    with errors_of(said, ScanError, *faults, advice=_ADVICE):
         tree = ElementTree.fromstring(text)
-    except (ElementTree.ParseError, RecursionError) as error:
-        raise ScanError(f"{file}: is not a file of picked points ({error}); {_ADVICE}") from error
     for index, point in enumerate(tree.iter("point")):
         if point.get("active", "1") != "0":
             place = [point.get(axis) for axis in "xyz"]
