@@ -127,8 +127,7 @@ def _manifold(faces: IntArray, name: str) -> tuple[IntArray, int]:
     if len(kept) < len(faces):
         kept = largest_component(int(faces.max()) + 1, kept)
     oriented = np.asarray(igl.bfs_orient(kept)[0], np.int64)
-    directed = oriented[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    if len(np.unique(directed, axis=0)) < len(directed):
+    if meshes.neighbouring_faces(oriented)[2].any():
         raise ModelError(f"{name}: the surface cannot be oriented (it is one-sided); use an orientable mesh")
     return oriented, len(faces) - len(kept)
 
