@@ -17,7 +17,7 @@ from typing import Any
 from scan2albedo.batch import worker
 from scan2albedo.batch.records import BatchScanRecord, Layout
 from scan2albedo.batch.worker import ScanTask
-from scan2albedo.errors import BatchError, OutputError, Scan2AlbedoError, needs_extra
+from scan2albedo.errors import BatchError, OutputError, Scan2AlbedoError, errors_of, needs_extra
 from scan2albedo.io import limits
 from scan2albedo.io.images import SUPPORTED_IMAGES, declared_pixels
 from scan2albedo.io.load_scan import files_of_scan
@@ -135,10 +135,9 @@ def run_on_cluster(
     """
     with needs_extra("cluster"):
         from distributed import Client
-    try:
+    said, faults = f"no dask scheduler answers at {address}", (OSError, TimeoutError, ValueError)
+    with errors_of(said, BatchError, *faults, advice="check the address"):
         client = Client(address, set_as_default=False)
-    except (OSError, TimeoutError, ValueError) as error:
-        raise BatchError(f"no dask scheduler answers at {address} ({error}); check the address") from error
     with client:
         if not client.nthreads():
             raise BatchError(f"the scheduler at {address} has no worker; start one: dask worker {address}")

@@ -286,10 +286,8 @@ class _Run:
         """Return how many processes to use for these tasks: as many as fit into memory now."""
         asked = min(self.asked, len(tasks))
         peaks = [row.peak_memory_mb or 0.0 for row in self.rows.values() if row.run == self.run]
-        paths, texels = (
-            [Path(path) for task in tasks for path in task.paths],
-            max(task.options.texels for task in tasks),
-        )
+        paths = [Path(path) for task in tasks for path in task.paths]
+        texels = max(task.options.texels for task in tasks)
         painted = (task.options for task in tasks if task.options.model not in ("default", "none"))
         template = max((options.texture_size for options in painted), default=0)
         worker = worker_mb(paths, texels, max(peaks, default=0.0), tasks[0].options.textures, template)

@@ -148,7 +148,8 @@ def _processed(task: ScanTask, layout: Layout) -> dict[str, Any]:
         earlier = layout.row(task.name)
         recorded = () if earlier is None else tuple(earlier.files)
         RunFolder(layout.out / task.name, FILES, recorded).check()  # refused before any work
-        chosen = task.options.arguments() | {"model": _model(task.options.model, task.model_sha256)}
+        model = _model(task.options.model, task.model_sha256)
+        chosen = task.options.arguments() | {"model": model, "name": task.name}
 
         def go_on(row: object = None) -> None:
             if not layout.is_running(task.run):
@@ -158,11 +159,9 @@ def _processed(task: ScanTask, layout: Layout) -> dict[str, Any]:
         sha256 = task.input_sha256() if task.members else None  # before, for the scans may change meanwhile
         if task.members:
             scans = dict(task.members)
-            result: ProcessResult = process_person(
-                scans, layout.out, name=task.name, on_progress=go_on, **chosen
-            )
+            result: ProcessResult = process_person(scans, layout.out, on_progress=go_on, **chosen)
         else:
-            result = process(task.path, name=task.name, **chosen)
+            result = process(task.path, **chosen)
             go_on()
             begin = time.perf_counter()
             files, pictures = task.options.files, task.options.pictures

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arguments import require_linear
 from scan2albedo.core.arrays import checked_mesh
-from scan2albedo.errors import GeometryImageError
+from scan2albedo.errors import GeometryImageError, errors_of
 
 SMALLEST_SIZE, LARGEST_SIZE = 8, 16384
 """A texel takes some hundred bytes on its way: 16384 texels a side are near 30 GB."""
@@ -86,10 +86,8 @@ class GeometryImage:
             if value is None:
                 continue
             if field == "texture_linear":
-                try:
+                with errors_of(field, GeometryImageError, TypeError):
                     require_linear(field, value)
-                except TypeError as error:
-                    raise GeometryImageError(str(error)) from None
             array = np.ascontiguousarray(value)
             wanted = grid if channels is None else (*grid, channels)
             if len(grid) != 2 or array.shape != wanted:

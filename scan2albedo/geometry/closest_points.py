@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.geometry.mesh import face_lists, face_normals, neighbour_lists, vertex_mask
+from scan2albedo.geometry.mesh import RayHits, face_lists, face_normals, neighbour_lists, vertex_mask
 
 _FARTHEST = 1e100
 MAX_EXACT_FACES = 100_000
@@ -18,16 +18,13 @@ MAX_EXACT_FACES = 100_000
 
 
 @dataclass(frozen=True)
-class ClosestHits:
-    """Closest points of a surface: `points` (N, 3), `face` (N,), `barycentric` (N, 3), `distance` (N,).
+class ClosestHits(RayHits):
+    """Closest points of a surface: as of a ray that hits it, and the `points` (N, 3) themselves.
 
     `vertex` (N,) is the nearest one to walk on from, where `NearestSurface` was asked.
     """
 
     points: FloatArray
-    face: IntArray
-    barycentric: FloatArray
-    distance: FloatArray
     vertex: IntArray | None = None
 
 
@@ -47,7 +44,7 @@ class ClosestPointQuery:
         targets = checked_points(points)
         squared, face, closest = self._tree.squared_distance(self._vertices, self._faces, targets)
         weights = barycentric_coordinates(closest, self._vertices[self._faces[face]])
-        return ClosestHits(closest, face, weights, np.sqrt(squared))
+        return ClosestHits(face, weights, np.sqrt(squared), closest)
 
     def query_facing(self, points: ArrayLike, normals: ArrayLike) -> ClosestHits:
         """Return the closest surface point whose face looks the way of each point's normal.
@@ -157,7 +154,7 @@ class NearestSurface:
         closest, face = np.empty((count, 3)), np.empty(count, np.int64)
         weights, distance = np.empty((count, 3)), np.empty(count)
         _closest_around(targets, vertex, *self.arrays, closest, face, weights, distance)
-        return ClosestHits(closest, face, weights, distance, vertex)
+        return ClosestHits(face, weights, distance, closest, vertex)
 
 
 @njit(cache=True, nogil=True)

@@ -28,8 +28,7 @@ def project(camera: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatAr
     """Return pixels (N, 2), NaN where depth <= 0, and depths (N,) in a normalised camera (3, 4)."""
     image = points @ camera[:, :3].T + camera[:, 3]
     depth = image[:, 2]
-    front = depth > 0
-    return np.where(front[:, None], image[:, :2] / np.where(front, depth, 1.0)[:, None], np.nan), depth
+    return image[:, :2] / np.where(depth > 0, depth, np.nan)[:, None], depth
 
 
 def projected(cameras: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:

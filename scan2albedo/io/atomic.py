@@ -244,8 +244,7 @@ def result_folder(
     target = Path(os.path.realpath(out))
     with cannot_write(out), staged(target, staged_in and Path(os.path.realpath(staged_in))) as staging:
         yield staging
-        with folder_lock(target) as locked:
-            leftovers.roll_back(target, locked)
+        with folder_lock(target):
             # A record may have been edited: nothing outside `out` is touched.
             publish(staging, target, {name for name in obsolete if Path(name).name == name}, records)
 

@@ -78,10 +78,8 @@ def read_geometry_image(path: str | Path) -> GeometryImage:
                 f"{file.name}: format version {version} is newer than {FORMAT_VERSION}; update scan2albedo"
             )
     elif file.suffix.lower() == ".exr":
-        try:
+        with errors_of(str(file), GeometryImageError, ScanError):
             channels = read_exr_channels(file)
-        except ScanError as error:
-            raise GeometryImageError(str(error)) from error
         for field, stored in _NAME_IN_FILE.items():
             letters = _EXR_CHANNELS.get(field, "Y")
             planes = [channels[f"{stored}.{c}"] for c in letters if f"{stored}.{c}" in channels]

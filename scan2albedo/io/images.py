@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.errors import OutputError, ScanError, needs_extra, one_line
+from scan2albedo.errors import OutputError, ScanError, errors_of, needs_extra, one_line
 from scan2albedo.io import limits
 from scan2albedo.io.atomic import atomic_path, write_bytes
 from scan2albedo.io.color import decode_picture, encode_srgb_integers, label_colors
@@ -197,10 +197,9 @@ def write_exr_channels(path: str | Path, channels: dict[str, NDArray[np.float32]
         raise ValueError(f"{path}: channel {wrong[0]} holds NaN or infinite values; nothing is written")
     with atomic_path(path) as temporary:
         temporary.touch()
-        try:
+        advice = "check the space left in its folder"
+        with errors_of(f"cannot write {path}", OutputError, RuntimeError, advice=advice):
             OpenEXR.File(header, stored).write(str(temporary))
-        except RuntimeError as error:
-            raise OutputError(f"cannot write {path}: {error}; check the space left in its folder") from error
 
 
 def write_exr(path: str | Path, linear: ArrayLike) -> None:

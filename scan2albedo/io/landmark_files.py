@@ -1,6 +1,5 @@
 """Landmarks as files: those of a fitted face, and those placed on a scan (CSV, JSON, MeshLab)."""
 
-import csv
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -66,14 +65,11 @@ class LandmarksRecord(Record):
 
 def write_landmarks_csv(file: Path, record: LandmarksRecord) -> None:
     """Write the landmarks as a table, a row each."""
-    with file.open("w", encoding="utf-8", newline="") as opened:
-        writer = csv.writer(opened, lineterminator="\n")
-        places = ("model_x_mm", "model_y_mm", "model_z_mm", "scan_x", "scan_y", "scan_z")
-        writer.writerow(("number", "part", *places, "deviation_mm"))
-        for point in record.landmarks:
-            scan = (f"{value:.9g}" for value in point.scan)
-            model_mm = (f"{value:.4f}" for value in point.model_mm)
-            writer.writerow((point.number, point.part, *model_mm, *scan, f"{point.deviation_mm:.2f}"))
+    rows = ["number,part,model_x_mm,model_y_mm,model_z_mm,scan_x,scan_y,scan_z,deviation_mm"]
+    for point in record.landmarks:
+        places = [f"{value:.4f}" for value in point.model_mm] + [f"{value:.9g}" for value in point.scan]
+        rows.append(",".join((str(point.number), point.part, *places, f"{point.deviation_mm:.2f}")))
+    file.write_text("\n".join((*rows, "")), encoding="utf-8", newline="")
 
 
 def read_landmarks(file: str | Path, mm_per_unit: float = 1.0) -> PlacedLandmarks:
@@ -146,10 +142,8 @@ def _of_table(text: str, file: Path) -> _Points:
 
 
 def _of_json(text: str, file: Path) -> _Points:
-    try:
+    with errors_of(f"{file}: is no JSON", ScanError, ValueError, RecursionError, advice=_ADVICE):
         tree = parse_json(file.name, text.encode())
-    except (ValueError, RecursionError) as error:
-        raise ScanError(f"{file}: is no JSON ({error}); {_ADVICE}") from error
     listed = tree.get("landmarks", tree) if isinstance(tree, dict) else tree
     if isinstance(listed, dict):
         listed = [{"number": number, "scan": place} for number, place in listed.items()]
@@ -164,10 +158,9 @@ def _of_json(text: str, file: Path) -> _Points:
 
 
 def _of_picked_points(text: str, file: Path) -> _Points:
-    try:
+    faults, said = (ElementTree.ParseError, RecursionError), f"{file}: is not a file of picked points"
+    with errors_of(said, ScanError, *faults, advice=_ADVICE):
         tree = ElementTree.fromstring(text)
-    except (ElementTree.ParseError, RecursionError) as error:
-        raise ScanError(f"{file}: is not a file of picked points ({error}); {_ADVICE}") from error
     for index, point in enumerate(tree.iter("point")):
         if point.get("active", "1") != "0":
             place = [point.get(axis) for axis in "xyz"]

@@ -98,8 +98,8 @@ def _at_work(path: Path) -> bool:
 
 
 @contextmanager
-def folder_lock(folder: Path) -> Iterator[bool]:
-    """Keep other publishers out of a folder by a lock on its parent; give whether there is such a lock."""
+def folder_lock(folder: Path) -> Iterator[None]:
+    """Keep other publishers out of a folder, by a lock on its parent if there is one; `roll_back` first."""
     descriptor, locked = None, False
     try:
         # Not POSIX, a folder that cannot be read, or a file system without locks: then there is none.
@@ -109,7 +109,8 @@ def folder_lock(folder: Path) -> Iterator[bool]:
             descriptor = os.open(folder.parent, os.O_RDONLY)
             fcntl.flock(descriptor, fcntl.LOCK_EX)
             locked = True
-        yield locked
+        roll_back(folder, locked)
+        yield
     finally:
         if descriptor is not None:
             if locked:  # processes that were forked meanwhile hold the descriptor too
@@ -120,9 +121,8 @@ def folder_lock(folder: Path) -> Iterator[bool]:
 def settle(folder: Path) -> None:
     """Undo a publication into a folder that was killed between two renames; OSError when impossible."""
     if os.path.lexists(folder / JOURNAL):
-        folder = Path(os.path.realpath(folder))
-        with folder_lock(folder) as locked:
-            roll_back(folder, locked)
+        with folder_lock(Path(os.path.realpath(folder))):
+            pass
 
 
 def roll_back(folder: Path, locked: bool) -> None:

@@ -27,7 +27,7 @@ class ObjLines:
 
     def of_kind(self, word: bytes) -> IntArray:
         """Return indices of the lines that begin with a word."""
-        return np.flatnonzero(self.words == tables.keyword(word))
+        return np.flatnonzero(self.words == int.from_bytes(word, "big"))
 
     def names(self, word: bytes) -> list[str]:
         """Return what follows the word in all its lines, which is a name."""
@@ -83,7 +83,7 @@ def read_obj(path: Path, folder: ScanFolder) -> ParsedMesh:
     starts, ends = lines.starts[rows], lines.ends[rows]
     counts = tables.count_tokens(lines.text, starts, ends)
     lines.raise_for(rows[counts < 3], "expected at least 3 corners")
-    parsed_mesh.require_few_triangles(lines.name, counts)
+    triangles, face_of_triangle = parsed_mesh.fan_triangles(counts, lines.name)
     corners, bad = tables.parse_corners(lines.text, starts, counts)
     lines.raise_for(rows[bad : bad + 1] if bad >= 0 else rows[:0], "expected corners like 1, 1/2 or 1/2/3")
     line_of_corner = np.repeat(rows, counts)
@@ -96,7 +96,6 @@ def read_obj(path: Path, folder: ScanFolder) -> ParsedMesh:
             lines.raise_for(line_of_corner[(written < 1) & (corners[:, column] < 0)], "index before 1")
         lines.raise_for(line_of_corner[written > total], f"but there are {total} {name}")
         corners[:, column] = written - 1
-    triangles, face_of_triangle = parsed_mesh.fan_triangles(counts)
     uv = None
     if len(coordinates) and (corners[:, 1] >= 0).any():
         corner = corners[triangles, 1]

@@ -125,14 +125,16 @@ class ParsedMesh:
     notes: tuple[str, ...] = ()
 
 
-def fan_triangles(counts: IntArray) -> tuple[IntArray, IntArray]:
+def fan_triangles(counts: IntArray, name: str) -> tuple[IntArray, IntArray]:
     """Cut polygons of `counts` (P,) >= 3 corners, stored one after the other, into fans at their first ones.
 
-    Returns the triangles (T, 3) as indices into the stored corners, and the polygon (T,) of each.
+    Returns the triangles (T, 3) as indices into the stored corners, and the polygon (T,) of each. Raises
+    TooLargeError, which names the file, when they are too many.
 
-    >>> fan_triangles(np.array([3, 4]))[0].tolist()
+    >>> fan_triangles(np.array([3, 4]), "scan.obj")[0].tolist()
     [[0, 1, 2], [3, 4, 5], [3, 5, 6]]
     """
+    limits.require_at_most(name, "triangles", int((counts - 2).sum()), limits.TRIANGLES, "decimate it")
     first = np.cumsum(counts) - counts
     if (counts == 3).all():
         return first[:, None] + np.arange(3), np.arange(len(counts))
@@ -141,12 +143,6 @@ def fan_triangles(counts: IntArray) -> tuple[IntArray, IntArray]:
     step = np.arange(len(polygon)) - np.repeat(np.cumsum(triangles) - triangles, triangles)
     start = first[polygon]
     return np.stack([start, start + step + 1, start + step + 2], axis=1), polygon
-
-
-def require_few_triangles(name: str, counts: IntArray) -> None:
-    """Raise TooLargeError when polygons of `counts` (P,) corners give too many triangles."""
-    triangles = int(counts.sum()) - 2 * len(counts)
-    limits.require_at_most(name, "triangles", triangles, limits.TRIANGLES, "decimate it")
 
 
 def cut_note(counts: IntArray) -> tuple[str, ...]:

@@ -129,8 +129,7 @@ def mesh_of_columns(
     if (index.counts < 3).any():
         short = int(np.flatnonzero(index.counts < 3)[0])
         raise ScanError(f"{path.name}: face {short} has {index.counts[short]} corners, expected at least 3")
-    parsed_mesh.require_few_triangles(path.name, index.counts)
-    corners, polygon = parsed_mesh.fan_triangles(index.counts)
+    corners, polygon = parsed_mesh.fan_triangles(index.counts, path.name)
     faces = index.items.astype(np.int64)[corners]
     # Texture coordinates of the corners, else of the vertices.
     uv, listed = None, face.get("texcoord")

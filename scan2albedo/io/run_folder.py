@@ -14,7 +14,7 @@ from scan2albedo.core.budget import Trace
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import OutputError, Scan2AlbedoError
 from scan2albedo.io.atomic import cannot_write, publish, staged
-from scan2albedo.io.leftovers import folder_lock, is_hidden_path, roll_back, settle
+from scan2albedo.io.leftovers import folder_lock, is_hidden_path, settle
 from scan2albedo.io.records import Record, installed_versions, read_record, write_record
 
 if TYPE_CHECKING:
@@ -157,8 +157,7 @@ class RunFolder(Generic[Kind]):
             names = {path.name for path in folder.iterdir()}.difference(folders)
             unknown = [name for name in names if not self.files.holds(name)]
             assert not unknown, f"{self.files.command} writes {unknown}, which OwnFiles does not name"
-            with folder_lock(target) as locked:
-                roll_back(target, locked)
+            with folder_lock(target):
                 own = self.check(folders)
                 publish(folder, target, own, (self.files.record,))
 

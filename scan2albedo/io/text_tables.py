@@ -26,7 +26,7 @@ def line_ranges(text: NDArray[np.uint8]) -> tuple[IntArray, IntArray]:
 
 @njit(cache=True, nogil=True)
 def split_keywords(text, starts, ends):  # type: ignore[no-untyped-def]
-    """Return the first word (L,) of each line, 0 for none or a long one, see `keyword`, and its end (L,)."""
+    """Return the first word (L,) of each line as a number, 0 for none or above 7 bytes, and its end (L,)."""
     words = np.zeros(starts.size, np.int64)
     bodies = np.empty(starts.size, np.int64)
     for line in range(starts.size):
@@ -40,11 +40,6 @@ def split_keywords(text, starts, ends):  # type: ignore[no-untyped-def]
         words[line] = word
         bodies[line] = position
     return words, bodies
-
-
-def keyword(word: bytes) -> int:
-    """Return a word of at most 7 bytes as `split_keywords` does."""
-    return int.from_bytes(word, "big")
 
 
 @njit(cache=True, nogil=True)

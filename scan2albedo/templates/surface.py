@@ -7,9 +7,10 @@ import numpy as np
 from numba import njit
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_mesh
-from scan2albedo.errors import ModelError
+from scan2albedo.errors import ModelError, errors_of
 from scan2albedo.geometry import mesh as meshes
 from scan2albedo.geometry.mesh import boundary_loops, edges_with_faces, face_cross_products
+from scan2albedo.geometry.parametrization import boundary_loop
 from scan2albedo.geometry.rigid import compose
 from scan2albedo.io.repair import first_equal_row
 
@@ -126,8 +127,7 @@ def _manifold(faces: IntArray, name: str) -> tuple[IntArray, int]:
     if len(kept) < len(faces):
         kept = largest_component(int(faces.max()) + 1, kept)
     oriented = np.asarray(igl.bfs_orient(kept)[0], np.int64)
-    directed = oriented[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
-    if len(np.unique(directed, axis=0)) < len(directed):
+    if meshes.neighbouring_faces(oriented)[2].any():
         raise ModelError(f"{name}: the surface cannot be oriented (it is one-sided); use an orientable mesh")
     return oriented, len(faces) - len(kept)
 
@@ -150,12 +150,10 @@ def clean_template(surface: TemplateSurface, name: str) -> tuple[TemplateSurface
     holes = [loop for i, loop in enumerate(loops) if i != rim and len(loop) <= 600]
     closed = np.concatenate([mesh, *(fill_hole(xyz, mesh, loop) for loop in holes)])
     filled = np.arange(len(closed)) >= len(mesh)
-    edges, _ = edges_with_faces(closed)
-    euler = len(np.unique(closed)) - len(edges) + len(closed)
-    rims = len(boundary_loops(closed))
-    if euler != 1 or rims != 1:
-        said = f"{name}: after filling holes the surface has {rims} rims and Euler characteristic {euler}"
-        raise ModelError(f"{said}, expected 1 and 1 (a disc); close handles or cut the face out of the head")
+    used, index = meshes.without_unreferenced(xyz, closed)
+    advice = "close handles or cut the face out of the head"
+    with errors_of(f"{name}, its holes filled", ModelError, advice=advice):
+        boundary_loop(len(used), index)
     cut = len(surface.faces) - len(mesh)
     done = {"faces cut off the back of a closed surface": cut, "holes filled": len(holes)}
     notes = (*surface.notes, *(f"{text}: {count}" for text, count in done.items() if count))

@@ -18,7 +18,6 @@ from scan2albedo.reflectance import CaptureFiles, MeshReflectance, OlatImages, R
 from scan2albedo.reflectance.point_light_lobes import tilted_normals
 from scan2albedo.report import reflectance_views as views
 from scan2albedo.report.overview import overview_figure
-from scan2albedo.report.reflectance_views import relit_panels, relit_picture
 from scan2albedo.runs.reflectance import publishing
 
 _DOUBTFUL_MISFIT = 1.25
@@ -165,7 +164,7 @@ def write_fit(done: FittedCapture, out: Path, options: dict[str, Any]) -> dict[s
             chosen, panels, pairs = np.flatnonzero(done.held_out), [], capture.pair_names()
             shown = np.linspace(0, len(chosen) - 1, min(4, len(chosen))).astype(int)
             for j in chosen[shown]:
-                panels += relit_panels(pairs[j], *relit_pair(done, j), done.olat.valid[j])
+                panels += views.relit_panels(pairs[j], *relit_pair(done, j), done.olat.valid[j])
             results.figure("relit.png", overview_figure(relit, panels, 6))
         write_colored_mesh(results.folder / "face.ply", mesh, fit.drawn)
     return figures
@@ -186,7 +185,7 @@ def relit_pair(done: FittedCapture, pair: int) -> tuple[FloatArray, FloatArray, 
     normals = tilted_normals(vertex_normals(capture.vertices, capture.faces), fit.tilt)
     shown = replace(fit.reflectance, known=fit.drawn)
     linear = done.olat.linear[pair].astype(np.float64)
-    made, known = relit_picture(
+    made, known = views.relit_picture(
         capture.vertices,
         capture.faces,
         normals,
