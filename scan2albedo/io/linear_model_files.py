@@ -82,6 +82,8 @@ class LinearFaceModel:
     joint_basis: FloatArray = None  # type: ignore[assignment]
     pose_basis: FloatArray | None = None
     names: tuple[str, ...] = ()
+    mm_per_unit: float = 1.0
+    """Found where the mean is placed on a face."""
 
     def __post_init__(self) -> None:
         count, joints, size = len(self.mean), len(self.joints), self.basis.shape[-1]

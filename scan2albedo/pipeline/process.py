@@ -254,13 +254,13 @@ def _processed(
     coefficients = None
     if linear is not None and fitted is not None:
         with clock.timed("linear_model"):
-            places, skin = linear_model_places(linear, fitted.model), np.ones(len(fitted.vertices))
+            placed, skin = linear_model_places(linear, fitted.model), np.ones(len(fitted.vertices))
             if image.labels is not None:
                 pixels = np.round(pixels_from_uv(fitted.uv, image.mask.shape)).astype(int)
                 column, row = np.clip(pixels, 0, image.mask.shape[0] - 1).T
                 skin -= np.isin(image.labels[row, column], [CLASSES.index(name) for name in _COVERS])
             share = clock.share("linear_model")
-            coefficients = fit_linear_model(scan, fitted, linear, places, skin, share, on_progress)
+            coefficients = fit_linear_model(scan, fitted, *placed, skin, share, on_progress)
             fitted = coefficients.as_template(fitted)
         plan["linear_model"] = coefficients.plan
     if (white := options.white_balance) != "none" and image.texture_linear is not None:

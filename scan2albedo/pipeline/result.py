@@ -251,7 +251,7 @@ def write_result(
         if fitted is not None and linear is not None:
             placed = np.diag([*np.ones(3) / scan.mm_per_unit, 1]) @ invert_rigid(fitted.model_from_scan)
             write("coefficients.json", write_record, linear.record(placed))
-            arrays = {"vertices": transform_points(placed, linear.vertices), "faces": linear.faces}
+            arrays = {"vertices": transform_points(placed, linear.vertices), "faces": linear.model.faces}
             arrays |= {name: getattr(linear, name) for name in ("residual_mm", "displacement_mm")}
             write("linear_model.npz", write_npz, arrays, what="linear model")
         if result.maps_of_skin is not None:
