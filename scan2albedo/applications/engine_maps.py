@@ -8,13 +8,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from scan2albedo.albedo import AlbedoEstimate
-from scan2albedo.applications.template_baking import (
-    REACH_MM,
-    Appearance,
-    Fields,
-    TemplateTexture,
-    painted,
-)
+from scan2albedo.applications.template_baking import REACH_MM, Appearance, Fields, TemplateTexture, painted
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import ApplicationError
@@ -114,16 +108,13 @@ def engine_maps(
 
     def look(place: FloatArray, outward: FloatArray, tangents: FloatArray, steps: FloatArray) -> Fields:
         on_face, hits, everywhere = face.query(place), raw_surface.query(place), np.ones(len(place), bool)
-        chart = on_face.interpolated(fitted.uv, fitted.faces)
+        pixels = pixels_from_uv(on_face.interpolated(fitted.uv, fitted.faces), image.shape)
         facing = np.einsum("nc,nc->n", hits.interpolated(raw_normals, scan.faces), outward)
         known = (hits.distance <= REACH_MM) & (facing > 0)
         found = {
             **appearance(place, outward, tangents, steps),
             "occlusion": (np.clip(around.query(place).interpolated(open_sky, thin.faces), 0, 1), everywhere),
-            "specular": (
-                bilinear(strength, pixels_from_uv(chart, image.shape)),
-                on_face.distance <= REACH_MM,
-            ),
+            "specular": (bilinear(strength, pixels), on_face.distance <= REACH_MM),
             "roughness": (np.full((len(place), 1), (2 * exponent + 1) ** (-1 / 4)), everywhere),
             "cavity": (hits.interpolated(relief, scan.faces), known),
         }

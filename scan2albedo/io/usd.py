@@ -19,31 +19,32 @@ def write_usda(
     vertices: FloatArray,
     faces: IntArray,
     uv: FloatArray,
-    textures: Mapping[str, tuple[str, str, float]],
+    textures: Mapping[str, str],
+    displacement_mm: float = 1.0,
     **values: float,
 ) -> None:
     """Write a mesh (V, 3) mm, (F, 3) with coordinates (F, 3, 2) and a UsdPreviewSurface; raises OutputError.
 
-    `textures` are by the material's input: the file, beside `path` (<UDIM> stands for a tile's number), what
-    of it is read ("r"; "rgb", in sRGB; or "normal", in [-1, 1]), and the factor s of the value: of "r" s x,
-    or where s is negative |s| (2 x - 1). `values` are inputs without one.
+    `textures` are files beside `path` (<UDIM> stands for a tile's number) by the material's input: a
+    diffuseColor in sRGB, a normal in [-1, 1], a displacement from -`displacement_mm` to it, others in [0, 1].
+    `values` are inputs without one.
 
     .. [1] "UsdPreviewSurface Specification", version 2.6, OpenUSD.
     """
     split = split_at_seams(faces, uv)
     inputs = [f"            float inputs:{name} = {value:.6g}" for name, value in values.items()]
     readers = list[str]()
-    for name, (file, what, scale) in textures.items():
-        signed = what == "normal" or scale < 0
-        factor, offset = (2 * abs(scale), -abs(scale)) if signed else (scale, 0.0)
-        kind = {"r": "float", "rgb": "color3f", "normal": "normal3f"}[what]
-        read, output = ("float", "r") if what == "r" else ("float3", "rgb")
+    for name, file in textures.items():
+        kind = {"diffuseColor": "color3f", "normal": "normal3f"}.get(name, "float")
+        read, output = ("float", "r") if kind == "float" else ("float3", "rgb")
+        most = {"normal": 1.0, "displacement": displacement_mm}.get(name)
+        factor, offset = (1.0, 0.0) if most is None else (2 * most, -most)
         inputs.append(f"            {kind} inputs:{name}.connect = </face/skin/{name}.outputs:{output}>")
         readers.append(f"""        def Shader "{name}"
         {{
             uniform token info:id = "UsdUVTexture"
             asset inputs:file = @./{file}@
-            token inputs:sourceColorSpace = "{"sRGB" if what == "rgb" else "raw"}"
+            token inputs:sourceColorSpace = "{"sRGB" if name == "diffuseColor" else "raw"}"
             float4 inputs:scale = {_tuples([4 * [factor]])}
             float4 inputs:bias = {_tuples([4 * [offset]])}
             float2 inputs:st.connect = </face/skin/place.outputs:result>
