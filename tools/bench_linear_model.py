@@ -64,7 +64,7 @@ def ours(scan: s2a.RawScan, model: LinearFaceModel) -> tuple[FittedFace, LinearM
     start = time.process_time()
     fitted = s2a.fit(scan, default, s2a.register(scan, default))
     between = time.process_time()
-    found = fit_linear_model(scan, fitted, model, places, np.ones(len(fitted.vertices)))
+    found = fit_linear_model(scan, fitted, *places, np.ones(len(fitted.vertices)))
     return fitted, found, time.process_time() - start, time.process_time() - between
 
 

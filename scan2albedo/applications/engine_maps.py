@@ -5,25 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy import sparse
 from scipy.ndimage import gaussian_filter
 
 from scan2albedo.albedo import AlbedoEstimate
-from scan2albedo.applications.template_baking import (
-    REACH_MM,
-    Appearance,
-    Fields,
-    TemplateTexture,
-    TemplateTile,
-    baked_tiles,
-)
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.applications.template_baking import REACH_MM, Appearance, Fields, TemplateTexture, painted
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import ApplicationError
 from scan2albedo.fitting import FittedFace
-from scan2albedo.geometry import mesh
 from scan2albedo.geometry.closest_points import surface_query
-from scan2albedo.geometry.mesh import face_areas, thinned, vertex_normals
+from scan2albedo.geometry.mesh import face_areas, neighbour_mean, thinned, usual_edge, vertex_normals
 from scan2albedo.geometry.rasterization import bilinear, filled_from_nearest, pixels_from_uv
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import transform_points
@@ -43,8 +34,8 @@ MATTE_EXPONENT = 6.0
 """Phong's, of skin whose highlights were not seen: roughness 0.53."""
 _PORE_MM = 0.05
 """Depth that is guessed for a spot that is darker by a factor of e."""
-_RELIEF_MM, _AROUND_MM = 0.1, 1.0
-"""Height above the mean around, of this standard deviation, that makes a cavity map white."""
+_RELIEF_MM = 0.1
+"""Height above the mean around, of 1 mm standard deviation, that makes a cavity map white."""
 
 
 def engine_maps(
@@ -80,7 +71,17 @@ def engine_maps(
        surfaces", EGSR 2007.
     .. [2] See `SKIN_F0`.
     """
-    vertices, faces, uv = _carrier(scan, fitted, on)
+    if on not in CARRIERS:
+        raise ValueError(f"maps is {on!r}, expected one of {', '.join(CARRIERS)}")
+    raw, around_mm = transform_points(fitted.model_from_scan, scan.vertices), 1.0
+    if on == "template":
+        blank = TemplateTexture.of(fitted)
+    elif on == "chart":
+        blank = TemplateTexture(fitted.vertices, fitted.faces, fitted.uv[fitted.faces])
+    elif scan.uv is None or scan.texture_linear is None:
+        raise ApplicationError(f"{scan.name}: the scan has no texture coordinates; make maps on the chart")
+    else:
+        blank = TemplateTexture(raw, scan.faces, in_first_period(scan.uv, scan.texture_linear.shape))
     if not scan.has_color:
         raise ApplicationError(f"{scan.name}: the scan has no colours to make maps of")
     appearance, face = Appearance(fitted, scan), surface_query(fitted.vertices, fitted.faces)
@@ -88,94 +89,52 @@ def engine_maps(
     relative = np.ones(image.shape) if image.specular_scale is None else image.specular_scale
     strength = filled_from_nearest(relative, image.mask)[..., None] * (SKIN_F0 / PLASTIC_F0)
     exponent = gloss.exponent if gloss.specular_strength > 0 else MATTE_EXPONENT
-    occluder = thinned(vertices, faces, _AROUND_MM)
-    shadows = ShadowMap(
-        RayCaster(occluder.vertices, occluder.faces),
-        occluder.vertices,
-        vertex_normals(occluder.vertices, occluder.faces),
-    )
-    open_sky, around = shadowed_transfer(shadows)[:, 0], surface_query(occluder.vertices, occluder.faces)
-    raw = transform_points(fitted.model_from_scan, scan.vertices)
+    thin = thinned(blank.vertices, blank.faces, around_mm)
+    occluder = thin.vertices, thin.faces
+    shadows = ShadowMap(RayCaster(*occluder), thin.vertices, vertex_normals(*occluder))
+    open_sky, around = shadowed_transfer(shadows)[:, :1], surface_query(*occluder)
     raw_surface, raw_normals = surface_query(raw, scan.faces), vertex_normals(raw, scan.faces)
-    relief = _relief(raw, scan.faces, raw_normals)
+    # How far the scan's vertices, freed from noise, stand out of their surroundings in mm; where edges are
+    # longer than those, their curvature, over the same surroundings. A mean over neighbours has a variance of
+    # half a squared edge.
+    step_mm2 = (usual_edge(raw, scan.faces) or around_mm) ** 2 / 2
+    passes = int(np.clip(round(around_mm**2 / step_mm2), 1, 100))
+    mean = neighbour_mean(len(raw), scan.faces)
+    fine = smooth = mean @ (mean @ raw)
+    for _ in range(passes):
+        smooth = mean @ smooth
+    relief = np.sum((fine - smooth) * raw_normals, axis=1, keepdims=True)
+    relief *= around_mm**2 / (passes * step_mm2)
 
     def look(place: FloatArray, outward: FloatArray, tangents: FloatArray, steps: FloatArray) -> Fields:
-        found = appearance(place, outward, tangents, steps)
-        near = around.query(place)
-        sky = np.einsum("nk,nk->n", near.barycentric, open_sky[occluder.faces[near.face]])
-        on_face = face.query(place)
-        chart = np.einsum("nk,nkc->nc", on_face.barycentric, fitted.uv[fitted.faces[on_face.face]])
-        close = on_face.distance <= REACH_MM
-        everywhere = np.ones(len(place), bool)
-        found |= {
-            "occlusion": (np.clip(sky, 0, 1)[:, None], everywhere),
-            "specular": (bilinear(strength, pixels_from_uv(chart, image.shape)), close),
-            "roughness": (np.full((len(place), 1), (2 * exponent + 1) ** -0.25), everywhere),
-        }
-        hits = raw_surface.query(place)
-        corners = scan.faces[hits.face]
-        facing = np.einsum("nk,nkc,nc->n", hits.barycentric, raw_normals[corners], outward)
+        on_face, hits, everywhere = face.query(place), raw_surface.query(place), np.ones(len(place), bool)
+        pixels = pixels_from_uv(on_face.interpolated(fitted.uv, fitted.faces), image.shape)
+        facing = np.einsum("nc,nc->n", hits.interpolated(raw_normals, scan.faces), outward)
         known = (hits.distance <= REACH_MM) & (facing > 0)
-        found["cavity"] = (np.einsum("nk,nk->n", hits.barycentric, relief[corners])[:, None], known)
+        found = {
+            **appearance(place, outward, tangents, steps),
+            "occlusion": (np.clip(around.query(place).interpolated(open_sky, thin.faces), 0, 1), everywhere),
+            "specular": (bilinear(strength, pixels), on_face.distance <= REACH_MM),
+            "roughness": (np.full((len(place), 1), (2 * exponent + 1) ** (-1 / 4)), everywhere),
+            "cavity": (hits.interpolated(relief, scan.faces), known),
+        }
         if on != "scan":
             # Phong tessellation, the mean of the point on the corners' tangent planes: no edges of faces.
+            corners = scan.faces[hits.face]
             off = np.einsum("nkc,nkc->nk", raw[corners] - hits.points[:, None], raw_normals[corners])
             lift = np.einsum("nk,nk,nkc->nc", hits.barycentric, off, raw_normals[corners])
             high = np.einsum("nc,nc->n", hits.points + lift - place, outward)
             found["displacement_mm"] = (high[:, None], known)
         return found
 
-    texels = float(size) ** 2 * _uv_area(uv)
-    per_mm = np.sqrt(texels / max(float(face_areas(vertices, faces).sum()), 1e-12))
-    tiles = baked_tiles(vertices, faces, uv, size, look)
-    made = tuple(replace(tile, maps={**tile.maps, "cavity": _cavity(tile, per_mm)}) for tile in tiles)
-    return TemplateTexture(vertices, faces, uv, made)
-
-
-def _carrier(scan: RawScan, fitted: FittedFace, on: str) -> tuple[FloatArray, IntArray, FloatArray]:
-    """Return the mesh (V, 3), (F, 3) in the model's frame and its coordinates (F, 3, 2)."""
-    if on not in CARRIERS:
-        raise ValueError(f"maps is {on!r}, expected one of {', '.join(CARRIERS)}")
-    if on == "chart":
-        return fitted.vertices, fitted.faces, fitted.uv[fitted.faces]
-    if on == "scan":
-        if scan.uv is None or scan.texture_linear is None:
-            raise ApplicationError(
-                f"{scan.name}: the scan has no texture coordinates; make maps on the chart"
-            )
-        own = in_first_period(scan.uv, scan.texture_linear.shape)
-        return transform_points(fitted.model_from_scan, scan.vertices), scan.faces, own
-    vertices, faces, uv = fitted.template_vertices, fitted.model.template_faces, fitted.model.template_uv
-    if vertices is None or faces is None or uv is None:
-        raise ApplicationError(f"{fitted.model.name}: the model has no template with texture coordinates")
-    return vertices, faces, uv
-
-
-def _uv_area(uv: FloatArray) -> float:
-    first, second = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
-    return float(np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]).sum() / 2)
-
-
-def _relief(vertices: FloatArray, faces: IntArray, normals: FloatArray) -> FloatArray:
-    """Return (V,) how far the vertices of a scan, freed from noise, stand out of their surroundings in mm.
-
-    Of a scan whose edges are longer than those it is their curvature, over the same surroundings.
-    """
-    around = mesh.adjacency(len(vertices), faces) + sparse.identity(len(vertices), format="csr")
-    mean = sparse.diags(1 / np.asarray(around.sum(1)).ravel()) @ around
-    # A mean over neighbours has a variance of half a squared edge.
-    step_mm2 = max(mesh.usual_edge(vertices, faces), 1e-9) ** 2 / 2
-    passes = int(np.clip(round(_AROUND_MM**2 / step_mm2), 1, 100))
-    fine = smooth = mean @ (mean @ vertices)
-    for _ in range(passes):
-        smooth = mean @ smooth
-    high = np.einsum("nc,nc->n", fine - smooth, normals)
-    return high * (_AROUND_MM**2 / (passes * step_mm2))
-
-
-def _cavity(tile: TemplateTile, texels_per_mm: float) -> FloatArray:
-    """Return (S, S) how far a tile's texels stand out from their surroundings, 0 to 1; 0.5 is flat."""
-    value = np.asarray(tile.color_linear, np.float32).max(-1)
-    pores = _PORE_MM * np.log(np.maximum(value, 1e-3 * max(float(value.max()), 1e-6)))
-    relief = tile.maps["cavity"] + pores - gaussian_filter(pores, _AROUND_MM * texels_per_mm)
-    return np.clip(0.5 + relief / (2 * _RELIEF_MM), 0, 1)
+    made, tiles = painted(blank, size, look), []
+    on_chart = np.abs(np.linalg.det(blank.uv[:, 1:] - blank.uv[:, :1])).sum() / 2
+    texels_per_mm = size * np.sqrt(on_chart / (face_areas(blank.vertices, blank.faces).sum() or 1.0))
+    for tile in made.tiles:
+        # Relief and pores beside their surroundings, 0 to 1; 0.5 is flat.
+        value = np.asarray(tile.color_linear, np.float32).max(-1)
+        pores = _PORE_MM * np.log(np.maximum(value, value.max() / 1000 or 1.0))
+        high = tile.maps["cavity"] + pores - gaussian_filter(pores, around_mm * texels_per_mm)
+        cavity = np.clip(0.5 + high / (2 * _RELIEF_MM), 0, 1)
+        tiles.append(replace(tile, maps={**tile.maps, "cavity": cavity}))
+    return replace(made, tiles=tuple(tiles))

@@ -123,7 +123,7 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
         ).light_linear
         log_lit = np.log(np.maximum(lit, DARKEST * usual))
         hits = surface_query(thin.vertices, thin.faces).query(vertices)
-        log_beyond = np.einsum("nk,nkc->nc", hits.barycentric, log_lit[thin.faces[hits.face]])
+        log_beyond = hits.interpolated(log_lit, thin.faces)
         steps = outlines(thin.vertices, thin.faces, log_lit, vertices)
     # How fine the scan's texture is on the face.
     density, own = 0.0, (weight[scan.faces] > 0).all(1)
@@ -174,9 +174,8 @@ def scan_on_chart(scan: RawScan, fitted: FittedFace, image: GeometryImage) -> tu
     if len(near) == 0:
         return uv, weight
     hits = surface_query(fitted.vertices, fitted.faces).query(vertices[near])
-    corners = fitted.faces[hits.face]
-    uv[near] = np.einsum("nk,nkc->nc", hits.barycentric, fitted.uv[corners])
-    across = np.einsum("nk,nkc->nc", hits.barycentric, vertex_normals(fitted.vertices, fitted.faces)[corners])
+    uv[near] = hits.interpolated(fitted.uv, fitted.faces)
+    across = hits.interpolated(vertex_normals(fitted.vertices, fitted.faces), fitted.faces)
     cosine = np.einsum("nc,nc->n", across, vertex_normals(vertices, scan.faces)[near])
     areas = image.texel_areas_mm2()
     texel_mm = float(np.sqrt(np.median(areas))) if len(areas) else 0.0

@@ -2,13 +2,12 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from numbers import Integral
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 from scipy.ndimage import maximum_filter
 
 from scan2albedo.applications.light_removal import GUTTER
@@ -70,7 +69,18 @@ class TemplateTexture:
     vertices: FloatArray
     faces: IntArray
     uv: FloatArray
-    tiles: tuple[TemplateTile, ...]
+    tiles: tuple[TemplateTile, ...] = ()
+
+    @classmethod
+    def of(cls, fitted: FittedFace) -> Self:
+        """Return the template of a fitted face without pictures; `ApplicationError` where it has none."""
+        model, vertices = fitted.model, fitted.template_vertices
+        if vertices is None or model.template_faces is None or model.template_uv is None:
+            raise ApplicationError(
+                f"{model.name}: the model has no template with texture coordinates; make it from a mesh that "
+                "has them (AnnotatedFaceModel.from_file)"
+            )
+        return cls(vertices, model.template_faces, model.template_uv)
 
 
 def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> TemplateTexture:
@@ -92,32 +102,24 @@ def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> Tem
     """
     require_type(scan, RawScan, "template_texture: scan", "load_scan(path) returns one")
     require_type(fitted, FittedFace, "template_texture: fitted", "fit(scan, model, pose) returns one")
-    vertices, faces, uv = fitted.template_vertices, fitted.model.template_faces, fitted.model.template_uv
-    if vertices is None or faces is None or uv is None:
-        raise ApplicationError(
-            f"{fitted.model.name}: the model has no template with texture coordinates; make it from a mesh "
-            "that has them (AnnotatedFaceModel.from_file)"
-        )
+    blank = TemplateTexture.of(fitted)
     if not scan.has_color:
         raise ApplicationError(f"{scan.name}: the scan has no colours to lay on a template")
-    look = Appearance(fitted, scan)
-    return TemplateTexture(vertices, faces, uv, baked_tiles(vertices, faces, uv, size, look))
+    return painted(blank, size, Appearance(fitted, scan))
 
 
 class Appearance:
     """Colour and fine normals of a scan, at places (N, 3) on a surface in the frame of the `fitted` face."""
 
     def __init__(self, fitted: FittedFace, scan: RawScan) -> None:
-        self._shown, self._scan_from_model = (
-            without_covers(fitted, scan),
-            invert_rigid(fitted.model_from_scan),
-        )
+        self._shown = without_covers(fitted, scan)
+        self._scan_from_model = invert_rigid(fitted.model_from_scan)
         self._shape = FineShape(fitted, self._shown)
 
     def __call__(
         self, place: FloatArray, outward: FloatArray, tangents: FloatArray, steps: FloatArray
-    ) -> dict[str, tuple[NDArray[np.floating], BoolArray]]:
-        """Return colour and normals there; arguments as `baked_tiles` gives them."""
+    ) -> Fields:
+        """Return colour and normals there; arguments as `painted` gives them."""
         found = sample_colors(
             self._shown,
             transform_points(self._scan_from_model, place),
@@ -156,15 +158,10 @@ def bake(
         raise ApplicationError(f"{source.name}: the mesh has no colours to bake; is its texture beside it?")
     if target.uv is None:
         raise ApplicationError(f"{target.name}: the mesh has no texture coordinates to bake on; unwrap it")
-    surface = _Surface(source.vertices, source.faces, vertex_normals(source.vertices, source.faces))
-    faces = (
-        None
-        if fits is None
-        else tuple(_Surface(fit.vertices, fit.faces, vertex_normals(fit.vertices, fit.faces)) for fit in fits)
-    )
+    surface, *faces = [_Surface(one.vertices, one.faces) for one in (source, *(fits or ()))]
 
     def look(place: FloatArray, outward: FloatArray, tangents: FloatArray, steps: FloatArray) -> Fields:
-        if fits is None or faces is None:
+        if fits is None:
             found = sample_colors(source, place, outward, steps, reach_mm=math.inf)
             fine = tangent_normals(surface.normals_at(place, math.inf), outward, tangents)
             return {"color": (found.color_linear, found.seen), "normal": fine}
@@ -172,19 +169,16 @@ def bake(
         model_from_target, back = on_target.model_from_scan, invert_rigid(on_source.model_from_scan)
         there, normal, close = faces[1].carried(transform_points(model_from_target, place), faces[0])
         turned = np.einsum("ij,njk->nik", (back @ model_from_target)[:3, :3], steps)
-        at = transform_points(back, there), transform_directions(back, normal)
-        found = sample_colors(source, *at, turned)
+        there, normal = transform_points(back, there), transform_directions(back, normal)
+        found = sample_colors(source, there, normal, turned)
         flat = np.tile((0.0, 0.0, 1.0), (len(place), 1))
         return {"color": (found.color_linear, found.seen & close), "normal": (flat, close)}
 
-    tiles = baked_tiles(target.vertices, target.faces, target.uv, size, look)
-    return TemplateTexture(target.vertices, target.faces, target.uv, tiles)
+    return painted(TemplateTexture(target.vertices, target.faces, target.uv), size, look)
 
 
-def baked_tiles(
-    vertices: FloatArray, faces: IntArray, uv: FloatArray, size: int, look: Callable[..., Fields]
-) -> tuple[TemplateTile, ...]:
-    """Return the tiles of a mesh (V, 3), (F, 3) with coordinates (F, 3, 2), filled with what `look` finds.
+def painted(blank: TemplateTexture, size: int, look: Callable[..., Fields]) -> TemplateTexture:
+    """Return a mesh with tiles of `size` texels a side, filled with what `look` finds.
 
     `look` is called with places (N, 3) of texels on the mesh, unit normals (N, 3), tangents (N, 4), see
     `tangent_mesh`, and the steps (N, 3, 2) to the next texels, see `sample_colors`. Its fields "color" and
@@ -192,6 +186,7 @@ def baked_tiles(
     """
     if not isinstance(size, Integral) or not 8 <= size <= LARGEST_TEXTURE:
         raise ValueError(f"size is {size!r}, expected a whole number of texels from 8 to {LARGEST_TEXTURE}")
+    vertices, faces, uv = blank.vertices, blank.faces, blank.uv
     numbers, normals, tiles = tile_numbers(uv), vertex_normals(vertices, faces), list[TemplateTile]()
     rows = max(LARGEST_TEXTURE**2 // 256 // size, 1)
     bands = [slice(top, min(top + rows, size)) for top in range(0, size, rows)]  # of 2^18 texels each
@@ -232,9 +227,8 @@ def baked_tiles(
                 beside = maximum_filter(inside[wide], 2 * GUTTER + 1) & ~inside[wide]
                 beside[: band.start - wide.start] = beside[band.stop - wide.start :] = False
                 if beside.any():
-                    texels[wide][beside] = rasterization.filled_from_nearest(texels[wide], inside[wide])[
-                        beside
-                    ]
+                    filled = rasterization.filled_from_nearest(texels[wide], inside[wide])
+                    texels[wide][beside] = filled[beside]
         if not fields:
             continue  # its faces hold no texel's middle
         color, normal = fields.pop("color"), fields.pop("normal")
@@ -242,7 +236,7 @@ def baked_tiles(
             normal[band] = normalized(normal[band].astype(np.float64))
         maps = {name: texels[..., 0] for name, texels in fields.items()}
         tiles.append(TemplateTile(number, chosen, color, known["color"], normal, maps))
-    return tuple(tiles)
+    return replace(blank, tiles=tuple(tiles))
 
 
 def tile_numbers(uv: FloatArray) -> IntArray:
@@ -264,7 +258,7 @@ class FineShape:
     """
 
     def __init__(self, fitted: FittedFace, scan: RawScan | None) -> None:
-        self._fit = _Surface(fitted.vertices, fitted.faces, vertex_normals(fitted.vertices, fitted.faces))
+        self._fit = _Surface(fitted.vertices, fitted.faces)
         self._scan: _Surface | None = None
         if scan is None:
             return
@@ -282,10 +276,9 @@ class FineShape:
         used, faces = without_unreferenced(vertices, kept)
         vertices, base, differs = vertices[used], base[used], (own - base)[used]
         noise_rad = SurfaceNoise.of(vertices, faces).among(np.ones(len(vertices), bool))[0]
-        noise_rad /= max(mesh.usual_edge(vertices, faces), 1e-9)
+        noise_rad /= mesh.usual_edge(vertices, faces) or 1.0
         passes = int(np.clip(round((noise_rad / NOISE_RAD) ** 2), 2, 40))
-        around = mesh.adjacency(len(vertices), faces) + sparse.identity(len(vertices), format="csr")
-        mean = sparse.diags(1 / np.asarray(around.sum(1)).ravel()) @ around
+        mean = mesh.neighbour_mean(len(vertices), faces)
         for _ in range(passes):
             differs = mean @ differs
         inner = (~mesh.boundary_vertex_mask(len(vertices), faces)).astype(np.float64)
@@ -304,10 +297,11 @@ class FineShape:
 
 
 class _Surface:
-    """A surface (V, 3), (F, 3) with normals (V, 3) of its own."""
+    """A surface (V, 3), (F, 3) with normals (V, 3), of its own or of its faces."""
 
-    def __init__(self, vertices: FloatArray, faces: IntArray, normals: FloatArray) -> None:
-        self.vertices, self._faces, self._normals = vertices, faces, normals
+    def __init__(self, vertices: FloatArray, faces: IntArray, normals: FloatArray | None = None) -> None:
+        self.vertices, self._faces = vertices, faces
+        self._normals = vertex_normals(vertices, faces) if normals is None else normals
         self._query = surface_query(vertices, faces)
         self._inner = ~mesh.boundary_vertex_mask(len(vertices), faces)
 
@@ -316,20 +310,18 @@ class _Surface:
     ) -> tuple[FloatArray, BoolArray]:
         """Return unit normals (N, 3) at closest points, and whether these are within reach."""
         hits = self._query.query(points)
-        corners = self._faces[hits.face]
         close = hits.distance <= reach_mm
         if not beyond_edges:
-            close &= np.einsum("nk,nk->n", hits.barycentric, self._inner[corners]) > 1e-6
-        return normalized(np.einsum("nk,nkc->nc", hits.barycentric, self._normals[corners])), close
+            close &= hits.interpolated(self._inner, self._faces) > np.finfo(np.float32).eps
+        return normalized(hits.interpolated(self._normals, self._faces)), close
 
     def carried(self, points: FloatArray, other: Self) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Return points (N, 3) as far before another surface of the same faces, its normals (N, 3), and
         whether they are within reach of this one."""
         hits = self._query.query(points)
-        corners, near = self._faces[hits.face], hits.barycentric
-        own, normal = (normalized(np.einsum("nk,nkc->nc", near, s._normals[corners])) for s in (self, other))
+        own, normal = (normalized(hits.interpolated(s._normals, self._faces)) for s in (self, other))
         before = np.einsum("nc,nc->n", points - hits.points, own)
-        places = np.einsum("nk,nkc->nc", near, other.vertices[corners]) + before[:, None] * normal
+        places = hits.interpolated(other.vertices, self._faces) + before[:, None] * normal
         return places, normal, hits.distance <= REACH_MM
 
 

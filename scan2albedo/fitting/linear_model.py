@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist
 
 from scan2albedo.core import Budget, Meter, PlanStep, ProgressCallback, RawScan, Trace
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import FitError
 from scan2albedo.fitting.alignment import SIZE_SD
 from scan2albedo.fitting.options import GATE_MM, FitOptions
@@ -41,25 +40,11 @@ SMALL = 1 / 20
 
 
 @dataclass(frozen=True)
-class ModelPlaces:
-    """Where N `vertices` (N,) of a linear model's mean lie on the annotated face model fitted to it.
-
-    That is at `points` of its surface's faces where `known` (N,). Vertices of loose parts are left out.
-    """
-
-    vertices: IntArray
-    points: SurfacePoints
-    known: BoolArray
-    mm_per_unit: float
-    inward: bool
-    """Whether the linear model's faces are wound inward."""
-
-
-@dataclass(frozen=True)
 class LinearModelFit:
     """A linear model fitted to a scan, in the frame of the annotated face model, mm."""
 
     model: LinearFaceModel
+    """As it was placed: with its unit, and faces wound outward."""
     pose: Similarity
     """From the linear model's own frame and unit."""
     coefficients: FloatArray
@@ -69,13 +54,9 @@ class LinearModelFit:
     """Standard deviations of the posterior: of a turn about each axis [rad], a shift [mm], the log scale, the
     rotations of the joints that turn, and the coefficients, in this order."""
     vertices: FloatArray
-    faces: IntArray
-    uv: FloatArray | None
-    """(V, 3), (F, 3), (F, 3, 2): the mesh, wound outward."""
     residual_mm: FloatArray
     displacement_mm: FloatArray
-    """(V,): distance to the scan, and its part along the normal; NaN where there is no scan."""
-    mm_per_unit: float
+    """(V, 3), and (V,) distance to the scan, and its part along the normal; NaN where there is no scan."""
     noise_mm: float
     observations: float
     """Scale of the residuals, and the independent ones that they count as."""
@@ -85,9 +66,15 @@ class LinearModelFit:
 
     def as_template(self, fitted: FittedFace) -> FittedFace:
         """Return a fitted face whose template is this mesh, so that textures are painted on it."""
-        mesh: dict[str, Any] = {"template_faces": self.faces, "template_uv": self.uv, "template_points": None}
-        mesh |= {"template_offset": None, "template_from_model": self.pose.inverse()}
-        return replace(fitted, template_vertices=self.vertices, model=replace(fitted.model, **mesh))
+        model = replace(
+            fitted.model,
+            template_faces=self.model.faces,
+            template_uv=self.model.uv,
+            template_points=None,
+            template_offset=None,
+            template_from_model=self.pose.inverse(),
+        )
+        return replace(fitted, template_vertices=self.vertices, model=model)
 
     def neutral_and_targets(self) -> tuple[FloatArray, dict[str, FloatArray], FloatArray]:
         """Return the face without expression (V, 3), by ARKit's names how far each blendshape moves its
@@ -121,28 +108,27 @@ class LinearModelFit:
             "joint_deviations_rad": dict(zip(free, turns.reshape(-1, 3), strict=True)),
             "joint_positions": dict(zip(model.joints, positions, strict=True)),
             "scan_from_model": scan_from_here @ self.pose.matrix(),
-            "scale": self.pose.scale / self.mm_per_unit,
+            "mm_per_unit": model.mm_per_unit,
+            "scale": self.pose.scale / model.mm_per_unit,
             "residual_mean_mm": np.nanmean(self.residual_mm),
-            **{
-                name: getattr(self, name) for name in ("mm_per_unit", "noise_mm", "observations", "converged")
-            },
+            **{name: getattr(self, name) for name in ("noise_mm", "observations", "converged")},
         }
         return LinearModelRecord(**plain_json(content))
 
 
 @dataclass(frozen=True)
 class _Term:
-    """Residuals of some vertices `index` (N,), d along `axes` (N, d, 3), of Student's t with a `scale`."""
+    """Residuals of some vertices `index` (N,), d along `axes` (N, d, 3), of Student's t with a `scale`.
+
+    `share` of a vertex is an independent observation: neighbours err together.
+    """
 
     index: IntArray
     target: FloatArray
     axes: FloatArray
     weight: FloatArray
-    """(N,); `known` (N,) is 0 for those that do not say how large the errors are."""
-    known: FloatArray
     scale: float = 1.0
     share: float = 1.0
-    """Independent observations a vertex: neighbours err together."""
 
     def residuals(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return residuals (N, d) and their squares' sums (N,)."""
@@ -152,14 +138,14 @@ class _Term:
     def trust(self, square: FloatArray) -> FloatArray:
         return (FREEDOM + self.axes.shape[1]) / (FREEDOM + square / self.scale**2)
 
-    def settled(self, points: FloatArray) -> _Term:
-        """Return the term with the likeliest scale, and the share that correlations of residuals leave."""
-        (residual, square), counts = self.residuals(points), self.weight * self.known
+    def settled(self, points: FloatArray, counts: FloatArray) -> _Term:
+        """Return the term with the scale likeliest by `counts` (N,) and the share that correlations leave."""
+        residual, square = self.residuals(points)
         level = max(float(np.sqrt(counts @ square / counts.sum())), np.finfo(float).eps)
         term = replace(self, scale=level)
         for _ in range(30):  # expectation maximisation
             mean = counts @ (term.trust(square) * square) / (counts.sum() * residual.shape[1])
-            term = replace(term, scale=max(float(np.sqrt(mean)), 1e-6 * level))
+            term = replace(term, scale=max(float(np.sqrt(mean)), level / 1e6))
         # Correlation of the influences over distance, summed to where it first vanishes.
         there = np.flatnonzero(counts > 0)
         near = there[np.unique(np.linspace(0, len(there) - 1, MOST_PAIRED).astype(int))]
@@ -182,7 +168,6 @@ class _State:
     """Of the fitted vertices alone; `free` are the numbers of the joints that turn."""
     free: IntArray
     meter: Meter
-    mm_per_unit: float
     pose: Similarity
     coefficients: FloatArray
     rotations: FloatArray
@@ -199,7 +184,7 @@ class _State:
     @cached_property
     def _prior(self) -> tuple[FloatArray, FloatArray]:
         """Precision and value of each parameter but the motion."""
-        size, turns = np.log(self.pose.scale / self.mm_per_unit), self.rotations[self.free].ravel()
+        size, turns = np.log(self.pose.scale / self.model.mm_per_unit), self.rotations[self.free].ravel()
         tight = [SIZE_SD**-2], np.full(len(turns), JOINT_SD_RAD**-2), np.ones(len(self.coefficients))
         return np.concatenate(tight), np.concatenate([[size], turns, self.coefficients])
 
@@ -221,7 +206,7 @@ class _State:
         matrix = np.diag(np.concatenate([np.zeros(6), precision]))
         gradient = np.concatenate([np.zeros(6), precision * value])
         _, blend, slopes = self._posed
-        turns, small = list[FloatArray](), 1e-5
+        turns, small = list[FloatArray](), SMALL**4
         for joint, axis in [(joint, axis) for joint in self.free for axis in range(3)]:
             moved = self.rotations.copy()
             moved[joint, axis] += small
@@ -265,7 +250,7 @@ def fit_linear_model(
     scan: RawScan,
     fitted: FittedFace,
     model: LinearFaceModel,
-    places: ModelPlaces,
+    places: SurfacePoints,
     weight: FloatArray,
     budget: Budget | float | None = None,
     on_progress: ProgressCallback | None = None,
@@ -287,18 +272,18 @@ def fit_linear_model(
     ----------
     scan, fitted : RawScan, FittedFace
         The face fitted to the scan.
-    model, places : LinearFaceModel, ModelPlaces
+    model, places : LinearFaceModel, SurfacePoints
+        From `linear_model_places`.
     weight : (V,) array
         Of each vertex of the `fitted` face, 0 to 1: hair and cloth count nothing.
     budget, on_progress
         See `fit`; the best answer so far is returned with ``converged=False``.
     """
     meter = Meter("linear_model", "mm", Budget.of(budget), on_progress)
-    kept = np.unique(np.linspace(0, len(places.vertices) - 1, MOST_VERTICES).astype(int))
-    index, known, shares = places.vertices[kept], places.known[kept], places.points.barycentric[kept]
-    corners = fitted.faces[places.points.face[kept]]
-    target = np.einsum("nk,nkj->nj", shares, fitted.vertices[corners])
-    unit, faces = places.mm_per_unit, model.faces[:, ::-1] if places.inward else model.faces
+    used, unit, faces = np.flatnonzero(places.face >= 0), model.mm_per_unit, model.faces
+    index = used[np.unique(np.linspace(0, len(used) - 1, MOST_VERTICES).astype(int))]
+    corners, shares = fitted.faces[places.face[index]], places.barycentric[index]
+    known, target = shares.any(1), np.einsum("nk,nkj->nj", shares, fitted.vertices[corners])
     area = vertex_areas(unit * model.mean, faces)[index]
     counts = np.where(known, np.einsum("nk,nk->n", shares, weight[corners]), 1.0) * area / area.mean()
     if not (placed := np.flatnonzero(known & (counts > 0))).size:
@@ -307,15 +292,18 @@ def fit_linear_model(
     pose = Similarity(start[:3, :3], start[:3, 3], unit)
     free = np.array([model.joints.index(name) for name in FREE_JOINTS if name in model.joints], np.int64)
     rest = np.zeros(model.basis.shape[2]), np.zeros((len(model.joints), 3))
-    state = _State(model.of_vertices(index), free, meter, unit, pose, *rest)
-    some = placed[::4]
-    axes, each = np.broadcast_to(np.eye(3), (len(some), 3, 3)), np.ones(len(some))
+    state, some = _State(model.of_vertices(index), free, meter, pose, *rest), placed[::4]
+    axes = np.broadcast_to(np.eye(3), (len(some), 3, 3))
     # Places err together over NEAR_MM: `common_shape` counts as many patches.
-    patches = counts[placed].sum() * area.mean() * len(places.vertices) / len(kept) / (4 * np.pi * NEAR_MM**2)
+    patches = counts[placed].sum() * area.mean() * len(used) / len(index) / (4 * np.pi * NEAR_MM**2)
     share = float(patches / counts[some].sum())
-    along = _Term(some, target[some], axes, counts[some], each, PLACE_MM, share)
+    along = _Term(some, target[some], axes, counts[some], PLACE_MM, share)
     state = minimize(replace(state, terms=(along,)), steps=20, tolerance=SMALL**2, meter=meter).best
-    whole = pose_of(model, state)
+
+    def posed() -> FloatArray:
+        return state.pose.apply(model.at(state.coefficients, state.rotations))
+
+    whole = posed()
     bare = scan if fitted.covered_faces is None else scan.without_faces(fitted.covered_faces)
     low, high = whole[index].min(0) - GATE_MM[0], whole[index].max(0) + GATE_MM[0]
     near = scan_near_model(
@@ -325,20 +313,20 @@ def fit_linear_model(
     surface = near.turned_outward(whole[index], vertex_normals(whole, faces)[index], GATE_MM[0])
     converged, falls, across = False, True, replace(along, scale=np.inf, share=1.0)
     for _ in range(MOST_ROUNDS):
-        outward = vertex_normals(pose_of(model, state), faces)[index]
+        outward = vertex_normals(posed(), faces)[index]
         hits = surface.nearest.query(state.points)
         normal = normalized(surface.normals_at(hits))
         there = ~surface.on_boundary(hits) & (np.einsum("ij,ij->i", normal, outward) > 0) & (counts > 0)
         if not (there & known).any():
             break
         seen, last = np.flatnonzero(there), across
-        across = _Term(seen, hits.points[seen], normal[seen, None], counts[seen], known[seen].astype(float))
-        across = across.settled(state.points)
+        across, certain = _Term(seen, hits.points[seen], normal[seen, None], counts[seen]), counts * known
+        across = across.settled(state.points, certain[seen])
         # What a poor fit leaves is correlated, too, and would excuse it: independent while errors fall.
         falls = falls and across.scale < (1 - SMALL) * last.scale
         across = replace(across, share=1.0 if falls else float(np.sqrt(across.share * last.share)))
         off = np.sqrt(across.residuals(state.points)[1])
-        meter.record(float(np.average(off, weights=across.weight * across.known)))
+        meter.record(float(np.average(off, weights=certain[seen])))
         if meter.exhausted:
             break
         before = replace(state, terms=(across, along))
@@ -346,7 +334,7 @@ def fit_linear_model(
         change = (state.coefficients - before.coefficients) / state.deviation[-len(rest[0]) :]
         if converged := bool(not falls and np.mean(change**2) < SMALL**2):
             break
-    vertices = pose_of(model, state)
+    vertices = posed()
     normals, hits = vertex_normals(vertices, faces), surface.nearest.query(vertices)
     shown = ~surface.on_boundary(hits) & (hits.distance < RESIDUAL_GATE_MM)
     shown &= np.einsum("ij,ij->i", surface.normals_at(hits), normals) > 0
@@ -364,19 +352,11 @@ def fit_linear_model(
         rotations=state.rotations,
         deviation=state.deviation,
         vertices=vertices,
-        faces=faces,
-        uv=model.uv[:, ::-1] if model.uv is not None and places.inward else model.uv,
         residual_mm=residual,
         displacement_mm=np.where(shown, np.einsum("ij,ij->i", hits.points - vertices, normals), np.nan),
-        mm_per_unit=unit,
         noise_mm=across.scale,
         observations=observations,
         converged=converged,
         trace=meter.trace,
         plan=tuple(steps),
     )
-
-
-def pose_of(model: LinearFaceModel, state: _State) -> FloatArray:
-    """Return all vertices (V, 3) of a model in a state."""
-    return state.pose.apply(model.at(state.coefficients, state.rotations))

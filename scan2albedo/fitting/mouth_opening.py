@@ -279,8 +279,7 @@ def mouth_distances(
     near = np.linalg.norm(scan.vertices - middle, axis=1) < ZONE_MM
     surface, faces = samples.matrix @ control_points, samples.faces
     hits = NearestSurface(surface, faces).query(scan.vertices[near])
-    normals = surface_normals(surface, faces)[0][faces[hits.face]]
-    across = normalized(np.einsum("nk,nkj->nj", hits.barycentric, normals))
+    across = normalized(hits.interpolated(surface_normals(surface, faces)[0], faces))
     facing = np.einsum("ij,ij->i", across, scan.normals[near]) > MIN_COSINE
     distance, left = np.minimum(hits.distance, REACH_MM), scan.vertices[near, 0] > middle[0]
     sides = [distance[facing & (left == side)] for side in (False, True)]

@@ -61,7 +61,7 @@ class ScanSurface:
 
     def normals_at(self, hits: ClosestHits) -> FloatArray:
         """Return (N, 3) interpolated normals (not unit) at closest points."""
-        return np.einsum("nk,nkj->nj", hits.barycentric, self.normals[self.faces[hits.face]])
+        return hits.interpolated(self.normals, self.faces)
 
     def on_boundary(self, hits: ClosestHits) -> BoolArray:
         """Return (N,) True where the closest point lies on the border of the scan or of a hole."""

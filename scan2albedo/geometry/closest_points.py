@@ -27,6 +27,10 @@ class ClosestHits(RayHits):
     points: FloatArray
     vertex: IntArray | None = None
 
+    def interpolated(self, values: NDArray, faces: IntArray) -> FloatArray:
+        """Return values (V, ...) of the vertices of faces (F, 3) at the hits, (N, ...)."""
+        return np.einsum("nk,nk...->n...", self.barycentric, values[faces[self.face]])
+
 
 class ClosestPointQuery:
     """Closest-point queries against one mesh in any unit; raises ValueError when there is no face."""

@@ -109,6 +109,12 @@ def adjacency(vertex_count: int, faces: IntArray) -> sparse.csr_matrix:
     return (graph + graph.T).astype(np.float64)
 
 
+def neighbour_mean(vertex_count: int, faces: IntArray) -> sparse.csr_matrix:
+    """Return the (V, V) matrix that averages values of each vertex and its neighbours."""
+    around = adjacency(vertex_count, faces) + sparse.identity(vertex_count, format="csr")
+    return sparse.diags(1 / np.asarray(around.sum(1)).ravel()) @ around
+
+
 def vertex_components(vertex_count: int, faces: IntArray) -> IntArray:
     """Return (V,) component labels 0..n-1 of vertices connected through faces, by their first vertex."""
     require_vertices(faces, vertex_count)

@@ -24,24 +24,13 @@ from scan2albedo.io.load_scan import file_sha256
 from scan2albedo.io.npz import read_npz
 
 Values = dict[str, Any]
-_LAYOUTS = """mean v_template shapeMU shape/model/mean
-basis shapedirs shapePC shape/model/pcaBasis
-deviation shapeEV
-variance shape/model/pcaVariance
-faces f
-cells shape/representer/cells
-expression_mean expression/model/mean
-expression_basis expression/model/pcaBasis
-expression_variance expression/model/pcaVariance
-uv vt
-uv_faces ft
-skinning_weights weights
-joint_regressor J_regressor
+_LAYOUTS = """mean v_template shapeMU shape/model/mean, basis shapedirs shapePC shape/model/pcaBasis,
+deviation shapeEV, variance shape/model/pcaVariance, faces f, cells shape/representer/cells, tl,
+expression_mean expression/model/mean, expression_basis expression/model/pcaBasis, expression_deviation,
+expression_variance expression/model/pcaVariance, expression_names, identity_basis, uv vt, uv_faces ft,
+skinning_weights weights, joints, joint_parents, joint_positions, joint_regressor J_regressor, kintree_table,
 pose_basis posedirs"""
-_OTHERS = """expression_deviation expression_names joints joint_parents joint_positions kintree_table tl
-identity_basis"""
-_NAMES = {name: name for name in _OTHERS.split()}
-_NAMES |= {name: line.split()[0] for line in _LAYOUTS.splitlines() for name in line.split()}
+_NAMES = {name: entry.split()[0] for entry in _LAYOUTS.split(",") for name in entry.split()}
 """Our names of arrays, then those in FLAME, Basel 2009, and Basel 2017 and later."""
 FLAME_SHAPES, FLAME_JOINTS = 300, ("root", "neck", "jaw", "left_eye", "right_eye")
 """Shape directions of FLAME, which its expressions follow, and its joints in their order."""
@@ -82,6 +71,8 @@ class LinearFaceModel:
     joint_basis: FloatArray = None  # type: ignore[assignment]
     pose_basis: FloatArray | None = None
     names: tuple[str, ...] = ()
+    mm_per_unit: float = 1.0
+    """Found where the mean is placed on a face."""
 
     def __post_init__(self) -> None:
         count, joints, size = len(self.mean), len(self.joints), self.basis.shape[-1]
@@ -148,8 +139,7 @@ class LinearFaceModel:
             sided = stem + {"_L": "Left", "_R": "Right", "": ""}[side]
             known = sided if sided in ARKIT_NAMES else stem if stem in ARKIT_NAMES else name
             shares.setdefault(known, np.zeros(len(self.names)))[k] = 1.0
-        order = {name: k for k, name in enumerate(ARKIT_NAMES)}
-        return dict(sorted(shares.items(), key=lambda entry: order.get(entry[0], len(order))))
+        return dict(sorted(shares.items(), key=lambda entry: (*ARKIT_NAMES, entry[0]).index(entry[0])))
 
     def of_vertices(self, index: IntArray) -> Self:
         """Return the model of some vertices (N,), with a face that means nothing."""
@@ -184,9 +174,6 @@ def model_fields(values: Values) -> Values:
         found["faces"] = _numbers(found, "tl") - 1
     if "cells" in found:
         found["faces"] = _numbers(found, "cells").T
-    for own in ("", "expression_"):
-        if f"{own}variance" in found:
-            found[f"{own}deviation"] = np.sqrt(_numbers(found, f"{own}variance"))
     if "identity_basis" in found:  # `MorphableShapeModel`: (K, V, 3), of unit variance
         found["basis"] = np.moveaxis(_numbers(found, "identity_basis"), 0, -1)
         found["expression_basis"] = np.moveaxis(_numbers(found, "expression_basis"), 0, -1)
@@ -200,6 +187,8 @@ def model_fields(values: Values) -> Values:
             raise ModelError(f"{own}basis has shape {basis.shape}, expected ({len(mean)}, 3, K) as the mean")
         basis = basis.reshape(*mean.shape, -1)
         wanted, name = basis.shape[2:], f"{own}deviation"
+        if f"{own}variance" in found:
+            found[name] = np.sqrt(_numbers(found, f"{own}variance"))
         deviation = _numbers({name: np.ones(wanted), **found}, name).ravel()
         if deviation.shape != wanted or not (deviation >= 0).all():
             raise ModelError(f"{name} has shape {deviation.shape}, expected {wanted}, 0 or more")
@@ -306,11 +295,9 @@ class _Inert:
         self.state = state
 
 
-_ARRAYS = "ndarray", "dtype", "_reconstruct", "scalar", "_frombuffer", "csc_matrix", "csr_matrix", "csc_array"
-_CLASSES = {
-    name: type(name, (_Inert,), {})
-    for name in (*_ARRAYS, "csr_array", "Ch", "_reconstructor", "object", "set")
-}
+_READ = """ndarray dtype _reconstruct scalar _frombuffer csc_matrix csr_matrix csc_array csr_array Ch
+_reconstructor object set"""
+_CLASSES = {name: type(name, (_Inert,), {}) for name in _READ.split()}
 
 
 class _Unpickler(pickle._Unpickler):

@@ -6,14 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.tangents import split_at_seams
 from scan2albedo.io.atomic import write_text
-
-_FIELD = {"r": "float", "rgb": "color3f", "normal": "normal3f"}
-"""Types of the inputs of a UsdPreviewSurface by what is read of a texture."""
 
 
 def write_usda(
@@ -21,47 +19,37 @@ def write_usda(
     vertices: FloatArray,
     faces: IntArray,
     uv: FloatArray,
-    textures: Mapping[str, tuple[str, str, float]],
+    textures: Mapping[str, str],
+    displacement_mm: float = 1.0,
     **values: float,
 ) -> None:
     """Write a mesh (V, 3) mm, (F, 3) with coordinates (F, 3, 2) and a UsdPreviewSurface; raises OutputError.
 
-    `textures` are by the material's input: the file, beside `path` (<UDIM> stands for a tile's number), what
-    of it is read ("r"; "rgb", in sRGB; or "normal", in [-1, 1]), and the factor s of the value: of "r" s x,
-    or where s is negative |s| (2 x - 1). `values` are inputs without one.
+    `textures` are files beside `path` (<UDIM> stands for a tile's number) by the material's input: a
+    diffuseColor in sRGB, a normal in [-1, 1], a displacement from -`displacement_mm` to it, others in [0, 1].
+    `values` are inputs without one.
 
     .. [1] "UsdPreviewSurface Specification", version 2.6, OpenUSD.
     """
     split = split_at_seams(faces, uv)
-    arrays = {
-        "point3f[] points": _tuples(vertices),
-        "int[] faceVertexCounts": ", ".join(["3"] * len(faces)),
-        "int[] faceVertexIndices": ", ".join(map(str, faces.ravel().tolist())),
-        "normal3f[] normals": _tuples(vertex_normals(vertices, faces)),
-        "texCoord2f[] primvars:st": _tuples(split.uv),
-        "int[] primvars:st:indices": ", ".join(map(str, split.faces.ravel().tolist())),
-    }
-    after = {"normal3f[] normals": "vertex", "texCoord2f[] primvars:st": "faceVarying"}
-    told = (f"        {name} = [{text}]{_interpolated(after.get(name))}" for name, text in arrays.items())
     inputs = [f"            float inputs:{name} = {value:.6g}" for name, value in values.items()]
     readers = list[str]()
-    for name, (file, what, scale) in textures.items():
-        output = what if what == "r" else "rgb"
-        source = f"</face/skin/{name}.outputs:{output}>"
-        inputs.append(f"            {_FIELD[what]} inputs:{name}.connect = {source}")
-        signed = what == "normal" or scale < 0
-        factor, offset = (2 * abs(scale), -abs(scale)) if signed else (scale, 0.0)
-        space = "sRGB" if what == "rgb" else "raw"
-        readers += [
-            f'        def Shader "{name}"\n        {{',
-            '            uniform token info:id = "UsdUVTexture"',
-            f"            asset inputs:file = @./{file}@",
-            f'            token inputs:sourceColorSpace = "{space}"',
-            f"            float4 inputs:scale = ({', '.join(4 * [f'{factor:.6g}'])})",
-            f"            float4 inputs:bias = ({', '.join(4 * [f'{offset:.6g}'])})",
-            "            float2 inputs:st.connect = </face/skin/place.outputs:result>",
-            f"            {'float' if what == 'r' else 'float3'} outputs:{output}\n        }}",
-        ]
+    for name, file in textures.items():
+        kind = {"diffuseColor": "color3f", "normal": "normal3f"}.get(name, "float")
+        read, output = ("float", "r") if kind == "float" else ("float3", "rgb")
+        most = {"normal": 1.0, "displacement": displacement_mm}.get(name)
+        factor, offset = (1.0, 0.0) if most is None else (2 * most, -most)
+        inputs.append(f"            {kind} inputs:{name}.connect = </face/skin/{name}.outputs:{output}>")
+        readers.append(f"""        def Shader "{name}"
+        {{
+            uniform token info:id = "UsdUVTexture"
+            asset inputs:file = @./{file}@
+            token inputs:sourceColorSpace = "{"sRGB" if name == "diffuseColor" else "raw"}"
+            float4 inputs:scale = {_tuples([4 * [factor]])}
+            float4 inputs:bias = {_tuples([4 * [offset]])}
+            float2 inputs:st.connect = </face/skin/place.outputs:result>
+            {read} outputs:{output}
+        }}""")
     moved = "displacement" in textures
     text = f"""#usda 1.0
 (
@@ -76,7 +64,12 @@ def Xform "face"
     {{
         uniform token subdivisionScheme = "none"
         rel material:binding = </face/skin>
-{chr(10).join(told)}
+        point3f[] points = [{_tuples(vertices)}]
+        int[] faceVertexCounts = {len(faces) * [3]}
+        int[] faceVertexIndices = {faces.ravel().tolist()}
+        normal3f[] normals = [{_tuples(vertex_normals(vertices, faces))}] (interpolation = "vertex")
+        texCoord2f[] primvars:st = [{_tuples(split.uv)}] (interpolation = "faceVarying")
+        int[] primvars:st:indices = {split.faces.ravel().tolist()}
     }}
 
     def Material "skin"
@@ -103,9 +96,5 @@ def Xform "face"
     write_text(path, text)
 
 
-def _tuples(rows: FloatArray) -> str:
+def _tuples(rows: ArrayLike) -> str:
     return ", ".join(f"({', '.join(f'{value:.7g}' for value in row)})" for row in np.asarray(rows).tolist())
-
-
-def _interpolated(how: str | None) -> str:
-    return f' (interpolation = "{how}")' if how else ""

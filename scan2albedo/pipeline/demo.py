@@ -96,8 +96,8 @@ def compare_with_truth(result: ProcessResult, truth: SyntheticTruth) -> DemoRepo
     # The true albedo at the surface points nearest to the texels; those at the chart's border have none near.
     true_vertices, true_faces = truth.image.triangulated()
     hits = ClosestPointQuery(true_vertices, true_faces).query(position)
-    corners = truth.albedo_linear[truth.image.mask][true_faces[hits.face]]
-    true_albedo = np.einsum("nk,nkc->nc", hits.barycentric, corners).astype(np.float32)
+    albedo = truth.albedo_linear[truth.image.mask]
+    true_albedo = hits.interpolated(albedo, true_faces).astype(np.float32)
     usable = image.seen[both] & (hits.distance < 2.0)
     light_deg = float("nan")
     if estimate.lights:

@@ -54,8 +54,6 @@ _TEXEL_S = 2.5e-6
 """Seconds a texel that each of sampling, division and painting a template takes, whatever the budget."""
 _UNLIT_S = 0.8e-6
 """The same of the removal of light from the scan's own texture."""
-_COVERS = ("beard", "hair", "cloth")
-"""Labels whose surface is not the face's."""
 WHOLE_FACE = 0.8
 """Part of the model with scan near, below which a person is warned: whole faces have 0.85 and more."""
 KNOWN_LIGHT = 0.25
@@ -254,13 +252,14 @@ def _processed(
     coefficients = None
     if linear is not None and fitted is not None:
         with clock.timed("linear_model"):
-            places, skin = linear_model_places(linear, fitted.model), np.ones(len(fitted.vertices))
+            placed, skin = linear_model_places(linear, fitted.model), np.ones(len(fitted.vertices))
             if image.labels is not None:
-                pixels = np.round(pixels_from_uv(fitted.uv, image.mask.shape)).astype(int)
-                column, row = np.clip(pixels, 0, image.mask.shape[0] - 1).T
-                skin -= np.isin(image.labels[row, column], [CLASSES.index(name) for name in _COVERS])
-            share = clock.share("linear_model")
-            coefficients = fit_linear_model(scan, fitted, linear, places, skin, share, on_progress)
+                pixels = np.round(pixels_from_uv(fitted.uv, image.shape)).astype(int)
+                column, row = np.clip(pixels, 0, image.shape[0] - 1).T
+                covers = [CLASSES.index(name) for name in ("beard", "hair", "cloth")]
+                skin -= np.isin(image.labels[row, column], covers)
+            given = clock.share("linear_model"), on_progress
+            coefficients = fit_linear_model(scan, fitted, *placed, skin, *given)
             fitted = coefficients.as_template(fitted)
         plan["linear_model"] = coefficients.plan
     if (white := options.white_balance) != "none" and image.texture_linear is not None:

@@ -251,7 +251,7 @@ def write_result(
         if fitted is not None and linear is not None:
             placed = np.diag([*np.ones(3) / scan.mm_per_unit, 1]) @ invert_rigid(fitted.model_from_scan)
             write("coefficients.json", write_record, linear.record(placed))
-            arrays = {"vertices": transform_points(placed, linear.vertices), "faces": linear.faces}
+            arrays = {"vertices": transform_points(placed, linear.vertices), "faces": linear.model.faces}
             arrays |= {name: getattr(linear, name) for name in ("residual_mm", "displacement_mm")}
             write("linear_model.npz", write_npz, arrays, what="linear model")
         if result.maps_of_skin is not None:
@@ -365,10 +365,8 @@ def write_template(
             write_png(folder / f"{stem}_normal_directx{end}", normal_bytes(tile.normal * (1, -1, 1), samples))
             for name, values in tile.maps.items():
                 if name == "displacement_mm":
+                    write_exr((folder / f"{stem}_displacement{end}").with_suffix(".exr"), values)
                     name, values = "displacement", 0.5 + values / (2 * REACH_MM)
-                    write_exr(
-                        (folder / f"{stem}_{name}{end}").with_suffix(".exr"), tile.maps["displacement_mm"]
-                    )
                 write_png(folder / f"{stem}_{name}{end}", integers(values, samples))
             layers = [tile.maps[name] for name in ("occlusion", "roughness", "specular")]
             layers.insert(2, np.zeros_like(layers[0]))
@@ -380,15 +378,11 @@ def write_template(
     write_textured_glb(folder / f"{stem}.glb", mesh)
     if template.tiles and template.tiles[0].maps:
         end = ".png" if alone else ".<UDIM>.png"
-        textures = {
-            "diffuseColor": (f"{stem}{end}", "rgb", 1.0),
-            "normal": (f"{stem}_normal{end}", "normal", 1.0),
-        }
-        textures |= {name: (f"{stem}_{name}{end}", "r", 1.0) for name in ("occlusion", "roughness")}
-        if "displacement_mm" in template.tiles[0].maps:
-            textures["displacement"] = (f"{stem}_displacement{end}", "r", -REACH_MM)
+        inputs = "normal", "occlusion", "roughness", "displacement"
+        there = inputs[: 3 + ("displacement_mm" in template.tiles[0].maps)]
+        textures = {"diffuseColor": f"{stem}{end}", **{name: f"{stem}_{name}{end}" for name in there}}
         surface_of = template.vertices, template.faces, template.uv
-        write_usda(folder / f"{stem}.usda", *surface_of, textures, ior=1.4, metallic=0.0)
+        write_usda(folder / f"{stem}.usda", *surface_of, textures, REACH_MM, ior=7 / 5, metallic=0)
 
 
 def _gray_bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:

@@ -30,7 +30,6 @@ from scan2albedo.templates.surface import TemplateSurface, template_surface
 
 if TYPE_CHECKING:
     from scan2albedo.fitting import FittedFace
-    from scan2albedo.fitting.linear_model import ModelPlaces
 
 _REACH_MM = 8.0
 """Annotation that lies farther from the template than this is not carried over."""
@@ -148,23 +147,19 @@ def fitted_to_template(surface: TemplateSurface, name: str, model: AnnotatedSurf
     return fit(scan, model, registration)
 
 
-@lru_cache(maxsize=1)
-def places_on_default(linear: LinearFaceModel) -> ModelPlaces:
-    """Return `linear_model_places` on the default model, kept for the next scan."""
-    return _places(linear, AnnotatedFaceModel.default())
+def linear_model_places(
+    linear: LinearFaceModel, model: AnnotatedSurface
+) -> tuple[LinearFaceModel, SurfacePoints]:
+    """Return a linear model with its unit and faces wound outward, and where its mean's vertices (V,) lie on
+    an annotated face model, which is fitted to it.
 
-
-def linear_model_places(linear: LinearFaceModel, model: AnnotatedSurface) -> ModelPlaces:
-    """Return where a linear model's mean lies on an annotated face model, which is fitted to it.
-
-    Vertices off its largest part (eyeballs, teeth) are not used. Raises `ModelError`, naming the linear
-    model, where its mean is no surface, or no face is recognised in it.
+    `face` is -1 off the mean's largest part (eyeballs, teeth), `barycentric` 0 of vertices without a place.
+    Raises `ModelError`, naming the linear model, where its mean is no surface or shows no face.
     """
-    return places_on_default(linear) if model is AnnotatedFaceModel.default() else _places(linear, model)
+    return _on_default(linear) if model is AnnotatedFaceModel.default() else _places(linear, model)
 
 
-def _places(linear: LinearFaceModel, model: AnnotatedSurface) -> ModelPlaces:
-    from scan2albedo.fitting.linear_model import ModelPlaces
+def _places(linear: LinearFaceModel, model: AnnotatedSurface) -> tuple[LinearFaceModel, SurfacePoints]:
     from scan2albedo.fitting.result import RESIDUAL_GATE_MM
 
     with errors_of("linear model", ModelError, RegistrationError):
@@ -178,15 +173,19 @@ def _places(linear: LinearFaceModel, model: AnnotatedSurface) -> ModelPlaces:
     query = ClosestPointQuery(fitted.vertices, fitted.faces[skin])
     hits = query.query_facing(points[used], normals[used])
     rim = boundary_vertex_mask(len(fitted.vertices), fitted.faces[skin])
-    inner = np.sum(hits.barycentric * ~rim[fitted.faces[skin][hits.face]], axis=1) > 1e-3
-    facing = np.sum(vertex_normals(points, linear.faces)[used] * normals[used])
-    return ModelPlaces(
-        used,
-        SurfacePoints(skin[hits.face], hits.barycentric),
-        inner & (hits.distance < RESIDUAL_GATE_MM),
-        float(np.linalg.det(surface.template_from_surface[:3, :3]) ** (-1 / 3)),
-        bool(facing < 0),
-    )
+    inner = hits.interpolated(~rim, fitted.faces[skin]) > 1 / 1000
+    places = SurfacePoints(np.full(len(points), -1), np.zeros(points.shape))
+    known = inner & (hits.distance < RESIDUAL_GATE_MM)
+    places.face[used], places.barycentric[used] = skin[hits.face], hits.barycentric * known[:, None]
+    faces, uv = linear.faces, linear.uv
+    if np.sum(vertex_normals(points, faces)[used] * normals[used]) < 0:  # wound inward
+        faces, uv = faces[:, ::-1], None if uv is None else uv[:, ::-1]
+    unit = float(np.linalg.det(surface.template_from_surface[:3, :3]) ** (-1 / 3))
+    return replace(linear, faces=faces, uv=uv, mm_per_unit=unit), places
+
+
+_on_default = lru_cache(maxsize=1)(lambda linear: _places(linear, AnnotatedFaceModel.default()))
+"""Kept for the next scan."""
 
 
 def _annotated_model(surface: TemplateSurface, given: DenseTemplate, control_size: int) -> AnnotatedSurface:
@@ -215,8 +214,7 @@ def _annotated_model(surface: TemplateSurface, given: DenseTemplate, control_siz
     # Each control vertex gets the place on the default chart that lies on it.
     normals = vertex_normals(model.control_vertices, model.control_faces)
     hits = nearest.query_facing(model.control_vertices, normals)
-    corners = fitted.uv[skin_faces[hits.face]]
-    model = replace(model, face_uv=np.einsum("nk,nkj->nj", hits.barycentric, corners))
+    model = replace(model, face_uv=hits.interpolated(fitted.uv, skin_faces))
     notes = [*model.notes, axes]
     if given.regions is None:
         # Each control face gets the region that lies on it.

@@ -64,7 +64,7 @@ def fitted_to(scan, model_from_scan, linear, weight=None, **more):
     fitted = fit(scan, default, model_from_scan)
     weight = np.ones(len(fitted.vertices)) if weight is None else weight(fitted)
     places = linear_model_places(linear, default)
-    return fitted, fit_linear_model(scan, fitted, linear, places, weight, **more)
+    return fitted, fit_linear_model(scan, fitted, *places, weight, **more)
 
 
 def vertex_errors(found, fitted, model_from_scan, true):
@@ -74,12 +74,14 @@ def vertex_errors(found, fitted, model_from_scan, true):
 
 
 def test_the_mean_is_placed_whatever_its_axes_and_unit(linear):
-    places = linear_model_places(linear, AnnotatedFaceModel.default())
-    assert places.mm_per_unit == pytest.approx(1000)
-    assert places.known.mean() > 0.8
-    assert not places.inward
-    inside_out = replace(linear, faces=linear.faces[:, ::-1])
-    assert linear_model_places(inside_out, AnnotatedFaceModel.default()).inward
+    placed, places = linear_model_places(linear, AnnotatedFaceModel.default())
+    assert placed.mm_per_unit == pytest.approx(1000)
+    assert (places.face >= 0).all()
+    assert places.barycentric.any(1).mean() > 0.8
+    np.testing.assert_array_equal(placed.faces, linear.faces)
+    inside_out = replace(linear, faces=linear.faces[:, ::-1], uv=np.zeros((len(linear.faces), 3, 2)))
+    placed = linear_model_places(inside_out, AnnotatedFaceModel.default())[0]
+    np.testing.assert_array_equal(placed.faces, linear.faces)
     with pytest.raises(ModelError, match="linear model: bumps"):
         linear_model_places(replace(linear, mean=linear.mean * [1, 1, 0.01]), AnnotatedFaceModel.default())
 
@@ -154,17 +156,17 @@ def test_the_gradient_is_that_of_the_cost(jointed):
     """Central differences of minus the log posterior, over motion, size, jaw and coefficients."""
     rng = np.random.default_rng(0)
     index = np.arange(0, len(jointed.mean), 40)
-    part = jointed.of_vertices(index)
+    part = replace(jointed.of_vertices(index), mm_per_unit=1000.0)
     axes = rng.normal(size=(len(index), 1, 3))
     target = 1000 * part.mean + rng.normal(0, 2, part.mean.shape)
     weight = rng.random(len(index))
-    plane = _Term(np.arange(len(index)), target, axes, weight, np.ones(len(index)), 1.3, 0.4)
+    plane = _Term(np.arange(len(index)), target, axes, weight, 1.3, 0.4)
     point = replace(plane, axes=np.broadcast_to(np.eye(3), (len(index), 3, 3)), scale=2.0)
     pose = Similarity(rotation_from_vector([0.1, 0.2, 0.3]), np.array([1.0, 2.0, 3.0]), 1010.0)
     turns = np.array([[0, 0, 0], [0.1, 0.05, -0.1]])
     meter = Meter("linear_model", "mm")
     coefficients = rng.normal(size=15) * 0.3
-    state = _State(part, np.array([1]), meter, 1000.0, pose, coefficients, turns, (plane, point))
+    state = _State(part, np.array([1]), meter, pose, coefficients, turns, (plane, point))
     equations = state.normal_equations()
     for number in range(len(equations.gradient)):
         step = np.zeros(len(equations.gradient))
@@ -180,7 +182,7 @@ def test_correlated_errors_count_as_fewer_observations(linear):
     rng = np.random.default_rng(0)
     white = points + [0, 0, 1] * rng.normal(0, 0.3, (len(points), 1))
     waves = points + [0, 0, 0.3] * np.sin(points[:, :1] / 10) * np.sin(points[:, 1:2] / 10)
-    alone, together = (_Term(index, y, axes, count, count).settled(points) for y in (white, waves))
+    alone, together = (_Term(index, y, axes, count).settled(points, count) for y in (white, waves))
     assert alone.share > 0.3
     assert together.share < 0.05
     assert alone.scale == pytest.approx(0.3, rel=0.25)  # t's scale of normal noise is a little less
