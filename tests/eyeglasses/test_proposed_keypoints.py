@@ -7,7 +7,7 @@ import jsonschema
 import numpy as np
 import pytest
 import trimesh
-from scan2albedo.synthetic.head import join
+from scan2albedo.synthetic.sitter import join
 from typer.testing import CliRunner
 
 from scan2albedo.cli.commands import app

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from scan2albedo.synthetic.head import join
+from scan2albedo.synthetic.sitter import join
 
 from benchmarks.eyeglasses_rims import damaged
 from benchmarks.eyeglasses_scenes import SHAPES, BareFrame, own_bend
