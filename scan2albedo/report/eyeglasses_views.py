@@ -172,7 +172,7 @@ def key_point_chart(
         faces = mesh.faces
     points = {name: p for name, p in zip(KEY_POINT_NAMES, marks, strict=True) if np.isfinite(p).all()}
     x, _, z = map(float, (vertices.min(0) + vertices.max(0)) / 2)
-    half = 0.77 * float(np.ptp(vertices, axis=0).max())
+    half = float(np.ptp(vertices, axis=0).max()) * 3 / 4
     temple = [name for name in points if name.startswith(("left_temple", "left_ear"))]
     front = [name for name in points if "temple" not in name and "ear" not in name]
     pictures = (

@@ -7,7 +7,6 @@ import jsonschema
 import numpy as np
 import pytest
 import trimesh
-from scan2albedo.synthetic.head import join
 from typer.testing import CliRunner
 
 from scan2albedo.cli.commands import app
@@ -16,6 +15,7 @@ from scan2albedo.eyeglasses import KEY_POINT_NAMES, propose_keypoints, read_keyp
 from scan2albedo.geometry.rigid import random_rotation
 from scan2albedo.io import load_scan
 from scan2albedo.synthetic import GlassesBend, eyeglasses
+from scan2albedo.synthetic.sitter import join
 
 SCHEMA = Path(__file__).resolve().parents[2] / "data_schemas" / "eyeglasses_keypoints.schema.json"
 MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from scan2albedo.synthetic.head import join
 
 from benchmarks.eyeglasses_rims import damaged
 from benchmarks.eyeglasses_scenes import SHAPES, BareFrame, own_bend
@@ -17,6 +16,7 @@ from scan2albedo.geometry.rigid import random_rotation, rotation_from_vector
 from scan2albedo.io import load_scan
 from scan2albedo.report.eyeglasses_views import key_point_chart
 from scan2albedo.synthetic import GlassesBend, eyeglasses
+from scan2albedo.synthetic.sitter import join
 
 UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
 KINDS = (
