@@ -1,7 +1,6 @@
 """Lenses in the masks and lenses in the mesh: what covers the rims' openings in each view."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -19,21 +18,14 @@ from scan2albedo.geometry.pinhole import project
 from scan2albedo.geometry.rays import RayCaster
 
 
-@dataclass(frozen=True)
-class RimOpening:
-    """The opening of a rim of key points `rim` (5,), on the wearer's left (0) or right `side` (1).
+def rim_openings(
+    vertices: FloatArray, faces: IntArray, keypoints: FloatArray
+) -> list[tuple[int, IntArray, IntArray, bool]]:
+    """Return the openings of the rims whose key points (20, 3) are known.
 
-    `panes` (P,) are the faces of the mesh's own lens; `sealed` says that one of one piece covers it.
+    Each is the wearer's left (0) or right side (1), the numbers (5,) of the rim's key points, the faces (P,)
+    of the mesh's own lens, and whether one of one piece with the rim covers it.
     """
-
-    side: int
-    rim: IntArray
-    panes: IntArray
-    sealed: bool
-
-
-def rim_openings(vertices: FloatArray, faces: IntArray, keypoints: FloatArray) -> list[RimOpening]:
-    """Return the openings of the rims whose key points (20, 3) are known."""
     found, left = [], np.arange(len(faces))
     for side, rim in enumerate(RIMS):
         marks = keypoints[rim]
@@ -45,7 +37,7 @@ def rim_openings(vertices: FloatArray, faces: IntArray, keypoints: FloatArray) -
             continue
         panes = pane_faces(vertices, faces[left], plane, marks)
         own, left = left[panes], left[~panes]
-        found.append(RimOpening(side, rim, own, is_covered(vertices, faces[left], plane, marks)))
+        found.append((side, np.asarray(rim), own, is_covered(vertices, faces[left], plane, marks)))
     return found
 
 
@@ -63,10 +55,10 @@ def fit_lenses_to_masks(
     steps, added, count = [], mesh, len(cameras)
     kept = [np.ones(len(mesh.faces), bool) for _ in cameras]
     extra: list[list[IntArray]] = [[] for _ in cameras]
-    for opening in rim_openings(mesh.points.rest, mesh.faces, motion.keypoints):
+    for side, marks, panes, sealed in rim_openings(mesh.points.rest, mesh.faces, motion.keypoints):
         # Shares of the opening's middle that the masks cover, at places on 24 rays from the middle of the
         # polygon of the rim's key points, from a tenth to six tenths of the way.
-        rim = motion.positions(motion.marks)[opening.rim]
+        rim = motion.positions(motion.marks)[marks]
         corners = np.vstack([rim, rim[:1]])
         way = np.linspace(0, len(rim), 24, endpoint=False)
         edge = np.stack([np.interp(way, np.arange(len(corners)), corners[:, k]) for k in range(3)], 1)
@@ -84,20 +76,20 @@ def fit_lenses_to_masks(
             continue
         # A view that cannot say is taken to be like the others.
         shown = np.where(np.isnan(shares), np.nanmean(shares), shares) >= 0.5
-        name = f"{SIDES[opening.side]} lens"
+        name = f"{SIDES[side]} lens"
         evidence = ", ".join("-" if np.isnan(s) else f"{s:.0%}" for s in shares) + " of the opening covered"
-        if len(opening.panes) and not shown.all():
+        if len(panes) and not shown.all():
             for number in np.flatnonzero(~shown):
-                kept[number][opening.panes] = False
+                kept[number][panes] = False
             reason = f"{_views(~shown)} no {name}: the mesh's own is left out of the outline"
             steps.append(PlanStep("glasses.lenses", True, reason, evidence))
-        elif opening.sealed and not shown.all():
+        elif sealed and not shown.all():
             reason = f"{_views(~shown)} no {name}, but the mesh has one of one piece with the rim"
             reason += ", which stays; cut it out of the mesh"
             steps.append(PlanStep.doubt("glasses.lenses", reason, evidence))
-        elif shown.any() and not opening.sealed and not len(opening.panes):
+        elif shown.any() and not sealed and not len(panes):
             reason = f"{_views(shown)} a {name} that the mesh does not have"
-            given = mesh.points.rest, mesh.faces, motion.keypoints, opening.side
+            given = mesh.points.rest, mesh.faces, motion.keypoints, side
             try:
                 lens = insert_lens(*given, LensMaterial(), seat_mm=0.5)
             except EyeglassesError:

@@ -93,9 +93,11 @@ def place_in_pictures(
     shifts = np.stack(np.meshgrid(*steps, indexing="ij"), -1).reshape(-1, 3)
     prior = ((shifts / _SEAT_MM) ** 2).sum(1) / 2
     openings = rim_openings(mesh.points.rest, mesh.faces, keypoints)
-    rims = np.delete(mesh.faces, np.concatenate([np.zeros(0, int), *(o.panes for o in openings)]), axis=0)
+    rims = np.delete(
+        mesh.faces, np.concatenate([np.zeros(0, int), *(panes for *_, panes, _ in openings)]), axis=0
+    )
     # The key points lie behind the mesh's own vertices.
-    fans = [o.rim[[[0, 1, 2], [0, 2, 3], [0, 3, 4]]] + len(mesh.points.rest) for o in openings]
+    fans = [rim[[[0, 1, 2], [0, 2, 3], [0, 3, 4]]] + len(mesh.points.rest) for _, rim, *_ in openings]
     filled = np.concatenate([rims, *fans])
     best: tuple[float, FrameState, FloatArray] | None = None
 

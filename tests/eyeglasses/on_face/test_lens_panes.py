@@ -59,15 +59,16 @@ def shown_frame(mesh, masks, eyes=((0.0, 0.0, 600.0),)):
 
 
 def test_openings_know_their_lenses():
-    for opening, side in zip(rim_openings(SLAB.vertices, SLAB.faces, SLAB.keypoints), (1, -1), strict=True):
-        assert SLAB.glass[opening.panes].all()
-        assert len(opening.panes) == SLAB.glass.sum() / 2
-        assert (side * SLAB.vertices[SLAB.faces[opening.panes], 0] > 0).all()
-        assert not opening.sealed
-    assert [len(o.panes) for o in rim_openings(BARE.vertices, BARE.faces, BARE.keypoints)] == [0, 0]
+    openings = rim_openings(SLAB.vertices, SLAB.faces, SLAB.keypoints)
+    for (*_, panes, sealed), side in zip(openings, (1, -1), strict=True):
+        assert SLAB.glass[panes].all()
+        assert len(panes) == SLAB.glass.sum() / 2
+        assert (side * SLAB.vertices[SLAB.faces[panes], 0] > 0).all()
+        assert not sealed
+    assert [len(panes) for *_, panes, _ in rim_openings(BARE.vertices, BARE.faces, BARE.keypoints)] == [0, 0]
     marks = SLAB.keypoints.copy()
     marks[3] = np.nan
-    assert [o.side for o in rim_openings(SLAB.vertices, SLAB.faces, marks)] == [1]
+    assert [side for side, *_ in rim_openings(SLAB.vertices, SLAB.faces, marks)] == [1]
 
 
 def test_each_view_and_each_lens_is_judged_by_itself():
