@@ -12,19 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from scan2albedo.cli import common
 from scan2albedo.cli.applications import bake, blend, personal_model, swap, transfer_expression
-from scan2albedo.cli.common import (
-    SOME_FAILED,
-    USAGE_ERROR,
-    JsonOption,
-    PrintableUsage,
-    Terminated,
-    echo_json,
-    interrupts_raise,
-    refuse_shared_folders,
-    say,
-    stop_cleanly_on_interrupt,
-)
 from scan2albedo.cli.glasses import app as glasses_app
 from scan2albedo.cli.identify import identify
 from scan2albedo.cli.reflectance import app as reflectance_app
@@ -40,7 +29,7 @@ BARE_ERRORS = (ValueError, MemoryError, OverflowError, RecursionError)
 """What the library raises of options that it refuses, and of work that is too large for the machine."""
 
 app = typer.Typer(
-    cls=PrintableUsage,
+    cls=common.PrintableUsage,
     help="A raw 3D face scan goes in; the registered, annotated, evenly sampled and unlit face comes out.",
     no_args_is_help=True,
     add_completion=False,
@@ -135,7 +124,7 @@ def _process_options(context: typer.Context, scans: Sequence[Path] = ()) -> Proc
     names = {option.name for option in fields(ProcessOptions)}
     given = {name: value for name, value in context.params.items() if name in names}
     given |= {name: tuple(given.get(name) or ()) for name in ("skip", "force")}
-    refuse_shared_folders(scans)
+    common.refuse_shared_folders(scans)
     try:
         options = ProcessOptions(**given)
     except ValueError as error:
@@ -154,7 +143,7 @@ def process(
     scans: Annotated[list[Path], typer.Argument(help="OBJ, PLY, GLB, STL or OFF files.", metavar="SCAN...")],
     out: OutOption,
     strict: Strict = False,
-    json_summary: JsonOption = False,
+    json_summary: common.JsonOption = False,
     **flags: Any,
 ) -> None:
     """Process raw scans: register, fit, sample, find the light, remove it."""
@@ -164,10 +153,10 @@ def process(
     from scan2albedo.pipeline.process import process as run
     from scan2albedo.templates import chosen_model
 
-    stop_cleanly_on_interrupt(out)
+    common.stop_cleanly_on_interrupt(out)
     template = chosen_model(options.model)
     for note in template.notes if template is not None else ():
-        say(f"{options.model}: {note}")
+        common.say(f"{options.model}: {note}")
     chosen = options.arguments() | {"model": template or "none"}
     summaries: list[dict[str, Any]] = []
     failures, lost = 0, False
@@ -191,12 +180,12 @@ def process(
         done = {"scan": str(path), "status": "done", "out": str(result.out)}
         summaries.append({**done, "notes": list(result.notes), **result.metrics()})
     if json_summary:
-        echo_json(summaries if len(scans) > 1 else summaries[0])
+        common.echo_json(summaries if len(scans) > 1 else summaries[0])
     if failures:
-        raise typer.Exit(USAGE_ERROR if failures == len(scans) else SOME_FAILED)
+        raise typer.Exit(common.USAGE_ERROR if failures == len(scans) else common.SOME_FAILED)
     if strict and lost:
-        say("scan2albedo: --strict: a texture is missing, so the exit status is 1")
-        raise typer.Exit(SOME_FAILED)
+        common.say("scan2albedo: --strict: a texture is missing, so the exit status is 1")
+        raise typer.Exit(common.SOME_FAILED)
 
 
 @app.command()
@@ -208,7 +197,7 @@ def person(
     out: OutOption,
     sequence: bool = typer.Option(False, "--sequence", help="The scans are a take's frames, in order."),
     fps: float = typer.Option(30.0, help="Frames a second of --sequence."),
-    json_summary: JsonOption = False,
+    json_summary: common.JsonOption = False,
     **flags: Any,
 ) -> None:
     """Process several scans of one person into one shape and one albedo, or a take into a mesh that moves."""
@@ -218,7 +207,7 @@ def person(
     from scan2albedo.pipeline.person import process_person
     from scan2albedo.pipeline.sequence import process_sequence
 
-    stop_cleanly_on_interrupt(out)
+    common.stop_cleanly_on_interrupt(out)
     with removed_if_empty(out), ProgressLines(name) as progress:
         progress.say(f"{name}: {len(scans)} {'frames' if sequence else 'scans'}")
         run = partial(process_sequence, fps=fps) if sequence else process_person
@@ -227,9 +216,11 @@ def person(
             progress.say(f"{name}: {note}")
         progress.say(result.summary())
     if json_summary:
-        echo_json({"name": name, "out": str(result.out), "notes": list(result.notes), **result.metrics()})
+        common.echo_json(
+            {"name": name, "out": str(result.out), "notes": list(result.notes), **result.metrics()}
+        )
     if result.left_out:
-        raise typer.Exit(SOME_FAILED)
+        raise typer.Exit(common.SOME_FAILED)
 
 
 @app.command()
@@ -255,7 +246,7 @@ def batch(
         None, help="Seconds after which a scan is given up with its worker."
     ),
     strict: Strict = False,
-    json_summary: JsonOption = False,
+    json_summary: common.JsonOption = False,
     **flags: Any,
 ) -> None:
     """Process many scans, several at a time; a scan that fails, or kills its worker, stops no other."""
@@ -268,7 +259,7 @@ def batch(
 
     try:
         # The stages run in workers, so that signals may unwind here.
-        with interrupts_raise(), removed_if_empty(out), BatchLines("batch") as lines:
+        with common.interrupts_raise(), removed_if_empty(out), BatchLines("batch") as lines:
             done = run_batch(
                 manifest,
                 out,
@@ -280,28 +271,31 @@ def batch(
                 on_progress=lines.show,
             )
     except KeyboardInterrupt as stopped:
-        terminated = isinstance(stopped, Terminated)
+        terminated = isinstance(stopped, common.Terminated)
         what = "terminated" if terminated else "interrupted"
-        say(f"scan2albedo: {what}; nothing half-written was left behind, and --resume goes on")
+        common.say(f"scan2albedo: {what}; nothing half-written was left behind, and --resume goes on")
         raise typer.Exit(128 + (signal.SIGTERM if terminated else signal.SIGINT)) from None
     for line in done.summary().splitlines():
-        say(line)
+        common.say(line)
     if json_summary:
-        echo_json(done.figures())
+        common.echo_json(done.figures())
     if done.progress.failed:
-        raise typer.Exit(SOME_FAILED if done.progress.done else USAGE_ERROR)
+        raise typer.Exit(common.SOME_FAILED if done.progress.done else common.USAGE_ERROR)
     if strict and lost_texture(done.notes):
-        raise typer.Exit(SOME_FAILED)
+        raise typer.Exit(common.SOME_FAILED)
 
 
 @app.command()
 @_with_flags("size", "quality", "seed")
 def demo(
-    context: typer.Context, out: OutOption = Path("demo_out"), json_summary: JsonOption = False, **flags: Any
+    context: typer.Context,
+    out: OutOption = Path("demo_out"),
+    json_summary: common.JsonOption = False,
+    **flags: Any,
 ) -> None:
     """Process the built-in raw scan and print the error against its ground truth."""
     _process_options(context)
-    stop_cleanly_on_interrupt(out)
+    common.stop_cleanly_on_interrupt(out)
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.pipeline.demo import run_demo
 
@@ -309,7 +303,7 @@ def demo(
         done = run_demo(out, **flags, on_progress=progress.update)
         progress.say(done.result.summary())
     if json_summary:
-        echo_json(done.figures())
+        common.echo_json(done.figures())
     else:
         typer.echo(done.table())
 
@@ -319,7 +313,7 @@ def validate(
     what: str = typer.Argument("all", help="hemisphere, face, lighting or all."),
     size: int = typer.Option(256, help="Height and width of the geometry image in texels.", min=8),
     seed: int = typer.Option(1, help="Seed of the scenes.", min=0),
-    json_summary: JsonOption = False,
+    json_summary: common.JsonOption = False,
 ) -> None:
     """Reproduce the paper's tables on synthetic scenes, our figures beside theirs."""
     from scan2albedo.cli.progress import ProgressLines
@@ -332,19 +326,19 @@ def validate(
     for name in names if what == "all" else (what,):
         with ProgressLines(name) as progress:
             asked: dict[str, Any] = {"size": size, "seed": seed}
-            asked["on_row"] = lambda row, say=progress.say: say(row.text())
+            asked["on_row"] = lambda row, say=progress.say: common.say(row.text())
             if name == "lighting":
                 results[name] = validation.validate_lighting(**asked)
             else:
                 results[name] = validation.validate_scenes(name, **asked)
     if json_summary:
-        echo_json({name: table.figures() for name, table in results.items()})
+        common.echo_json({name: table.figures() for name, table in results.items()})
     else:
         typer.echo("\n".join(table.text() for table in results.values()))
 
 
 @app.command()
-def doctor(json_summary: JsonOption = False) -> None:
+def doctor(json_summary: common.JsonOption = False) -> None:
     """Show what is missing on this machine and the command that mends it."""
     from dataclasses import asdict
 
@@ -358,9 +352,9 @@ def doctor(json_summary: JsonOption = False) -> None:
             if finding.remedy:
                 typer.echo(f"         mend it with: {finding.remedy}")
     if json_summary:
-        echo_json([asdict(finding) for finding in findings])
+        common.echo_json([asdict(finding) for finding in findings])
     if not all(finding.good for finding in findings):
-        raise typer.Exit(SOME_FAILED)
+        raise typer.Exit(common.SOME_FAILED)
 
 
 @app.command()
@@ -373,7 +367,7 @@ def report(
     scans: int = typer.Option(
         40, help="How many scans of a batch are shown in full, the worst first.", min=0
     ),
-    json_summary: JsonOption = False,
+    json_summary: common.JsonOption = False,
 ) -> None:
     """Show what happened to a scan or a batch as one HTML page that needs no network."""
     if path is not None and path.suffix.lower() not in (".html", ".htm"):
@@ -383,12 +377,12 @@ def report(
     from scan2albedo.report import write_report
     from scan2albedo.report.html.texts import size_text
 
-    stop_cleanly_on_interrupt(None)
-    written = write_report(out, path, scans=scans, on_progress=say)
-    say(f"{written.path}: {written.scans} scans, {size_text(written.size_bytes)}")
+    common.stop_cleanly_on_interrupt(None)
+    written = write_report(out, path, scans=scans, on_progress=common.say)
+    common.say(f"{written.path}: {written.scans} scans, {size_text(written.size_bytes)}")
     if json_summary:
         figures = asdict(written)
-        echo_json({"status": "done", "out": str(figures.pop("path")), **figures})
+        common.echo_json({"status": "done", "out": str(figures.pop("path")), **figures})
 
 
 # Behind the ones above in what `--help` lists.
@@ -400,12 +394,12 @@ app.add_typer(reflectance_app, name="reflectance")
 
 def main() -> None:
     """Run the command line; every expected trouble ends in one line and an exit status."""
-    stop_cleanly_on_interrupt(None)
+    common.stop_cleanly_on_interrupt(None)
     try:
         app()
     except (Scan2AlbedoError, *BARE_ERRORS) as error:
         print(f"scan2albedo: error: {one_line(error)}", file=sys.stderr)
-        sys.exit(USAGE_ERROR)
+        sys.exit(common.USAGE_ERROR)
 
 
 if __name__ == "__main__":

@@ -9,17 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from scan2albedo.cli.common import (
-    SOME_FAILED,
-    USAGE_ERROR,
-    BudgetOption,
-    JsonOption,
-    OutFolder,
-    checked_budget,
-    echo_json,
-    refuse_shared_folders,
-    stop_cleanly_on_interrupt,
-)
+from scan2albedo.cli import common
 from scan2albedo.errors import EyeglassesError, OutputError, Scan2AlbedoError, one_line
 
 if TYPE_CHECKING:
@@ -48,8 +38,8 @@ def _one_frame(frame: Path, stage: str, json_summary: bool) -> Iterator[Progress
         except Scan2AlbedoError as error:
             progress.say(f"scan2albedo: error: {one_line(error)}")
             if json_summary:
-                echo_json({"frame": str(frame), "status": "failed", "reason": one_line(error)})
-            raise typer.Exit(USAGE_ERROR) from None
+                common.echo_json({"frame": str(frame), "status": "failed", "reason": one_line(error)})
+            raise typer.Exit(common.USAGE_ERROR) from None
 
 
 @app.command("key-points")
@@ -90,7 +80,7 @@ def key_points(
                 key_point_chart().savefig(staging, format="png")
     except OutputError as error:
         typer.echo(f"scan2albedo: error: {one_line(error)}", err=True)
-        raise typer.Exit(USAGE_ERROR) from None
+        raise typer.Exit(common.USAGE_ERROR) from None
 
 
 @app.command()
@@ -127,14 +117,14 @@ def canonicalize(
     ] = "110,170",
     frame_width: FrameWidthOption = None,
     unit: UnitOption = "auto",
-    budget: BudgetOption = None,
-    json_summary: JsonOption = False,
+    budget: common.BudgetOption = None,
+    json_summary: common.JsonOption = False,
 ) -> None:
     """Take pose and bend away from frames; shapes and sizes stay, or become the mean's with --mode mean.
 
     Where the key points go: `scan2albedo glasses key-points`.
     """
-    refuse_shared_folders(meshes)
+    common.refuse_shared_folders(meshes)
     if keypoints and len(keypoints) != len(meshes):
         raise typer.BadParameter(
             f"--keypoints is given {len(keypoints)} times for {len(meshes)} meshes; give it once for each"
@@ -159,8 +149,8 @@ def canonicalize(
             raise ValueError(f"--widths is {widths!r}, expected two lengths in mm such as 110,170")
     except ValueError as error:
         raise typer.BadParameter(one_line(error)) from None
-    spend = checked_budget(budget, unit)
-    stop_cleanly_on_interrupt(out)
+    spend = common.checked_budget(budget, unit)
+    common.stop_cleanly_on_interrupt(out)
     check_writable(out)
     RunFolder(out, FILES).check([mesh.stem for mesh in meshes])
     figures: dict[str, dict[str, Any]] = {}
@@ -215,9 +205,9 @@ def canonicalize(
             else {"frame": str(mesh), "status": "done", "out": str(out / mesh.stem), **figures[mesh.stem]}
             for mesh in meshes
         ]
-        echo_json(rows if len(rows) > 1 else rows[0])
+        common.echo_json(rows if len(rows) > 1 else rows[0])
     if failures:
-        raise typer.Exit(SOME_FAILED if figures else USAGE_ERROR)
+        raise typer.Exit(common.SOME_FAILED if figures else common.USAGE_ERROR)
 
 
 @app.command()
@@ -225,7 +215,7 @@ def register(
     mesh: Annotated[
         Path, typer.Argument(help="OBJ, PLY, GLB, STL or OFF file, or a canonical.npz.", metavar="MESH")
     ],
-    out: OutFolder,
+    out: common.OutFolder,
     cameras: Annotated[Path, typer.Option(help="JSON file of the cameras.")],
     labels: Annotated[
         Path | None, typer.Option(help="JSON file of key points labelled in their pictures.")
@@ -250,8 +240,8 @@ def register(
     frame_width: FrameWidthOption = None,
     unit: UnitOption = "auto",
     rigid: Annotated[bool, typer.Option("--rigid", help="Move the frame without bending it.")] = False,
-    budget: BudgetOption = None,
-    json_summary: JsonOption = False,
+    budget: common.BudgetOption = None,
+    json_summary: common.JsonOption = False,
 ) -> None:
     """Place a frame where calibrated pictures show it on a face, bent as they show it.
 
@@ -264,11 +254,11 @@ def register(
     from scan2albedo.runs.eyeglasses.inputs import CANONICAL, read_registration
     from scan2albedo.runs.eyeglasses.register_run import FILES, register_frame, write_registration_files
 
-    spend = checked_budget(budget, unit)
+    spend = common.checked_budget(budget, unit)
     own = keypoints is not None or unit not in ("auto", "mm") or frame_width is not None
     if mesh.suffix.lower() == CANONICAL and own:
         raise typer.BadParameter(f"{mesh.name} brings its own key points and is in mm")
-    stop_cleanly_on_interrupt(out)
+    common.stop_cleanly_on_interrupt(out)
     RunFolder(out, FILES).check()
     with _one_frame(mesh, "glasses", json_summary) as progress:
         progress.say(f"glasses: reading {mesh}")
@@ -283,17 +273,17 @@ def register(
     if json_summary:
         views = [view.model_dump() for view in done.views]
         ended = {"converged": done.result.converged, "unobserved": done.result.unobserved, "views": views}
-        echo_json({"frame": str(mesh), "status": "done", "out": str(out), **figures, **ended})
+        common.echo_json({"frame": str(mesh), "status": "done", "out": str(out), **figures, **ended})
 
 
 @app.command()
 def demo(
-    out: OutFolder = Path("glasses_out"),
+    out: common.OutFolder = Path("glasses_out"),
     seed: Annotated[int, typer.Option(help="Of the person, the frame and the noise.", min=0)] = 0,
-    json_summary: JsonOption = False,
+    json_summary: common.JsonOption = False,
 ) -> None:
     """Register a synthetic person's frame on their fitted face, print the error, put lenses in."""
-    stop_cleanly_on_interrupt(out)
+    common.stop_cleanly_on_interrupt(out)
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.runs.eyeglasses.demo import run_glasses_demo
 
@@ -301,7 +291,7 @@ def demo(
         report = run_glasses_demo(out, seed=seed, on_progress=progress.update, say=progress.say)
         progress.say(f"{report.placed.summary()}; files in {out}")
     if json_summary:
-        echo_json(report.figures())
+        common.echo_json(report.figures())
     else:
         typer.echo(report.table())
 
@@ -311,7 +301,7 @@ def lenses(
     frame: Annotated[
         Path, typer.Argument(help="The frame's mesh where it sits on the head.", metavar="FRAME")
     ],
-    out: OutFolder,
+    out: common.OutFolder,
     cameras: Annotated[Path, typer.Option(help="cameras.json.")],
     head: Annotated[Path, typer.Option(help="The head's mesh, in the same world.")],
     view: Annotated[
@@ -362,7 +352,7 @@ def lenses(
     supersampling: Annotated[int, typer.Option(help="n x n rays for pixels on edges.", min=1)] = 3,
     lights: Annotated[int, typer.Option(help="Distant lights for the environment.", min=1)] = 256,
     unit: UnitOption = "auto",
-    json_summary: JsonOption = False,
+    json_summary: common.JsonOption = False,
 ) -> None:
     """Put lenses into a frame on a face and show them, drawn or in photographs.
 
@@ -386,7 +376,7 @@ def lenses(
         materials = material_pair(dioptres, tint=tint, **shares, sunglasses=sunglasses, fresnel=fresnel)
     except (ValueError, Scan2AlbedoError) as error:
         raise typer.BadParameter(one_line(error)) from None
-    stop_cleanly_on_interrupt(out)
+    common.stop_cleanly_on_interrupt(out)
     with _one_frame(frame, "lenses", json_summary) as progress:
         RunFolder(out, FILES).check()
         source = read_lens_scene(frame, head, cameras, **files, unit=unit)
@@ -394,4 +384,6 @@ def lenses(
         options = LensPictureOptions(supersampling=supersampling, light_count=lights)
         record = run_lenses(source, materials, options, out, progress.say)
     if json_summary:
-        echo_json({"frame": str(frame), "status": "done", "out": str(out), **record.model_dump(mode="json")})
+        common.echo_json(
+            {"frame": str(frame), "status": "done", "out": str(out), **record.model_dump(mode="json")}
+        )

@@ -9,14 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from scan2albedo.cli.common import (
-    BudgetOption,
-    JsonOption,
-    OutFolder,
-    checked_budget,
-    echo_json,
-    stop_cleanly_on_interrupt,
-)
+from scan2albedo.cli import common
 
 if TYPE_CHECKING:
     from scan2albedo.cli.progress import ProgressLines
@@ -35,7 +28,7 @@ ModelArgument = Annotated[
 
 
 @app.command()
-def olat(capture: CaptureArgument, out: OutFolder, json_summary: JsonOption = False) -> None:
+def olat(capture: CaptureArgument, out: common.OutFolder, json_summary: common.JsonOption = False) -> None:
     """Write what each flash added to the room's light, as linear EXR pictures.
 
     Light is value^gamma with the capture file's `gamma`; 1.2 is taken, and noted, when it gives none.
@@ -52,7 +45,7 @@ def olat(capture: CaptureArgument, out: OutFolder, json_summary: JsonOption = Fa
 @app.command()
 def fit(
     capture: CaptureArgument,
-    out: OutFolder,
+    out: common.OutFolder,
     light_gains: bool = typer.Option(
         False, help="Find the strength of each flash, too; otherwise all are equal."
     ),
@@ -64,8 +57,8 @@ def fit(
     normal_sigma: str = typer.Option(
         "auto", help="Deviation of the mesh's normals; 0 if they are right.", metavar="DEGREES|auto"
     ),
-    budget: BudgetOption = None,
-    json_summary: JsonOption = False,
+    budget: common.BudgetOption = None,
+    json_summary: common.JsonOption = False,
 ) -> None:
     """Fit albedo and three highlight lobes to each vertex of a capture's mesh.
 
@@ -85,7 +78,7 @@ def fit(
         raise typer.BadParameter(str(error)) from None
     if held_out_every == 1:
         raise typer.BadParameter("--held-out-every 1 would leave nothing to fit; give 0, or 2 or more")
-    spend = checked_budget(budget)
+    spend = common.checked_budget(budget)
     with _work("fit", out, json_summary) as (progress, report):
         from scan2albedo.reflectance import read_capture
         from scan2albedo.runs.reflectance.capture_run import fit_capture, write_fit
@@ -114,7 +107,7 @@ def fit(
 
 @app.command()
 def build(
-    out: OutFolder,
+    out: common.OutFolder,
     samples: list[Path] | None = typer.Argument(
         None, help="Folders of fits or processed scans, or .npz files.", metavar="[SAMPLE...]"
     ),
@@ -130,7 +123,7 @@ def build(
     landmark_vertices: Path | None = typer.Option(
         None, help="JSON list of the 68 landmarks' vertices, to learn shapes too."
     ),
-    json_summary: JsonOption = False,
+    json_summary: common.JsonOption = False,
 ) -> None:
     """Learn a morphable model of reflectance from several faces."""
     if not 0 < least_support <= 1:
@@ -159,13 +152,13 @@ def build(
 @app.command()
 def sample(
     model: ModelArgument,
-    out: OutFolder,
+    out: common.OutFolder,
     count: int = typer.Option(6, help="How many.", min=1),
     scale: float = typer.Option(
         1.0, help="Standard deviation of the coefficients; 1 is the model's own.", min=0
     ),
     seed: SeedOption = 0,
-    json_summary: JsonOption = False,
+    json_summary: common.JsonOption = False,
 ) -> None:
     """Draw reflectances from a model."""
     with _work("sample", out, json_summary) as (_, report):
@@ -180,15 +173,15 @@ def fit_image(
     photograph: Annotated[
         Path, typer.Argument(help="A file with image, camera, mesh or landmarks.", metavar="PHOTOGRAPH")
     ],
-    out: OutFolder,
+    out: common.OutFolder,
     model: Path | None = typer.Option(
         None, help="Folder that `build` or `finetune` wrote; otherwise that of `build --synthetic 200`."
     ),
-    budget: BudgetOption = None,
-    json_summary: JsonOption = False,
+    budget: common.BudgetOption = None,
+    json_summary: common.JsonOption = False,
 ) -> None:
     """Find the reflectance and the light of one photograph with a model, or say that it does not show."""
-    spend = checked_budget(budget)
+    spend = common.checked_budget(budget)
     with _work("fit-image", out, json_summary) as (progress, report):
         from scan2albedo.reflectance import read_photograph
         from scan2albedo.runs.reflectance.image_run import fit_photograph, write_fitted_photograph
@@ -209,15 +202,15 @@ def finetune(
     photographs: Annotated[
         list[Path], typer.Argument(help="Photograph files of other faces.", metavar="PHOTOGRAPH...")
     ],
-    out: OutFolder,
+    out: common.OutFolder,
     held_out: list[Path] | None = typer.Option(
         None, help="A photograph to test on, repeatedly, best six or more; otherwise one of three."
     ),
-    budget: BudgetOption = None,
-    json_summary: JsonOption = False,
+    budget: common.BudgetOption = None,
+    json_summary: common.JsonOption = False,
 ) -> None:
     """Improve a model with photographs; it changes only when photographs held out are explained better."""
-    spend = checked_budget(budget)
+    spend = common.checked_budget(budget)
     with _work("finetune", out, json_summary) as (progress, report):
         from scan2albedo.runs.reflectance.image_run import tune_model
         from scan2albedo.runs.reflectance.model_run import read_model_folder
@@ -240,11 +233,11 @@ def finetune(
 
 @app.command()
 def demo(
-    out: OutFolder = Path("reflectance_demo"),
+    out: common.OutFolder = Path("reflectance_demo"),
     people: int = typer.Option(8, help="From whom the model is learned.", min=2),
     photographs: int = typer.Option(12, help="Of others, to fine-tune with; half are held out.", min=2),
     seed: SeedOption = 0,
-    json_summary: JsonOption = False,
+    json_summary: common.JsonOption = False,
 ) -> None:
     """Photograph synthetic people, fit, learn and use a model, and print the error against the truth."""
     with _work("demo", out) as (progress, _):
@@ -259,7 +252,7 @@ def demo(
             say=lambda line: progress.say(f"demo: {line}"),
         )
     if json_summary:
-        echo_json({"out": str(out), **figures})
+        common.echo_json({"out": str(out), **figures})
     else:
         typer.echo("\n".join(report_lines(figures)))
 
@@ -269,7 +262,7 @@ def _work(
     name: str, out: Path, json_summary: bool = False
 ) -> Iterator[tuple[ProgressLines, Callable[[str, dict[str, Any]], None]]]:
     """Give progress lines for work that writes into `out`, and what says how it ended: text and figures."""
-    stop_cleanly_on_interrupt(out)
+    common.stop_cleanly_on_interrupt(out)
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.io.atomic import check_writable, removed_if_empty
     from scan2albedo.io.run_folder import RunFolder
@@ -279,7 +272,7 @@ def _work(
         for note in (*RunFolder(out, FILES).read().notes, f"{text}; files in {out}"):
             progress.say(f"{name}: {note}")
         if json_summary:
-            echo_json({"out": str(out), **figures})
+            common.echo_json({"out": str(out), **figures})
 
     with removed_if_empty(out), ProgressLines(name) as progress:
         check_writable(out)

@@ -18,17 +18,10 @@ from skimage.morphology import convex_hull_image
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, checked_mesh, typical_key_points
+from scan2albedo.geometry import rigid
 from scan2albedo.geometry.mesh import neighbouring_faces, normalized
 from scan2albedo.geometry.oriented_points import oriented_points
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.geometry.rigid import (
-    in_principal_frame,
-    invert_rigid,
-    procrustes,
-    rotation_from_vector,
-    super_fibonacci_rotations,
-    transform_points,
-)
 from scan2albedo.io.units import MM_PER_UNIT
 
 _SLAB = 7
@@ -56,10 +49,10 @@ class _Frame:
     """Rays and evenly spread points of a frame, its panes apart: parts that hold a disc as no rim does."""
 
     def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
-        turned, own = in_principal_frame(vertices, faces)
+        turned, own = rigid.in_principal_frame(vertices, faces)
         low, high = turned[faces.ravel()].min(0), turned[faces.ravel()].max(0)
         self.unit = float((high - low).max()) / 150
-        self.middle = transform_points(invert_rigid(own), (low + high)[None] / 2)[0]
+        self.middle = rigid.transform_points(rigid.invert_rigid(own), (low + high)[None] / 2)[0]
         xyz = (vertices - self.middle) / self.unit
         joined = np.unique(np.round(xyz, 3), axis=0, return_inverse=True)[1].ravel()[faces]
         # A pane that is sewn into a rim meets it where three faces share an edge.
@@ -69,7 +62,7 @@ class _Frame:
         pane = np.zeros(len(faces), bool)
         for k in np.flatnonzero(np.bincount(part) >= 8):
             piece = faces[part == k]
-            flat, _ = in_principal_frame(xyz, piece)
+            flat, _ = rigid.in_principal_frame(xyz, piece)
             (left, right), (low, high) = np.percentile(flat[piece.ravel(), :2], [0, 100], axis=0).T
             if high - low > 20:
                 grid = np.stack(np.meshgrid(np.arange(left, right), np.arange(low, high), [200]), -1)
@@ -99,7 +92,7 @@ class _Frame:
             for _ in range(3):
                 if np.isfinite(seen.score):
                     # Upright are rims whose depth does not change with height.
-                    turn = rotation_from_vector([-np.arctan(_depth_of(seen.ring)[3]), 0, 0])
+                    turn = rigid.rotation_from_vector([-np.arctan(_depth_of(seen.ring)[3]), 0, 0])
                     move = np.array([0, *np.percentile(seen.ring[:, 1:], [5, 95], axis=0).mean(0)])
                     seen = _Seen(self, turn @ seen.axes, seen.origin + move @ seen.axes)
             upright.append(seen)
@@ -232,7 +225,7 @@ class _Seen:
         if known.sum() < 6:
             return points, deviation, -np.inf
         typical = typical_key_points()[known]
-        laid = transform_points(procrustes(points[known], typical, scale=True), points[known])
+        laid = rigid.transform_points(rigid.procrustes(points[known], typical, scale=True), points[known])
         odds = -1.5 * np.log1p(((laid - typical) ** 2).sum(1) / 50).sum() - (~known).sum()
         # What stands off a front is behind it: pads, hinges, temples.
         behind, before = (height < -4).sum(), (height > 4).sum()
@@ -257,7 +250,7 @@ def symmetry_planes(points: FloatArray) -> list[tuple[FloatArray, float]]:
         return normal, offset, float(np.mean(odds / (1 + odds)))
 
     few, middle = points[:: max(len(points) // 300, 1)], points.mean(0)
-    axes = [*np.linalg.eigh(np.cov(points.T))[1].T, *super_fibonacci_rotations(30)[:, 0]]
+    axes = [*np.linalg.eigh(np.cov(points.T))[1].T, *rigid.super_fibonacci_rotations(30)[:, 0]]
     # A single temple draws the centroid to its side.
     starts = (refined(n, float(n @ middle) + away, few) for n in axes for away in (-18, 0, 18))
     kept: list[tuple[FloatArray, float]] = []
@@ -417,7 +410,7 @@ def propose_keypoints(mesh: Any) -> ProposedKeyPoints:
     deviation = np.sqrt(deviation**2 + (share @ apart + none * 60**2) / (share.sum() + none))
     points = frame.middle + frame.unit * points
     known = np.isfinite(points).all(1)
-    worn = procrustes(points[known], typical_key_points()[known], scale=True)
+    worn = rigid.procrustes(points[known], typical_key_points()[known], scale=True)
     log_mm = float(np.log(np.linalg.norm(worn[0, :3])))
     units = {"inch": 25.4, **MM_PER_UNIT}
     unit = min(units, key=lambda name: abs(np.log(units[name]) - log_mm))

@@ -9,16 +9,8 @@ import numpy as np
 from scipy import sparse
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.geometry import mesh
 from scan2albedo.geometry.closest_points import ClosestHits, NearestSurface
-from scan2albedo.geometry.mesh import (
-    lengths,
-    neighbour_lists,
-    thinned,
-    usual_edge,
-    vertex_components,
-    vertex_normals,
-    without_unreferenced,
-)
 from scan2albedo.geometry.oriented_points import above_neighbours
 from scan2albedo.geometry.rigid import transform_points
 
@@ -57,7 +49,7 @@ class ScanSurface:
     @cached_property
     def edge_mm(self) -> float:
         """Median length of the edges."""
-        return usual_edge(self.vertices, self.faces)
+        return mesh.usual_edge(self.vertices, self.faces)
 
     def normals_at(self, hits: ClosestHits) -> FloatArray:
         """Return (N, 3) interpolated normals (not unit) at closest points."""
@@ -102,22 +94,22 @@ def scan_near_model(
     near = faces[inside[faces].any(1) & ~stray[faces].any(1)]
     if len(near) == 0:
         return None
-    kept, index = without_unreferenced(xyz, near)
-    thin = thinned(xyz[kept], index, max(CELL * smoothing_mm, WELD_STEP_MM))
+    kept, index = mesh.without_unreferenced(xyz, near)
+    thin = mesh.thinned(xyz[kept], index, max(CELL * smoothing_mm, WELD_STEP_MM))
     if len(thin.faces) == 0:
         return None
     torn = float(thin.boundary.mean()) > TORN
     faces = thin.faces
     if not torn:
-        part = vertex_components(len(thin.vertices), faces)[faces[:, 0]]
+        part = mesh.vertex_components(len(thin.vertices), faces)[faces[:, 0]]
         share = np.bincount(part) / len(part)
         faces = faces[share[part] >= min(MIN_COMPONENT, share.max())]
-    kept, index = without_unreferenced(thin.vertices, faces)
+    kept, index = mesh.without_unreferenced(thin.vertices, faces)
     points, count = thin.vertices[kept], thin.count[kept]
     boundary = thin.boundary[kept] & (not torn)
-    surface = points, index, boundary, count.astype(float), neighbour_lists(len(points), index)
+    surface = points, index, boundary, count.astype(float), mesh.neighbour_lists(len(points), index)
     # Normals are taken over a wider surface than positions: noise turns them more.
-    normals = vertex_normals(smoothed(*surface, 2 * smoothing_mm), index)
+    normals = mesh.vertex_normals(smoothed(*surface, 2 * smoothing_mm), index)
     return ScanSurface(smoothed(*surface, smoothing_mm, keep_curvature=True), index, normals, boundary)
 
 
@@ -139,17 +131,17 @@ def smoothed(
     difference that averages made is averaged as well and added back ("twicing", J. W. Tukey, "Exploratory
     Data Analysis", 1977, section 16).
     """
-    edge_mm = usual_edge(vertices, faces)
+    edge_mm = mesh.usual_edge(vertices, faces)
     passes = min(int(scale_mm**2 / (SPREAD_PER_PASS * max(edge_mm, 1e-9) ** 2) + 0.5), 40)
     if passes == 0:
         return vertices
     begins, neighbours = joined
-    gap = lengths(above_neighbours(vertices, begins, neighbours))
+    gap = mesh.lengths(above_neighbours(vertices, begins, neighbours))
     around = np.maximum.reduceat(gap[neighbours], begins[:-1])
     # Six times farther from the neighbours' mean than the median, and than any of them.
     spike = (gap > 6 * np.median(gap)) & (gap > around)
     weight, one = np.where(spike, 0.0, count), np.repeat(np.arange(len(vertices)), np.diff(begins))
-    apart = lengths(vertices[neighbours] - vertices[one]) / (REACH * max(scale_mm, edge_mm))
+    apart = mesh.lengths(vertices[neighbours] - vertices[one]) / (REACH * max(scale_mm, edge_mm))
     shares = np.where(spike[one], 1.0, np.exp(-0.5 * apart**2)) * weight[neighbours]
     total = weight + np.bincount(one, shares, len(vertices))
     # Means over each vertex and its neighbours; the border stays, and so does what has no weight around it.

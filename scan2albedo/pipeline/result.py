@@ -10,13 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.applications.template_baking import (
-    FIRST_TILE,
-    REACH_MM,
-    TemplateTexture,
-    integers,
-    normal_bytes,
-)
+from scan2albedo.applications import template_baking as baking
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import lost_texture
 from scan2albedo.geometry.rasterization import filled_from_nearest
@@ -99,9 +93,9 @@ class ProcessResult:
     seed: int
     unlit: UnlitScan | None = None
     """The scan itself without its light, where it was asked for."""
-    template: TemplateTexture | None = None
+    template: baking.TemplateTexture | None = None
     """The model's own template with its texture, where it has coordinates and the scan has colour."""
-    maps_of_skin: TemplateTexture | None = None
+    maps_of_skin: baking.TemplateTexture | None = None
     """A mesh with the maps of a skin material, where they were asked for; see `engine_maps`."""
     linear_model: LinearModelFit | None = None
     """Coefficients of a linear model, where they were asked for; its mesh is the `template`."""
@@ -335,7 +329,7 @@ def _encoded(exr_file: Path, linear: NDArray[np.float32], samples: type, exr: bo
 
 def write_template(
     folder: Path,
-    template: TemplateTexture,
+    template: baking.TemplateTexture,
     samples: type = np.uint8,
     *,
     exr: bool = False,
@@ -349,28 +343,30 @@ def write_template(
     for the displacement: from -4 to 4 mm, and as EXR in mm; there is a normal map for DirectX, too, whose y
     points down, and an OpenUSD file.
     """
-    alone = len(template.tiles) == 1 and template.tiles[0].number == FIRST_TILE
+    alone = len(template.tiles) == 1 and template.tiles[0].number == baking.FIRST_TILE
     pictures, end = list[MeshPicture](), ".png"
     for tile in template.tiles:
         end = ".png" if alone else f".{tile.number}.png"
         if exr:
             write_exr((folder / f"{stem}{end}").with_suffix(".exr"), tile.color_linear)
-        normal = encode_image(normal_bytes(tile.normal, samples if tile.maps else np.uint8), ".png")
+        normal = encode_image(baking.normal_bytes(tile.normal, samples if tile.maps else np.uint8), ".png")
         color: NDArray[Any] = np.empty((*tile.seen.shape, 4), samples)
         encode_srgb_integers(tile.color_linear, samples, color[..., :3])
         color[..., 3] = tile.seen * samples(np.iinfo(samples).max)
         picture, surface = encode_image(color, ".png"), None
         del color  # beside the next tile's normals it would be the most that is kept
         if tile.maps:
-            write_png(folder / f"{stem}_normal_directx{end}", normal_bytes(tile.normal * (1, -1, 1), samples))
+            write_png(
+                folder / f"{stem}_normal_directx{end}", baking.normal_bytes(tile.normal * (1, -1, 1), samples)
+            )
             for name, values in tile.maps.items():
                 if name == "displacement_mm":
                     write_exr((folder / f"{stem}_displacement{end}").with_suffix(".exr"), values)
-                    name, values = "displacement", 0.5 + values / (2 * REACH_MM)
-                write_png(folder / f"{stem}_{name}{end}", integers(values, samples))
+                    name, values = "displacement", 0.5 + values / (2 * baking.REACH_MM)
+                write_png(folder / f"{stem}_{name}{end}", baking.integers(values, samples))
             layers = [tile.maps[name] for name in ("occlusion", "roughness", "specular")]
             layers.insert(2, np.zeros_like(layers[0]))
-            surface = encode_image(integers(np.stack(layers, -1)), ".png")
+            surface = encode_image(baking.integers(np.stack(layers, -1)), ".png")
         named = f"{stem}{end}", picture, tile.faces, f"{stem}_normal{end}", normal
         pictures.append(MeshPicture(*named, surface))
     mesh = TexturedMesh(template.vertices, template.faces, template.uv, tuple(pictures), **moves)
@@ -382,7 +378,7 @@ def write_template(
         there = inputs[: 3 + ("displacement_mm" in template.tiles[0].maps)]
         textures = {"diffuseColor": f"{stem}{end}", **{name: f"{stem}_{name}{end}" for name in there}}
         surface_of = template.vertices, template.faces, template.uv
-        write_usda(folder / f"{stem}.usda", *surface_of, textures, REACH_MM, ior=7 / 5, metallic=0)
+        write_usda(folder / f"{stem}.usda", *surface_of, textures, baking.REACH_MM, ior=7 / 5, metallic=0)
 
 
 def _gray_bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:

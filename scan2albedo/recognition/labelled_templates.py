@@ -12,21 +12,10 @@ from pydantic import BaseModel, ConfigDict, Field
 from scan2albedo.core.arrays import IntArray
 from scan2albedo.errors import RecognitionError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
+from scan2albedo.recognition import templates as tpl
 from scan2albedo.recognition.manifest import Manifest, read_face, read_manifest
-from scan2albedo.recognition.templates import (
-    HOLE_RADIUS,
-    ORIENTATIONS,
-    SCALES,
-    Chart,
-    Kind,
-    NothingToCompareError,
-    TemplateOptions,
-    Templates,
-    common_chart,
-    kind_coefficients,
-)
 
-DEFAULT_USE: tuple[Kind, ...] = ("albedo", "texture", "shape")
+DEFAULT_USE: tuple[tpl.Kind, ...] = ("albedo", "texture", "shape")
 """Together they recognise best, see docs/recognition.md."""
 
 
@@ -36,9 +25,9 @@ class LabelledTemplates:
 
     source: Path
     """The file or folder that named them."""
-    sets: Mapping[Kind, Templates]
+    sets: Mapping[tpl.Kind, tpl.Templates]
     """Of each kind that at least one of them has."""
-    rows: Mapping[Kind, IntArray]
+    rows: Mapping[tpl.Kind, IntArray]
     """(M,): which of the N results the templates of a kind belong to; some results may lack a kind."""
     labels: tuple[str, ...]
     """(N,): the results as the manifest names them, or the persons with a number."""
@@ -51,7 +40,7 @@ class LabelledTemplates:
         return len(self.labels)
 
     @property
-    def templates(self) -> Templates:
+    def templates(self) -> tpl.Templates:
         """The templates of the first kind."""
         return next(iter(self.sets.values()))
 
@@ -68,20 +57,20 @@ class LabelledTemplates:
         return replace(self, sets=sets, rows=rows, labels=labels, persons=persons)
 
 
-def checked_use(use: Sequence[Kind]) -> tuple[Kind, ...]:
+def checked_use(use: Sequence[tpl.Kind]) -> tuple[tpl.Kind, ...]:
     """Return the kinds to use, with albedo and texture the shading; ValueError for none, unknown or twice."""
     if isinstance(use, str) or not use or len(set(use)) < len(use) or set(use) - set(DEFAULT_USE):
         raise ValueError(f"use is {use!r}, expected one or more of {', '.join(DEFAULT_USE)}, each once")
     lit = {"albedo", "texture"} <= set(use)
-    return tuple(kind for kind in get_args(Kind) if kind in use or (kind == "shading" and lit))
+    return tuple(kind for kind in get_args(tpl.Kind) if kind in use or (kind == "shading" and lit))
 
 
 def read_labelled_templates(
     source: str | Path,
     *,
-    use: Sequence[Kind] = DEFAULT_USE,
+    use: Sequence[tpl.Kind] = DEFAULT_USE,
     persons_required: bool = True,
-    options: TemplateOptions | None = None,
+    options: tpl.TemplateOptions | None = None,
     on_count: Callable[[int, int], None] | None = None,
 ) -> LabelledTemplates:
     """Return the templates of a file (.npz), or of the results that a CSV file or a folder names.
@@ -107,8 +96,10 @@ def read_labelled_templates(
     file, kinds = Path(source), checked_use(use)
     if file.suffix.lower() != ".npz":
         manifest = read_manifest(file, persons_required=persons_required)
-        return _of_manifest(manifest, kinds, options or TemplateOptions(), on_count)
-    beside = [of_kind for kind in get_args(Kind) if (of_kind := file.with_suffix(f".{kind}.npz")).is_file()]
+        return _of_manifest(manifest, kinds, options or tpl.TemplateOptions(), on_count)
+    beside = [
+        of_kind for kind in get_args(tpl.Kind) if (of_kind := file.with_suffix(f".{kind}.npz")).is_file()
+    ]
     read = {templates.kind: templates for templates in map(read_templates, [file, *beside])}
     found = {kind: read[kind] for kind in kinds if kind in read}
     if not found:
@@ -133,21 +124,23 @@ def read_labelled_templates(
 
 def _of_manifest(
     manifest: Manifest,
-    kinds: tuple[Kind, ...],
-    options: TemplateOptions,
+    kinds: tuple[tpl.Kind, ...],
+    options: tpl.TemplateOptions,
     on_count: Callable[[int, int], None] | None,
 ) -> LabelledTemplates:
     entries = manifest.entries
-    made: dict[Kind, dict[int, Any]] = {kind: {} for kind in kinds}
-    reasons: list[dict[Kind, str]] = [{} for _ in entries]
+    made: dict[tpl.Kind, dict[int, Any]] = {kind: {} for kind in kinds}
+    reasons: list[dict[tpl.Kind, str]] = [{} for _ in entries]
     chart, first = None, ""
     for k, entry in enumerate(entries):
         where = manifest.where(entry)
         for kind in kinds:
             try:
                 face = read_face(entry.path, kind)
-                made[kind][k] = kind_coefficients(kind, face.values, face.certainty, options, entry.result)
-                before, chart = chart, common_chart(chart, face.chart, first, where)
+                made[kind][k] = tpl.kind_coefficients(
+                    kind, face.values, face.certainty, options, entry.result
+                )
+                before, chart = chart, tpl.common_chart(chart, face.chart, first, where)
                 first = entry.result if chart != before else first
             except RecognitionError as error:
                 # What is wrong, after the place where the entry is named; nothing is named twice.
@@ -155,13 +148,13 @@ def _of_manifest(
                 if where not in text:
                     named = [f"{name}{end}" for name in (entry.path, entry.result) for end in (": ", " ")]
                     text = f"{where}: {text.removeprefix(next(filter(text.startswith, named), ''))}"
-                if not isinstance(error, NothingToCompareError):
+                if not isinstance(error, tpl.NothingToCompareError):
                     raise RecognitionError(text) from error
                 reasons[k][kind] = text
         if on_count is not None:
             on_count(k + 1, len(entries))
     sets = {
-        kind: Templates(
+        kind: tpl.Templates(
             np.stack([bands for bands, _ in of_kind.values()]),
             np.stack([weight > 0 for _, weight in of_kind.values()]),
             tuple(entries[k].person or entries[k].result for k in of_kind),
@@ -224,10 +217,10 @@ class TemplateOptionsRecord(BaseModel):
 
     size: int | None = Field(ge=1)
     unit_mean: bool
-    scales: Literal[3] = SCALES
-    orientations: Literal[10] = ORIENTATIONS
+    scales: Literal[3] = tpl.SCALES
+    orientations: Literal[10] = tpl.ORIENTATIONS
     channel: Literal["luminance"] = "luminance"
-    hole_radius: float = Field(HOLE_RADIUS, ge=HOLE_RADIUS, le=HOLE_RADIUS)
+    hole_radius: float = Field(tpl.HOLE_RADIUS, ge=tpl.HOLE_RADIUS, le=tpl.HOLE_RADIUS)
 
 
 class TemplatesHeader(BaseModel):
@@ -239,11 +232,11 @@ class TemplatesHeader(BaseModel):
     format_version: Literal[2] = 2
     names: tuple[str, ...] = Field(min_length=1, description="Of the templates' persons, in order.")
     options: TemplateOptionsRecord
-    kind: Kind = Field("albedo", description="What the templates are of.")
-    chart: Chart | None = Field(None, description="Of the images; null where unknown.")
+    kind: tpl.Kind = Field("albedo", description="What the templates are of.")
+    chart: tpl.Chart | None = Field(None, description="Of the images; null where unknown.")
 
 
-def write_templates(path: str | Path, templates: Templates) -> None:
+def write_templates(path: str | Path, templates: tpl.Templates) -> None:
     """Write templates as an NPZ file at `path`, whole or not at all.
 
     330 kB a template of an albedo of 256 pixels, three times that of a shape; not compressed, for the bits of
@@ -259,7 +252,7 @@ def write_templates(path: str | Path, templates: Templates) -> None:
     write_npz_record(path, header, templates.arrays, what="template")
 
 
-def read_templates(path: str | Path) -> Templates:
+def read_templates(path: str | Path) -> tpl.Templates:
     """Return the templates of the file at `path` that `write_templates` wrote.
 
     RecognitionError when the file is missing, damaged, something else, or holds templates that cannot be
@@ -274,6 +267,6 @@ def read_templates(path: str | Path) -> Templates:
         error=RecognitionError,
     )
     with errors_of(f"templates {path}", RecognitionError, ValueError, advice="write the file again"):
-        options = TemplateOptions(size=header.options.size, unit_mean=header.options.unit_mean)
+        options = tpl.TemplateOptions(size=header.options.size, unit_mean=header.options.unit_mean)
         held = arrays["coefficients"], arrays["mask"], header.names, options
-        return Templates(*held, header.chart, header.kind, arrays["weight"])
+        return tpl.Templates(*held, header.chart, header.kind, arrays["weight"])

@@ -9,12 +9,7 @@ import numpy as np
 
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import RecognitionError
-from scan2albedo.recognition.identification import (
-    Combine,
-    Identification,
-    identify_by_similarity,
-    similarities_by_person,
-)
+from scan2albedo.recognition import identification as matching
 from scan2albedo.recognition.labelled_templates import (
     DEFAULT_USE,
     LabelledTemplates,
@@ -164,7 +159,7 @@ class ResultIdentification:
     gallery: LabelledTemplates
     probes: LabelledTemplates
     """`gallery`, `probes`: what was compared."""
-    matches: Identification
+    matches: matching.Identification
     """Of the probes, in their order, by log odds."""
     by_kind: Mapping[Kind, FloatArray]
     """(P, G) of each kind that was used: similarities of each probe to each person by it alone, NaN where one
@@ -181,7 +176,7 @@ def identify_results(
     probes: str | Path | LabelledTemplates,
     *,
     use: Sequence[Kind] = DEFAULT_USE,
-    combine: Combine = "mean",
+    combine: matching.Combine = "mean",
     together: bool = False,
     options: TemplateOptions | None = None,
     on_count: Callable[[str, int, int], None] | None = None,
@@ -266,8 +261,10 @@ def identify_results(
     filled = mean(filled)
     parts = {kind: mean(np.nan_to_num(part)) for kind, part in parts.items()}
     persons = [person if person in known.persons else None for person in judged.persons]
-    matches = identify_by_similarity(filled, names, persons, combine=combine)
-    by_kind = {kind: similarities_by_person(mean(s), names, combine)[1] for kind, s in scores.items()}
+    matches = matching.identify_by_similarity(filled, names, persons, combine=combine)
+    by_kind = {
+        kind: matching.similarities_by_person(mean(s), names, combine)[1] for kind, s in scores.items()
+    }
     if "shading" in parts:
         parts["texture"] = parts["texture"] + parts.pop("shading")
     decided_by = []

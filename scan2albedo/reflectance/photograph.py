@@ -16,16 +16,11 @@ from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.lighting.shadow_map import ShadowMap
 from scan2albedo.reflectance import environment_shading as shading
+from scan2albedo.reflectance import vertex_visibility as sight
 from scan2albedo.reflectance.environment_shading import LightResponse, light_response, unit_vectors
 from scan2albedo.reflectance.olat import OlatOptions, linear_values, picture_values
 from scan2albedo.reflectance.vertex_reflectance import BLOCK, EXPONENTS
 from scan2albedo.reflectance.vertex_samples import VIEW_COSINE
-from scan2albedo.reflectance.vertex_visibility import (
-    RAY_OFFSET_MM,
-    VertexVisibility,
-    checked_surface,
-    pixels_around,
-)
 
 
 def light_transfer(
@@ -66,7 +61,7 @@ def light_transfer(
     of 0.5 % in the diffuse light that a face receives and of 1 to 3 % in the highlights
     (tools/bench_reflectance_model.py). Light that the surface reflects onto itself is left out.
     """
-    xyz, index, n = checked_surface(vertices, faces, normals)
+    xyz, index, n = sight.checked_surface(vertices, faces, normals)
     n, v = normalized(n), np.asarray(toward_camera, np.float64)
     if v.shape != n.shape:
         raise ValueError(f"toward_camera is {v.shape}, expected {n.shape} as vertices")
@@ -77,7 +72,7 @@ def light_transfer(
     v = unit_vectors(np.where(bare[:, None], n, v), "toward_camera")
     toward = distant_directions(directions)
     weighted = harmonics(toward, shading.ORDER) * (4 * np.pi / directions)
-    visible = ShadowMap(RayCaster(xyz, index), xyz, n, RAY_OFFSET_MM).table(toward).visibility
+    visible = ShadowMap(RayCaster(xyz, index), xyz, n, sight.RAY_OFFSET_MM).table(toward).visibility
     diffuse = shading.diffuse_response(n)
     specular = np.zeros((len(xyz), len(EXPONENTS), weighted.shape[1]))
 
@@ -208,7 +203,7 @@ def observe_photograph(
     """
     if not 0 < gamma < math.inf or not saturation > 0:
         raise ValueError(f"gamma is {gamma} and saturation {saturation}, expected > 0 and gamma finite")
-    xyz, index, normal = checked_surface(vertices, faces, normals)
+    xyz, index, normal = sight.checked_surface(vertices, faces, normals)
     normal = normalized(normal)
     matrix = np.asarray(camera, np.float64)
     if matrix.shape != (3, 4):
@@ -225,7 +220,7 @@ def observe_photograph(
         raise ValueError(f"mask is {skin.dtype} {skin.shape}, expected bool {finite.shape} as the image")
     linear = linear_values(values, gamma).astype(np.float32)
     toward = normalized(camera_centers(matrix[None])[0] - xyz)
-    seen = VertexVisibility(xyz, index, normal).seen(matrix, VIEW_COSINE)
+    seen = sight.VertexVisibility(xyz, index, normal).seen(matrix, VIEW_COSINE)
     pixels, _ = project(matrix, xyz)
     steps = {
         "inside the picture": np.ones_like(skin),
@@ -233,7 +228,7 @@ def observe_photograph(
         "with finite colours": skin & finite,
         "not saturated": skin & finite & ~np.asarray((values >= saturation).any(-1)),
     }
-    around, share = pixels_around(skin.shape, pixels)
+    around, share = sight.pixels_around(skin.shape, pixels)
     counted = {name: seen & share.any(0) & valid[around].all(0) for name, valid in steps.items()}
     found = counted["not saturated"]
     if not found.any():

@@ -16,24 +16,16 @@ from scan2albedo.geometry import pinhole, rigid
 from scan2albedo.geometry.mesh import face_normals, normalized, vertex_normals
 from scan2albedo.geometry.operators import vertex_average
 from scan2albedo.geometry.parametrization import signed_areas
+from scan2albedo.synthetic import sitter as seated
 from scan2albedo.synthetic.face_shape import Expression, face_geometry_image
 from scan2albedo.synthetic.renderer import Material, RayScene, auto_exposure, photograph, render, toward
 from scan2albedo.synthetic.scenes import light_at, texel_coordinates
-from scan2albedo.synthetic.sitter import (
-    HEAD_AXIS_FROM_NOSE_MM,
-    BodyPart,
-    Sitter,
-    crumb_meshes,
-    join,
-    nose_tip,
-    sit_down,
-)
 
 _BACKDROP = np.array([0.010, 0.016, 0.030])
 _LEAST_COSINE = 0.12
 """Between a triangle's normal and a ray that still measures it."""
 
-AmbientLight = Callable[[Sitter, RayScene, np.random.Generator], FloatArray]
+AmbientLight = Callable[[seated.Sitter, RayScene, np.random.Generator], FloatArray]
 """Gives the ambient light (V, 3) on a sitter's vertices."""
 
 
@@ -199,7 +191,7 @@ def random_pose(
 
 
 def flash_pictures(
-    sitter: Sitter,
+    sitter: seated.Sitter,
     pods: tuple[Pod, Pod],
     lights: tuple[PointLight, ...],
     material: Material,
@@ -244,7 +236,7 @@ def flash_pictures(
             lamps = [under((light,)).radiance_linear - unlit for light in lights]
             parts = zip([tints[0] * around, *tints[1:]], (unlit, *lamps), strict=True)
             radiance[hit] = np.asarray(sum(color * part for color, part in parts))
-        on_face[hit] = sitter.part[face] == BodyPart.FACE
+        on_face[hit] = sitter.part[face] == seated.BodyPart.FACE
         radiances.append(radiance.reshape(size, size, 3))
         faces_shown.append(radiance[on_face])
     exposure = auto_exposure(np.concatenate(faces_shown))
@@ -300,7 +292,7 @@ def raw_scan(
         The default model when omitted; it needs landmarks.
     scanner : Scanner
     """
-    sitter = sit_down(seed, expression=expression, model=model or default_model())
+    sitter = seated.sit_down(seed, expression=expression, model=model or default_model())
     if lights is None and seed % 2 == 0:
         lights = (light_at(-32, 18, distance_mm=900.0, intensity=2.5),)
     elif lights is None:
@@ -312,7 +304,7 @@ def raw_scan(
 
 
 def scan_of(
-    sitter: Sitter,
+    sitter: seated.Sitter,
     flashes: tuple[PointLight, ...],
     material: Material,
     scanner: Scanner,
@@ -322,8 +314,8 @@ def scan_of(
     ambient: AmbientLight | None = None,
 ) -> tuple[RawScan, SyntheticTruth]:
     """Scan a sitter as `raw_scan` does; see `flash_pictures` for `colors` and `ambient`."""
-    tip = nose_tip(sitter.face.vertices)
-    pods, axis = portrait_pods(tip), tip + HEAD_AXIS_FROM_NOSE_MM
+    tip = seated.nose_tip(sitter.face.vertices)
+    pods, axis = portrait_pods(tip), tip + seated.HEAD_AXIS_FROM_NOSE_MM
     measured = capture(
         sitter.vertices, sitter.faces, pods, spacing_mm=scanner.spacing_mm, rng=rng, axis_mm=axis
     )
@@ -357,7 +349,9 @@ def assembled(
     kept = np.ones(len(measured.faces), bool)
     for center, radius in zip(centers, rng.uniform(2, 6, scanner.holes), strict=True):
         kept &= (np.linalg.norm(points[measured.faces] - center, axis=2) > radius).all(1)
-    vertices, faces = join([(points, measured.faces[kept]), *crumb_meshes(points, rng, scanner.crumbs)])
+    vertices, faces = seated.join(
+        [(points, measured.faces[kept]), *seated.crumb_meshes(points, rng, scanner.crumbs)]
+    )
     pod = np.zeros(len(faces), np.int64)
     pod[: kept.sum()] = measured.face_pod[kept]
     plane = np.stack([camera.project(vertices) for camera in pods])[pod[:, None], faces]

@@ -12,13 +12,7 @@ import numpy as np
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.eyeglasses.mean_keypoints import FRONT
-from scan2albedo.eyeglasses.on_face.frame_motion import (
-    RIGID,
-    FrameMotion,
-    FrameState,
-    SkinnedPoints,
-    bend_prior,
-)
+from scan2albedo.eyeglasses.on_face import frame_motion as moving
 from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions
 from scan2albedo.eyeglasses.on_face.outline import REACH_PX, ObservedView, OutlineSamples
 from scan2albedo.geometry.closest_points import ClosestPointQuery
@@ -69,19 +63,19 @@ class Linearization:
 class HeadContact:
     """The least signed distance of a frame's front from a head in the world, (H, 3) and (G, 3)."""
 
-    def __init__(self, points: SkinnedPoints, vertices: FloatArray, faces: IntArray) -> None:
+    def __init__(self, points: moving.SkinnedPoints, vertices: FloatArray, faces: IntArray) -> None:
         self._query = ClosestPointQuery(vertices, faces)
         self._normals = face_normals(vertices, faces)
         self._front = self._candidates = points[np.flatnonzero(FRONT[points.weights.argmax(1)])]
 
-    def orient(self, motion: FrameMotion, viewers: FloatArray) -> None:
+    def orient(self, motion: moving.FrameMotion, viewers: FloatArray) -> None:
         """Turn the head's normals to the viewers (C, 3) if most of those near the frame's front look away."""
         hits = self._query.query(motion.positions(self._front))
         toward = viewers.mean(0) - hits.points
         if np.einsum("ni,ni->n", self._normals[hits.face], toward).sum() < 0:
             self._normals = -self._normals
 
-    def select_candidates(self, motion: FrameMotion) -> None:
+    def select_candidates(self, motion: moving.FrameMotion) -> None:
         """Choose the vertices that may touch next."""
         if len(self._front.rest) > _CANDIDATES:
             distance = self._query.query(motion.positions(self._front)).distance
@@ -90,7 +84,9 @@ class HeadContact:
     def __bool__(self) -> bool:
         return len(self._front.rest) > 0
 
-    def nearest_point(self, motion: FrameMotion) -> tuple[SkinnedPoints, FloatArray, float, FloatArray]:
+    def nearest_point(
+        self, motion: moving.FrameMotion
+    ) -> tuple[moving.SkinnedPoints, FloatArray, float, FloatArray]:
         """Return the point that is nearest or deepest, its place (1, 3), signed distance, slope (1, 3)."""
         place = motion.positions(self._candidates)
         hits = self._query.query(place)
@@ -130,12 +126,12 @@ class RegistrationObjective:
         self._labels = np.stack([view.labels for view in views])
         self._labelled = np.isfinite(self._labels).all(2) & np.isfinite(keypoints).all(1)
 
-    def motion(self, state: FrameState) -> FrameMotion:
+    def motion(self, state: moving.FrameState) -> moving.FrameMotion:
         """Return the frame's motion at a state."""
-        return FrameMotion(self.keypoints, state)
+        return moving.FrameMotion(self.keypoints, state)
 
     def linearize(
-        self, state: FrameState, samples: OutlineSamples | None, *, rigid: bool = False
+        self, state: moving.FrameState, samples: OutlineSamples | None, *, rigid: bool = False
     ) -> Linearization:
         """Return the objective at a state, with outlines where there are `samples`.
 
@@ -150,7 +146,7 @@ class RegistrationObjective:
             sums.add(sums.rows(point, place, slope), np.array([distance]), np.ones(1))
             sums.cost += distance**2
         if not rigid:
-            value, rows = bend_prior(motion)
+            value, rows = moving.bend_prior(motion)
             sums.add(rows, value, np.ones(len(value)))
             sums.cost += float(value @ value)
         return Linearization(sums.cost, sums.gradient, sums.matrix, labels_px, outline_px)
@@ -238,8 +234,8 @@ def _huber_weights(residual: FloatArray) -> FloatArray:
 class _Sums:
     """Cost, gradient and matrix at a motion."""
 
-    def __init__(self, motion: FrameMotion, rigid: bool) -> None:
-        size = RIGID + (0 if rigid else motion.keypoints.size)
+    def __init__(self, motion: moving.FrameMotion, rigid: bool) -> None:
+        size = moving.RIGID + (0 if rigid else motion.keypoints.size)
         self.cost, self.gradient, self.matrix = 0.0, np.zeros(size), np.zeros((size, size))
         self.motion, self.rows = motion, partial(motion.rows, rigid=rigid)
 
@@ -253,7 +249,7 @@ class _Sums:
 class FrameEstimate:
     """Where a descent ended: a state and the objective there."""
 
-    state: FrameState
+    state: moving.FrameState
     at: Linearization
     converged: bool
 
@@ -262,7 +258,10 @@ class _Point:
     """A state with the objective there, for `minimize`."""
 
     def __init__(
-        self, linearize: Callable[[FrameState], Linearization], state: FrameState, meter: Meter
+        self,
+        linearize: Callable[[moving.FrameState], Linearization],
+        state: moving.FrameState,
+        meter: Meter,
     ) -> None:
         self._linearize, self._meter = linearize, meter
         self.state, self.at = state, linearize(state)
@@ -277,8 +276,8 @@ class _Point:
 
 
 def descend(
-    linearize: Callable[[FrameState], Linearization],
-    state: FrameState,
+    linearize: Callable[[moving.FrameState], Linearization],
+    state: moving.FrameState,
     meter: Meter,
     *,
     steps: int = 40,
