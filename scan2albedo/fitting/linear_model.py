@@ -29,12 +29,6 @@ FREEDOM = 4.0
 distribution", 1989): hair, a lid that is shut and a beard are rare and far."""
 JOINT_SD_RAD, FREE_JOINTS = 0.2, ("neck", "jaw")
 """Standard deviation of a joint's rotation about each axis (jaws open by some 20 degrees), and what turns."""
-PLACE_MM = 2.0
-"""Standard deviation along an axis of where the fitted face puts a vertex, mostly along the surface; of raw
-scans of ICT's faces it is 1.6 to 2.1."""
-MOST_VERTICES, MOST_ROUNDS, MOST_PAIRED = 6000, 60, 1500
-"""Vertices that are fitted, evenly spread over their numbers: more say the same. Rounds of closest points;
-vertices whose pairs say how errors are correlated."""
 SMALL = 1 / 20
 """Part of the scale of the errors, and of a coefficient's posterior deviation, that is little."""
 
@@ -148,7 +142,7 @@ class _Term:
             term = replace(term, scale=max(float(np.sqrt(mean)), level / 1e6))
         # Correlation of the influences over distance, summed to where it first vanishes.
         there = np.flatnonzero(counts > 0)
-        near = there[np.unique(np.linspace(0, len(there) - 1, MOST_PAIRED).astype(int))]
+        near = there[np.unique(np.linspace(0, len(there) - 1, 1500).astype(int))]  # 10^6 pairs
         where, pull = points[self.index[near]], (term.trust(square)[:, None] * residual)[near]
         first, second = np.triu_indices(len(near), 1)
         spacing = np.median(cKDTree(where).query(where, k=2)[0][:, 1])
@@ -174,7 +168,7 @@ class _State:
     terms: tuple[_Term, ...] = ()
 
     @cached_property
-    def _posed(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _posed(self) -> tuple[FloatArray, ...]:
         return self.model.posed(self.coefficients, self.rotations)
 
     @cached_property
@@ -281,7 +275,7 @@ def fit_linear_model(
     """
     meter = Meter("linear_model", "mm", Budget.of(budget), on_progress)
     used, unit, faces = np.flatnonzero(places.face >= 0), model.mm_per_unit, model.faces
-    index = used[np.unique(np.linspace(0, len(used) - 1, MOST_VERTICES).astype(int))]
+    index = used[np.unique(np.linspace(0, len(used) - 1, 6000).astype(int))]  # more say the same
     corners, shares = fitted.faces[places.face[index]], places.barycentric[index]
     known, target = shares.any(1), np.einsum("nk,nkj->nj", shares, fitted.vertices[corners])
     area = vertex_areas(unit * model.mean, faces)[index]
@@ -297,7 +291,8 @@ def fit_linear_model(
     # Places err together over NEAR_MM: `common_shape` counts as many patches.
     patches = counts[placed].sum() * area.mean() * len(used) / len(index) / (4 * np.pi * NEAR_MM**2)
     share = float(patches / counts[some].sum())
-    along = _Term(some, target[some], axes, counts[some], PLACE_MM, share)
+    # Along each axis the fitted face misplaces a vertex by 1.6 to 2.1 mm, of raw scans of ICT's faces.
+    along = _Term(some, target[some], axes, counts[some], 2.0, share)
     state = minimize(replace(state, terms=(along,)), steps=20, tolerance=SMALL**2, meter=meter).best
 
     def posed() -> FloatArray:
@@ -305,14 +300,13 @@ def fit_linear_model(
 
     whole = posed()
     bare = scan if fitted.covered_faces is None else scan.without_faces(fitted.covered_faces)
-    low, high = whole[index].min(0) - GATE_MM[0], whole[index].max(0) + GATE_MM[0]
-    near = scan_near_model(
-        bare.vertices, bare.faces, fitted.model_from_scan, low, high, FitOptions.smoothing_mm
-    )
+    box = whole[index].min(0) - GATE_MM[0], whole[index].max(0) + GATE_MM[0]
+    placed_scan = bare.vertices, bare.faces, fitted.model_from_scan
+    near = scan_near_model(*placed_scan, *box, FitOptions.smoothing_mm)
     assert near is not None  # the face was fitted to it
     surface = near.turned_outward(whole[index], vertex_normals(whole, faces)[index], GATE_MM[0])
     converged, falls, across = False, True, replace(along, scale=np.inf, share=1.0)
-    for _ in range(MOST_ROUNDS):
+    for _ in range(60):
         outward = vertex_normals(posed(), faces)[index]
         hits = surface.nearest.query(state.points)
         normal = normalized(surface.normals_at(hits))

@@ -32,8 +32,6 @@ skinning_weights weights, joints, joint_parents, joint_positions, joint_regresso
 pose_basis posedirs"""
 _NAMES = {name: entry.split()[0] for entry in _LAYOUTS.split(",") for name in entry.split()}
 """Our names of arrays, then those in FLAME, Basel 2009, and Basel 2017 and later."""
-FLAME_SHAPES, FLAME_JOINTS = 300, ("root", "neck", "jaw", "left_eye", "right_eye")
-"""Shape directions of FLAME, which its expressions follow, and its joints in their order."""
 _ADVICE = "give a model in one of the layouts that docs/face_model.md lists"
 
 _SIDED = """eyeBlink eyeLookDown eyeLookIn eyeLookOut eyeLookUp eyeSquint eyeWide jaw mouth mouthSmile
@@ -101,9 +99,7 @@ class LinearFaceModel:
         turns = np.zeros((len(self.joints), 3)) if rotations is None else rotations
         return self.posed(coefficients, turns)[0]
 
-    def posed(
-        self, coefficients: FloatArray, rotations: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def posed(self, coefficients: FloatArray, rotations: FloatArray) -> tuple[FloatArray, ...]:
         """Return vertices x, T (V, 3, 3) and the slopes (J, 3, K) of the joints' shifts b by c.
 
         x_i = T_i v_i + sum_k w_ik b_k with v the shape, T_i = 1 + sum_k w_ik (R_k - 1), R_k the product of
@@ -196,8 +192,8 @@ def model_fields(values: Values) -> Values:
     if "expression_mean" in found:  # Basel 2017: the mean face has the mean expression
         mean = mean + _numbers(found, "expression_mean").reshape(-1, 3)
     fields: Values = {"mean": mean, "basis": np.concatenate(parts, axis=2), "shapes": parts[0].shape[2]}
-    if "v_template" in values:
-        fields["shapes"] = min(fields["shapes"], FLAME_SHAPES)
+    if "v_template" in values:  # FLAME's expressions follow its shapes
+        fields["shapes"] = min(fields["shapes"], 300)
     fields["names"] = _texts(found.get("expression_names", ()))
     faces = fields["faces"] = _numbers(found, "faces", whole=True)
     if "uv" in found:
@@ -207,7 +203,8 @@ def model_fields(values: Values) -> Values:
     if "kintree_table" in found:
         parents = _numbers(found, "kintree_table")[0]
         found["joint_parents"] = np.where(parents < len(parents), parents, -1)
-        found["joints"] = FLAME_JOINTS if len(parents) == len(FLAME_JOINTS) else range(len(parents))
+        flame = "root", "neck", "jaw", "left_eye", "right_eye"
+        found["joints"] = flame if len(parents) == len(flame) else range(len(parents))
     if "joints" in found:
         joints = fields["joints"] = _texts(found["joints"])
         fields["parents"] = np.ravel(found.get("joint_parents", np.full(len(joints), -1))).astype(np.int64)

@@ -19,7 +19,7 @@ from scan2albedo.albedo import AlbedoEstimate, estimate_albedo
 from scan2albedo.applications.engine_maps import engine_maps
 from scan2albedo.applications.light_removal import unlit_scan
 from scan2albedo.applications.template_baking import template_texture
-from scan2albedo.core import Budget, GeometryImage, Plan, PlanStep, ProgressCallback, RawScan, Trace
+from scan2albedo.core import Budget, Plan, PlanStep, ProgressCallback, RawScan, Trace
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.first_run import compiled_beside
 from scan2albedo.core.raw_scan import is_folder_name, scan_name
@@ -248,7 +248,18 @@ def _processed(
         else:
             image = geometry_image_of_scan(scan, options.texels)
     figures = image.figures()
-    plan["geometry_image"] = steps = _image_rows(scan, fitted, image, figures)
+    evidence = (
+        f"{figures['coverage']:.1%} of the texels used, {figures['texel_area_mm2']:.2f} mm2 each, "
+        f"areas within a factor of {figures['texel_area_p95_to_p5']:.1f} (5 to 95 %)"
+    )
+    if fitted is not None and scan.has_color:
+        evidence += f", texture seen in {figures['seen']:.1%} of them, {figures['skin']:.1%} of them skin"
+    if image.on_face is not None:
+        evidence += f"; {image.on_face.sum() / image.mask.sum():.0%} are the face, where light is sought"
+    chart = "charts cut by xatlas" if fitted is None else "the model's own chart"
+    plan["geometry_image"] = steps = [PlanStep("geometry_image", True, chart, evidence)]
+    if fitted is not None and (doubt := texture_doubt(fitted, scan, image)):
+        steps.append(doubt)
     coefficients = None
     if linear is not None and fitted is not None:
         with clock.timed("linear_model"):
@@ -323,22 +334,6 @@ def _register_rows(registration: Registration) -> list[PlanStep]:
         )
         rows.append(PlanStep.doubt("register.confidence", reason))
     return rows
-
-
-def _image_rows(
-    scan: RawScan, fitted: FittedFace | None, image: GeometryImage, figures: dict[str, float]
-) -> list[PlanStep]:
-    evidence = (
-        f"{figures['coverage']:.1%} of the texels used, {figures['texel_area_mm2']:.2f} mm2 each, "
-        f"areas within a factor of {figures['texel_area_p95_to_p5']:.1f} (5 to 95 %)"
-    )
-    if fitted is not None and scan.has_color:
-        evidence += f", texture seen in {figures['seen']:.1%} of them, {figures['skin']:.1%} of them skin"
-    if image.on_face is not None:
-        evidence += f"; {image.on_face.sum() / image.mask.sum():.0%} are the face, where light is sought"
-    chart = "charts cut by xatlas" if fitted is None else "the model's own chart"
-    doubt = None if fitted is None else texture_doubt(fitted, scan, image)
-    return [PlanStep("geometry_image", True, chart, evidence), *([doubt] if doubt else [])]
 
 
 def _fit_rows(options: ProcessOptions, scan: RawScan, fitted: FittedFace) -> list[PlanStep]:
