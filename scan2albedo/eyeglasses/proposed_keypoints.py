@@ -100,7 +100,7 @@ class _Frame:
             tries = [seen]
             while len(tries) < 4 and np.isfinite(seen.score):
                 # Upright are rims whose depth does not change with height.
-                turn = rotation_from_vector([-np.arctan(_depth_of(seen.ring)[3]), 0, 0])
+                turn = rotation_from_vector([-np.clip(_depth_of(seen.ring)[3], -1 / 6, 1 / 6), 0, 0])
                 move = np.array([0, *np.percentile(seen.ring[:, 1:], [5, 95], axis=0).mean(0)])
                 seen = _Seen(self, turn @ seen.axes, seen.origin + move @ seen.axes)
                 tries.append(seen)
@@ -307,7 +307,7 @@ def _rim_points(edge: FloatArray, outer: FloatArray, bridge: float, cost: float)
         # A flat top is as high all along: designs have it within 4 mm of the lens's middle.
         x = (x * 16 + middle[0] * flat) / (16 + flat)
         at = np.where(height > 0, np.abs(outer[:, 0] - x), np.inf).argmin()
-        found[name] = outer[at], float(np.hypot(2 * (flat / (16 + flat)) ** 0.5, 0.5))
+        found[name] = outer[at], float(np.hypot(2.5 * (flat / (16 + flat)) ** 0.5, 0.5))
     # Below the middle of the sides as on typical frames: a twelfth of the way around, and facing 30 degrees
     # down. People place these anywhere along the side.
     along = normalized(np.roll(edge, -12, 0) - np.roll(edge, 12, 0))
