@@ -5,6 +5,7 @@ Inside, frames are scaled to 150 mm, about their true size, so that lengths are 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -89,13 +90,14 @@ class _Frame:
             looks += [around[k] for k in np.flatnonzero(peaks)]
         upright = []
         for seen in sorted(looks, key=lambda seen: -seen.score)[:6]:
-            for _ in range(3):
-                if np.isfinite(seen.score):
-                    # Upright are rims whose depth does not change with height.
-                    turn = rigid.rotation_from_vector([-np.arctan(_depth_of(seen.ring)[3]), 0, 0])
-                    move = np.array([0, *np.percentile(seen.ring[:, 1:], [5, 95], axis=0).mean(0)])
-                    seen = _Seen(self, turn @ seen.axes, seen.origin + move @ seen.axes)
-            upright.append(seen)
+            tries = [seen]
+            while len(tries) < 4 and np.isfinite(seen.score):
+                # Upright are rims whose depth does not change with height.
+                turn = rigid.rotation_from_vector([-np.clip(_depth_of(seen.ring)[3], -1 / 6, 1 / 6), 0, 0])
+                move = np.array([0, *np.percentile(seen.ring[:, 1:], [5, 95], axis=0).mean(0)])
+                seen = _Seen(self, turn @ seen.axes, seen.origin + move @ seen.axes)
+                tries.append(seen)
+            upright.append(max(tries[1:], key=lambda seen: seen.score))
         return [seen for seen in upright if np.isfinite(seen.score)]
 
 
@@ -134,31 +136,29 @@ class _Seen:
     def opening(self, own: BoolArray, pane: BoolArray) -> tuple[float, BoolArray, float]:
         """Return the likeliest opening at x > 0: its score, its pixels (H, W), and how much it is in doubt.
 
-        A hole that the front `own` encloses by itself, with its mirror image, or once gaps of so many mm or
-        its convex hull close it; or a pane. The log odds are those of its area, less a third a mm of gap.
+        A hole that the front `own` encloses by itself, with its mirror image, once gaps or its convex hull
+        close it; or a pane. The log odds are those of its area, less a cost where it is not by itself.
         """
         middle, half = own.shape[1] // 2, own | pane
         half[:, : middle + 2] = False
         best = -np.inf, np.zeros_like(own), np.inf
-        if not half.any():
-            return best
-        both = own | own[:, ::-1]
-        most = np.log(float(half.any(0).sum() * half.any(1).sum()) * self.pixel**2)
-        tries = [
-            (mask, gap, cost + gap / 3) for mask, cost in ((own, 0), (both, 1)) for gap in (0, 1.5, 3, 6)
-        ]
-        tries += [(~pane, 0, 0.5), (own, -1, 3)]
-        for mask, gap, cost in sorted(tries, key=lambda row: row[2]):
-            if most - cost < best[0]:
+        most = float(half.any(0).sum() * half.any(1).sum()) * self.pixel**2
+
+        def closed() -> Iterator[tuple[BoolArray, float]]:
+            yield own, 0.0
+            yield ~pane, 0.5
+            yield ndimage.binary_closing(own, iterations=round(1.5 / self.pixel)), 0.5
+            yield own | own[:, ::-1], 1.0
+            yield own | ~convex_hull_image(half), 3.0
+
+        for mask, cost in closed() if most else ():
+            if np.log(most) - cost < best[0]:
                 break
-            if gap < 0:
-                mask = own | ~convex_hull_image(half)
-            label = ndimage.label(ndimage.distance_transform_edt(~mask) * self.pixel > max(gap, 0))[0]
+            label = ndimage.label(~mask)[0]
             area = np.bincount(label.ravel()) * self.pixel**2
             area[np.unique([0, *label[:, : middle + 1].flat, *label[[0, -1]].flat, *label[:, -1]])] = 0
             if area.max() > 100 and (score := float(np.log(area.max())) - cost) > best[0]:
-                away = ndimage.distance_transform_edt(label != area.argmax()) * self.pixel
-                best = score, (away <= max(gap, 0)) & ~(own & (gap > 0)), cost
+                best = score, label == area.argmax(), cost
         return best
 
     def rim(self, opening: BoolArray, sign: int) -> tuple[FloatArray, FloatArray]:
@@ -300,7 +300,7 @@ def _rim_points(edge: FloatArray, outer: FloatArray, bridge: float, cost: float)
         # A flat top is as high all along: designs have it within 4 mm of the lens's middle.
         x = (x * 16 + middle[0] * flat) / (16 + flat)
         at = np.where(height > 0, np.abs(outer[:, 0] - x), np.inf).argmin()
-        found[name] = outer[at], float(np.hypot(2 * (flat / (16 + flat)) ** 0.5, 0.5))
+        found[name] = outer[at], float(np.hypot(2.5 * (flat / (16 + flat)) ** 0.5, 0.5))
     # Below the middle of the sides as on typical frames: a twelfth of the way around, and facing 30 degrees
     # down. People place these anywhere along the side.
     along = normalized(np.roll(edge, -12, 0) - np.roll(edge, 12, 0))
