@@ -133,7 +133,7 @@ class Appearance:
 def bake(
     source: RawScan, target: RawScan, size: int = 1024, fits: tuple[FittedFace, FittedFace] | None = None
 ) -> TemplateTexture:
-    """Return a mesh's colours, and its fine shape, on the texture coordinates of another one.
+    """Return a mesh's colours, and its fine shape, on the texture coordinates of another one, in its frame.
 
     Each texel of `target` gets what is nearest to it on `source` and faces its way. Raises `ApplicationError`
     when the source has no colour or the target no texture coordinates, ValueError for another size than 8 to
@@ -148,11 +148,6 @@ def bake(
     fits : (FittedFace, FittedFace), optional
         Of source and target, by one model and preset: each texel then gets the colour of the same place of
         the face, whatever the pose and the person; up to 4 mm beside the face, and without normals.
-
-    Returns
-    -------
-    TemplateTexture
-        In the target's frame.
     """
     if not source.has_color:
         raise ApplicationError(f"{source.name}: the mesh has no colours to bake; is its texture beside it?")

@@ -312,13 +312,11 @@ class _Run:
         record = BatchRecord(
             scan2albedo_version=VERSION,
             versions=installed_versions(),
-            run=self.run,
+            **{name: getattr(self, name) for name in ("run", "scheduler", "started_at")},
             status=status,
             manifest=str(self.manifest.path),
             options=asdict(self.options),
             jobs_asked=self.asked,
-            scheduler=self.scheduler,
-            started_at=self.started_at,
             finished_at=None if status == "running" else datetime.now(UTC),
             **outcome,
         )

@@ -193,19 +193,16 @@ def fit_reflectance(
     singular = smallest <= 64 * np.finfo(float).eps * largest
     condition = np.sqrt(np.where(singular, np.inf, largest / np.where(singular, 1.0, smallest)))
     over_peak = np.where(samples.lobes[..., 1:] > 0, n_h[..., None] ** EXPONENTS, 0.0)
+    high = np.fmax(fitted.center + _TWO_SIDED_95 * std, estimate)
+    bounds = {"std": std, "low": low, "high": high, "condition": condition, "misfit": misfit}
+    bounds |= {"identifiability": identifiability, "tilt": fitted.tilt[rows]}
     return ReflectanceFit(
         reflectance=VertexReflectance(spread(estimate[:, :3]), spread(estimate[:, 3:]), known),
-        std=spread(std),
-        low=spread(low),
-        high=spread(np.fmax(fitted.center + _TWO_SIDED_95 * std, estimate)),
+        **{name: spread(values) for name, values in bounds.items()},
         pair_count=samples.pair_count,
-        condition=spread(condition),
         activation=np.max(over_peak, axis=0, where=seen[..., None], initial=0.0),
-        identifiability=spread(identifiability),
         identified=identified,
         impossible=impossible,
-        misfit=spread(misfit),
-        tilt=spread(fitted.tilt[rows]),
         normal_sigma_degrees=np.zeros(count) if data.tilt_sigma is None else np.degrees(data.tilt_sigma),
         light_gain=gain,
         bounce_albedo=bounce_albedo,

@@ -125,9 +125,7 @@ def write_identification(
                 rank=int(matches.ranks[k]) or None,
                 next_person=matches.persons[others[0]] if others else None,
                 next_log_odds=round(float(matches.similarities[k, others[0]]), 3) if others else None,
-                albedo=alone.get("albedo"),
-                texture=alone.get("texture"),
-                shape=alone.get("shape"),
+                **{kind: alone.get(kind) for kind in ("albedo", "texture", "shape")},
             )
         )
     templates = found.gallery.templates

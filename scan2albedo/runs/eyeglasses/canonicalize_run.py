@@ -159,12 +159,10 @@ def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, dict[str
                 input=InputRecord.of(frame.scan, Path(mesh.file), mesh.sha256),
                 keypoints_file=keypoints and keypoints.file,
                 keypoints_sha256=keypoints and keypoints.sha256,
-                mm_per_unit=frame.mm_per_unit,
-                scale=canonical.scale,
+                **{name: getattr(frame, name) for name in ("mm_per_unit", "missing_key_points")},
+                **{name: getattr(canonical, name) for name in ("scale", "converged")},
                 canonical_from_frame=plain_json(canonical.canonical_from_frame),
                 mode="unbend" if canonical.unbent else "mean",
-                converged=canonical.converged,
-                missing_key_points=frame.missing_key_points,
                 plan=canonical.plan.steps,
                 metrics=figures[frame.name],
                 notes=frame.scan.notes,
@@ -178,11 +176,8 @@ def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, dict[str
         staging.write_record(
             options=dict(done.options),
             frames=tuple(frame.name for frame in done.frames),
-            failures=done.failures,
-            notes=done.notes,
-            converged=result.converged,
-            iterations=result.iterations,
-            seconds=done.seconds,
+            **{name: getattr(done, name) for name in ("failures", "notes", "seconds")},
+            **{name: getattr(result, name) for name in ("converged", "iterations")},
             plan=result.plan.steps,
         )
     return figures
