@@ -1,7 +1,5 @@
 """`estimate_common_albedo`: one albedo from several images of a surface or person, each in its own light."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any

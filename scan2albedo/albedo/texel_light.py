@@ -1,7 +1,5 @@
 """The light that a search found, on every texel: lamps with their shadows, soft light, and colours."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

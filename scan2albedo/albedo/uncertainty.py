@@ -1,7 +1,5 @@
 """How sure the light is, and what that does to the albedo."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

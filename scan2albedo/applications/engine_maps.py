@@ -1,7 +1,5 @@
 """`engine_maps`: what a renderer's skin material asks for, on any texture coordinates of a processed face."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The 20 key points of a pair of glasses: names, bones, mirror images; checks of arrays that callers give."""
 
-from __future__ import annotations
-
 import itertools
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Linear (morphable) models of faces in files: FLAME, Basel, Surrey, anyone's own. Nothing in them runs."""
 
-from __future__ import annotations
-
 import math
 import pickle
 from collections.abc import Iterable

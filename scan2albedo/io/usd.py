@@ -1,7 +1,5 @@
 """`write_usda`: a mesh with a material of textures as OpenUSD text, which needs no library to write."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The options of `process`, and the named presets of quality: the options of each of its stages."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace

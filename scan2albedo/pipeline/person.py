@@ -1,7 +1,5 @@
 """`process_person`: one shape and one albedo from several scans of a person, with a light for each."""
 
-from __future__ import annotations
-
 import pickle
 import tempfile
 import time

@@ -1,7 +1,5 @@
 """`process`: a raw scan through every stage it needs, with a plan, a trace and files."""
 
-from __future__ import annotations
-
 import difflib
 import os
 import time
