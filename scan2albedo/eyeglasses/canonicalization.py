@@ -326,15 +326,8 @@ class _Frame:
         transforms = carriers @ np.diag([scale, scale, scale, 1.0])
         off = transform_points(rigid, points) - targets
         return CanonicalEyeglasses(
-            vertices=skin(self.vertices, self.weights, transforms),
-            faces=self.faces,
-            weights=self.weights,
-            keypoints=targets,
-            canonical_from_frame=rigid,
-            scale=scale,
-            handle_transforms=transforms,
+            vertices=skin(self.vertices, self.weights, transforms), faces=self.faces, weights=self.weights,
+            keypoints=targets, canonical_from_frame=rigid, scale=scale, handle_transforms=transforms,
             residual=float(np.sqrt((off[np.isfinite(off).all(1)] ** 2).sum(1).mean())),
-            unbent=options.mode == "unbend",
-            converged=self.converged,
-            plan=self.plan + rows,
-        )
+            unbent=options.mode == "unbend", converged=self.converged, plan=self.plan + rows,
+        )  # fmt: skip

@@ -340,17 +340,9 @@ def fit_linear_model(
     if not converged:
         steps.append(PlanStep.doubt("linear_model", "the linear model's fit had not converged when it ended"))
     return LinearModelFit(
-        model=model,
-        pose=state.pose,
-        coefficients=state.coefficients,
-        rotations=state.rotations,
-        deviation=state.deviation,
-        vertices=vertices,
-        residual_mm=residual,
+        model=model, pose=state.pose, coefficients=state.coefficients, rotations=state.rotations,
+        deviation=state.deviation, vertices=vertices, residual_mm=residual,
         displacement_mm=np.where(shown, np.einsum("ij,ij->i", hits.points - vertices, normals), np.nan),
-        noise_mm=across.scale,
-        observations=observations,
-        converged=converged,
-        trace=meter.trace,
+        noise_mm=across.scale, observations=observations, converged=converged, trace=meter.trace,
         plan=tuple(steps),
-    )
+    )  # fmt: skip

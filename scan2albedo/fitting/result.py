@@ -123,24 +123,13 @@ def fitted_face(
         numbers = held.numbers[placed]
         deviation[numbers] = 1 / np.hypot(1 / deviation[numbers], 1 / held.sigma_mm[placed])
     return FittedFace(
-        vertices=vertices,
-        faces=faces,
-        uv=model.refined_uv(RESULT_LEVELS),
-        region=model.region[subdivision.parent],
-        control_points=control,
-        landmarks=landmarks,
-        residual_mm=residual,
-        model_from_scan=model_from_scan,
-        template_vertices=model.template_of(control),
-        levels=RESULT_LEVELS,
-        converged=ran and metrics["imbalance_mm"] <= MOST_IMBALANCE_MM,
-        iterations=deformation.meter.evaluations,
-        trace=deformation.meter.trace,
-        model=model,
-        metrics=metrics,
-        plan=plan,
-        landmark_deviation_mm=deviation,
-    )
+        vertices=vertices, faces=faces, uv=model.refined_uv(RESULT_LEVELS),
+        region=model.region[subdivision.parent], control_points=control, landmarks=landmarks,
+        residual_mm=residual, model_from_scan=model_from_scan, template_vertices=model.template_of(control),
+        levels=RESULT_LEVELS, converged=ran and metrics["imbalance_mm"] <= MOST_IMBALANCE_MM,
+        iterations=deformation.meter.evaluations, trace=deformation.meter.trace, model=model, metrics=metrics,
+        plan=plan, landmark_deviation_mm=deviation,
+    )  # fmt: skip
 
 
 def mirror_distance_mm(scan: ScanSurface, points: FloatArray) -> float:

@@ -310,18 +310,8 @@ def _assembled(
             image=image,
         )
     return PersonResult(
-        scan=RawScan(shape.vertices, shape.faces, name=name),
-        registration=None,
-        fitted=neutral,
-        geometry_image=image,
-        albedo=estimate,
-        plan=Plan(tuple(rows)),
-        trace=Trace() if common is None else common.trace,
-        timings_s={},
-        options={},
-        seed=chosen.seed,
-        maps=maps,
-        shape=shape,
-        common=common,
-        members=tuple(spool.names),
-    )
+        scan=RawScan(shape.vertices, shape.faces, name=name), registration=None, fitted=neutral,
+        geometry_image=image, albedo=estimate, plan=Plan(tuple(rows)),
+        trace=Trace() if common is None else common.trace, timings_s={}, options={}, seed=chosen.seed,
+        maps=maps, shape=shape, common=common, members=tuple(spool.names),
+    )  # fmt: skip

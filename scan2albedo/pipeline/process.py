@@ -305,21 +305,12 @@ def _processed(
             more, plan["unlit"] = without_light(*lit, unlit_s, clock.left_s())
     ran = [stage for stage in (registration, fitted, coefficients, estimate) if stage is not None]
     return ProcessResult(
-        scan=scan,
-        registration=registration,
-        fitted=fitted,
-        geometry_image=image,
-        albedo=estimate,
-        **more,
+        scan=scan, registration=registration, fitted=fitted, geometry_image=image, albedo=estimate, **more,
         linear_model=coefficients,
         plan=Plan((*(PlanStep("load", True, note) for note in scan.notes), *chain(*plan.values()))),
-        trace=sum((stage.trace for stage in ran), Trace()),
-        timings_s=clock.timings_s,
-        options=options.recorded(model),
-        seed=options.seed,
-        input_sha256=sha256,
-        source=file,
-    )
+        trace=sum((stage.trace for stage in ran), Trace()), timings_s=clock.timings_s,
+        options=options.recorded(model), seed=options.seed, input_sha256=sha256, source=file,
+    )  # fmt: skip
 
 
 def _register_rows(registration: Registration) -> list[PlanStep]:

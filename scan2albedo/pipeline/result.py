@@ -274,19 +274,13 @@ def write_result(
             write("error_vs_time.png", Path.write_bytes, figure_png(result.trace.plot(), dpi=110))
         own = None if fitted is None else fitted.model.template_from_model
         staging.write_record(
-            name=scan.name,
-            seed=result.seed,
-            options=dict(result.options),
-            input=InputRecord.of(scan, result.source, result.input_sha256),
-            plan=tuple(result.plan),
-            metrics=result.metrics(),
-            lights=() if estimate is None else tuple(estimate.lights),
+            name=scan.name, seed=result.seed, options=dict(result.options),
+            input=InputRecord.of(scan, result.source, result.input_sha256), plan=tuple(result.plan),
+            metrics=result.metrics(), lights=() if estimate is None else tuple(estimate.lights),
             environment=None if estimate is None else estimate.environment,
-            parameters={} if estimate is None else estimate.parameters,
-            timings_s=dict(result.timings_s),
-            notes=result.notes,
-            template_from_model=None if own is None else own.tolist(),
-        )
+            parameters={} if estimate is None else estimate.parameters, timings_s=dict(result.timings_s),
+            notes=result.notes, template_from_model=None if own is None else own.tolist(),
+        )  # fmt: skip
     return folder.path
 
 

@@ -210,19 +210,12 @@ def refine_geometry(
     identity, expression = np.split(state.coefficients, [shape_model.identity_components])
     pixels, _ = project(matrix, state.vertices[shape_model.landmark_vertices])
     return GeometryFit(
-        scene_from_model=state.scene_from_model,
-        identity=identity,
-        expression=expression,
-        vertices=state.vertices,
-        normals=vertex_normals(state.vertices, shape_model.faces),
+        scene_from_model=state.scene_from_model, identity=identity, expression=expression,
+        vertices=state.vertices, normals=vertex_normals(state.vertices, shape_model.faces),
         landmark_error_px=np.asarray(np.linalg.norm(pixels - landmarks, axis=1)),
-        photometric_rmse_before=rmse[0],
-        photometric_rmse_after=rmse[1],
-        plan=Plan(tuple(plan)),
-        converged=converged,
-        iterations=iterations,
-        trace=meter.trace,
-    )
+        photometric_rmse_before=rmse[0], photometric_rmse_after=rmse[1], plan=Plan(tuple(plan)),
+        converged=converged, iterations=iterations, trace=meter.trace,
+    )  # fmt: skip
 
 
 def photometric_descent(

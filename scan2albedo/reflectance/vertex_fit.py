@@ -198,21 +198,14 @@ def fit_reflectance(
     bounds |= {"identifiability": identifiability, "tilt": fitted.tilt[rows]}
     return ReflectanceFit(
         reflectance=VertexReflectance(spread(estimate[:, :3]), spread(estimate[:, 3:]), known),
-        **{name: spread(values) for name, values in bounds.items()},
-        pair_count=samples.pair_count,
-        activation=np.max(over_peak, axis=0, where=seen[..., None], initial=0.0),
-        identified=identified,
+        **{name: spread(values) for name, values in bounds.items()}, pair_count=samples.pair_count,
+        activation=np.max(over_peak, axis=0, where=seen[..., None], initial=0.0), identified=identified,
         impossible=impossible,
         normal_sigma_degrees=np.zeros(count) if data.tilt_sigma is None else np.degrees(data.tilt_sigma),
-        light_gain=gain,
-        bounce_albedo=bounce_albedo,
-        plan=Plan((step,)),
-        level=level,
-        converged=bool(fitted.settled.all()) and gains_settled,
-        iterations=fitted.iterations,
-        residual=fitted.residual,
-        trace=meter.trace,
-    )
+        light_gain=gain, bounce_albedo=bounce_albedo, plan=Plan((step,)), level=level,
+        converged=bool(fitted.settled.all()) and gains_settled, iterations=fitted.iterations,
+        residual=fitted.residual, trace=meter.trace,
+    )  # fmt: skip
 
 
 def with_bounce(

@@ -85,20 +85,11 @@ def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_s
     coarse = f"{away}; a greater control_size follows it better" if off.mean() > 1 else ""
     notes = (*disc.notes, coarse, chart_note, uv_note)
     return AnnotatedSurface(
-        control_vertices=control,
-        control_faces=control_faces,
-        uv=chart,
-        region=region,
-        regions=table,
-        landmark_points=_landmarks(given, disc, source, placed),
-        template_points=placed,
-        template_offset=offset,
-        template_faces=faces,
-        template_uv=corners_uv,
-        template_from_model=surface.template_from_surface,
-        notes=tuple(filter(None, notes)),
-        name=name,
-    )
+        control_vertices=control, control_faces=control_faces, uv=chart, region=region, regions=table,
+        landmark_points=_landmarks(given, disc, source, placed), template_points=placed,
+        template_offset=offset, template_faces=faces, template_uv=corners_uv,
+        template_from_model=surface.template_from_surface, notes=tuple(filter(None, notes)), name=name,
+    )  # fmt: skip
 
 
 def vertex_uv(given: DenseTemplate) -> FloatArray | None:

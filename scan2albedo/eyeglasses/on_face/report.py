@@ -158,32 +158,19 @@ def report(
     transforms[:, :3, 3] *= unit
     known = np.where(given.known, 1.0, np.nan)
     return RegisteredEyeglasses(
-        vertices=unit * vertices,
-        faces=given.faces,
-        weights=points.weights,
-        keypoints=unit * keypoints * known[:, None],
-        world_from_glasses=world,
-        handle_transforms=transforms,
-        bend=unit * state.shifts,
-        visible=visible,
-        deviation=unit * deviation,
+        vertices=unit * vertices, faces=given.faces, weights=points.weights,
+        keypoints=unit * keypoints * known[:, None], world_from_glasses=world, handle_transforms=transforms,
+        bend=unit * state.shifts, visible=visible, deviation=unit * deviation,
         observed=trusted & visible.any(0) & (deviation <= OBSERVED_MM) & ~wrong[points.weights.argmax(1)],
         keypoint_deviation=unit * mark_deviation * known,
         keypoints_observed=trusted & marks_visible.any(0) & (mark_deviation <= OBSERVED_MM) & ~wrong,
         depth_deviation=unit * depth,
         depth_observed=bool(trusted and depth <= OBSERVED_MM and inflation < _ONE_VIEW),
-        label_errors_px=at.labels_px,
-        inliers=at.labels_px <= 3 * options.label_noise_px,
-        outline_rms_px=outline_rms,
-        iou=iou,
-        proposed_labels=proposed,
-        proposed_deviation_px=proposed_px,
-        proposed_masks=tuple(masks),
-        converged=found.converged,
-        iterations=meter.evaluations,
-        plan=plan + said,
-        trace=meter.trace,
-    )
+        label_errors_px=at.labels_px, inliers=at.labels_px <= 3 * options.label_noise_px,
+        outline_rms_px=outline_rms, iou=iou, proposed_labels=proposed, proposed_deviation_px=proposed_px,
+        proposed_masks=tuple(masks), converged=found.converged, iterations=meter.evaluations,
+        plan=plan + said, trace=meter.trace,
+    )  # fmt: skip
 
 
 def _root(matrix: FloatArray) -> FloatArray:
