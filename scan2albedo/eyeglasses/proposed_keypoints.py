@@ -10,8 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import ndimage
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from skimage.measure import find_contours
 from skimage.morphology import convex_hull_image
@@ -20,7 +18,7 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, checked_mesh, typical_key_points
 from scan2albedo.geometry import rigid
-from scan2albedo.geometry.mesh import neighbouring_faces, normalized
+from scan2albedo.geometry.mesh import neighbouring_faces, normalized, vertex_components
 from scan2albedo.geometry.oriented_points import oriented_points
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.io.units import MM_PER_UNIT
@@ -58,8 +56,7 @@ class _Frame:
         joined = np.unique(np.round(xyz, 3), axis=0, return_inverse=True)[1].ravel()[faces]
         # A pane that is sewn into a rim meets it where three faces share an edge.
         one, other, _ = neighbouring_faces(joined)
-        pairs = coo_array((np.ones(len(one)), (one, other)), shape=(len(faces),) * 2)
-        part = connected_components(pairs, directed=False)[1]
+        part = vertex_components(len(faces), np.stack([one, other], 1))
         pane = np.zeros(len(faces), bool)
         for k in np.flatnonzero(np.bincount(part) >= 8):
             piece = faces[part == k]
@@ -104,8 +101,8 @@ class _Frame:
 class _Seen:
     """A frame seen along axes[2] from an origin at x = 0, its middle column; row 0 is lowest.
 
-    `depth` (H, W) is z of the foremost surface, `front` (H, W) what belongs to the front, `openings` are the
-    left's and the right's (score, pixels (H, W), cost), `ring` (N, 3) places of the front around both.
+    `front` (H, W) is what belongs to the front, `low` the place of pixel (0, 0), `openings` the left's and
+    the right's (score, pixels (H, W), cost), `ring` (N, 3) places of the front around both.
     """
 
     def __init__(
@@ -169,8 +166,7 @@ class _Seen:
         line = max(find_contours(opening.astype(float)), key=len)[:-1, ::-1] * self.pixel + self.low
         line = (line * [sign, 1])[::sign]
         line = np.roll(line, -_side(line, 1), 0)
-        line = np.append(line, line[:1], 0)
-        run = _run(line)
+        run = _run(line := np.append(line, line[:1], 0))
         edge = _at_run(np.linspace(0, run[-1], 360, endpoint=False), run, line)
         edge = ndimage.gaussian_filter1d(edge, 2, axis=0, mode="wrap")
         out = normalized((np.roll(edge, -1, 0) - np.roll(edge, 1, 0))[:, ::-1]) * [1, -1]
@@ -200,11 +196,10 @@ class _Seen:
             # What crosses the middle: a bridge, or two with a gap between them.
             bridge = np.split(y, np.flatnonzero(np.diff(y) > 1.5 * self.pixel) + 1)[0].mean()
         for sign, (edge, outer), (*_, cost) in zip((1, -1), rims, self.openings, strict=True):
-            half = _rim_points(edge, outer, bridge, cost) | _temple_points(
-                cloud * [sign, 1, 1], height, outer
-            )
+            turn, side = np.array([sign, 1, 1]), "left_" if sign > 0 else "right_"
+            half = _rim_points(edge, outer, bridge, cost) | _temple_points(cloud * turn, height, outer)
             for name, (p, sd) in half.items():
-                found[("left_" if sign > 0 else "right_") + name] = p * [sign, 1, 1][: len(p)], sd
+                found[side + name] = p * turn[: len(p)], sd
                 # Bends do not change how far along a temple a point is.
                 size = p - edge.mean(0) if "rim" in name else np.linalg.norm(p - half["hinge"][0])
                 sizes.setdefault(name, []).append(size)
@@ -221,8 +216,7 @@ class _Seen:
             apart = np.ptp(sizes.get(name.partition("_")[2], [0]), axis=0)
             k = KEY_POINT_NAMES.index(name)
             points[k], deviation[k] = place, np.hypot(sd, np.linalg.norm(apart) / 2)
-        known = np.isfinite(points).all(1)
-        if known.sum() < 6:
+        if (known := np.isfinite(points).all(1)).sum() < 6:
             return points, deviation, -np.inf
         typical = typical_key_points()[known]
         laid = rigid.transform_points(rigid.procrustes(points[known], typical, scale=True), points[known])

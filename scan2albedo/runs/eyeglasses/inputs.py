@@ -187,11 +187,10 @@ def read_frame(
 def proposed_note(deviations_mm: Mapping[str, float], placed: int, log_odds: float) -> str:
     """Return a sentence about key points that were proposed, and which of them are unsure."""
     unsure = [f"{name} ({sd:.1f} mm)" for name, sd in deviations_mm.items() if sd > 3]
-    missing = len(KEY_POINT_NAMES) - placed - len(deviations_mm)
-    said = (
-        f"{len(deviations_mm)} key points are proposed from its shape, {placed} placed, {missing} not found"
-    )
-    if deviations_mm:
+    count = len(deviations_mm)
+    missing = len(KEY_POINT_NAMES) - placed - count
+    said = f"{count} key points are proposed from its shape, {placed} placed, {missing} not found"
+    if count:
         said += f"; median deviation {np.median(list(deviations_mm.values())):.1f} mm"
     if log_odds < -12:
         said += f"; it is hardly like a frame (log odds {log_odds:.0f})"
