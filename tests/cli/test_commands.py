@@ -111,7 +111,9 @@ def test_every_table_of_the_paper_is_printed_and_summarised_as_json(monkeypatch)
     monkeypatch.setattr(
         validation, "lighting_row", lambda seed, size: validation.LightingRow(seed, 12.0, 2.0)
     )
-    monkeypatch.setattr(cli, "stop_cleanly_on_interrupt", lambda out: None)  # keep the tests' own Ctrl-C
+    monkeypatch.setattr(
+        cli.common, "stop_cleanly_on_interrupt", lambda out: None
+    )  # keep the tests' own Ctrl-C
     done = CliRunner().invoke(app, ["validate", "--size", "16", "--json"])
     assert done.exit_code == 0, done.output
     tables = json.loads(done.stdout)
@@ -273,7 +275,7 @@ def test_a_scan_that_is_too_large_does_not_stop_the_next(tmp_path, monkeypatch, 
     monkeypatch.setattr("scan2albedo.pipeline.process.register", too_large)
     for name in ("first", "second"):
         write_square_obj(tmp_path, name=name, texture=f"{name}.png")
-    monkeypatch.setattr(cli, "stop_cleanly_on_interrupt", lambda out: None)
+    monkeypatch.setattr(cli.common, "stop_cleanly_on_interrupt", lambda out: None)
     failed = invoke("process", tmp_path / "first.obj", tmp_path / "second.obj", "-o", tmp_path / "out")
     assert failed.exit_code == 2
     assert taken == ["first", "second"]
@@ -284,7 +286,7 @@ def test_a_scan_that_is_too_large_does_not_stop_the_next(tmp_path, monkeypatch, 
 
 def test_strict_is_1_where_a_texture_is_missing(tmp_path, monkeypatch):
     write_square_obj(tmp_path, name="bare", texture="tex.png")
-    monkeypatch.setattr(cli, "stop_cleanly_on_interrupt", lambda out: None)
+    monkeypatch.setattr(cli.common, "stop_cleanly_on_interrupt", lambda out: None)
     asked = ("process", tmp_path / "bare.obj", "-o", tmp_path / "out", "--model", "none", "--unit", "cm")
     asked += ("--size", "16", "--no-pictures")
     assert invoke(*asked, "--strict").exit_code == 0
@@ -302,7 +304,7 @@ def test_no_error_leaves_the_commands_bare(monkeypatch, capsys, error):
         raise error
 
     monkeypatch.setattr(cli, "app", fail)
-    monkeypatch.setattr(cli, "stop_cleanly_on_interrupt", lambda out: None)
+    monkeypatch.setattr(cli.common, "stop_cleanly_on_interrupt", lambda out: None)
     with pytest.raises(SystemExit, match="2"):
         cli.main()
     shown = capsys.readouterr().err
@@ -326,7 +328,7 @@ def test_frames_of_a_take_are_followed_and_a_broken_one_fails_by_name(monkeypatc
         return SequenceResult(**whole, **absent, frames=tuple(rows), fps=fps, timings_s={}, options={})
 
     monkeypatch.setattr(sequence, "process_sequence", follow)
-    monkeypatch.setattr(cli, "stop_cleanly_on_interrupt", lambda out: None)
+    monkeypatch.setattr(cli.common, "stop_cleanly_on_interrupt", lambda out: None)
     frames = [Path(folder) / "scan.obj" for folder in "abc"]  # of one name: they get no folders
     given = ("person", "smile", *frames, "-o", tmp_path, "--sequence", "--fps", 25, "--quality", "draft")
     done = invoke(*given, "--json")

@@ -39,7 +39,7 @@ def report(tmp_path_factory):
         return reports[0]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(glasses_cli, "stop_cleanly_on_interrupt", lambda out: None)
+        patch.setattr(glasses_cli.common, "stop_cleanly_on_interrupt", lambda out: None)
         patch.setattr(glasses_demo, "run_glasses_demo", keeping)
         answer = CliRunner().invoke(app, ["glasses", "demo", "-o", str(out), "--seed", "1", "--json"])
     return out, answer, reports[0]

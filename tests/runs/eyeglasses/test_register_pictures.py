@@ -40,7 +40,7 @@ def inputs(person, tmp_path_factory):
 
 
 def run(monkeypatch, folder, out, *more):
-    monkeypatch.setattr(glasses_cli, "stop_cleanly_on_interrupt", lambda out: None)
+    monkeypatch.setattr(glasses_cli.common, "stop_cleanly_on_interrupt", lambda out: None)
     arguments = [folder / "frame.obj", "-o", out, "--cameras", folder / "cameras.json", *more]
     return CliRunner().invoke(app, ["glasses", "register", *map(str, arguments)])
 
