@@ -21,6 +21,7 @@ from scan2albedo.reflectance.environment_shading import LightResponse, light_res
 from scan2albedo.reflectance.olat import OlatOptions, linear_values, picture_values
 from scan2albedo.reflectance.vertex_reflectance import BLOCK, EXPONENTS
 from scan2albedo.reflectance.vertex_samples import VIEW_COSINE
+from scan2albedo.reflectance.vertex_visibility import RAY_OFFSET_MM
 
 
 def light_transfer(
@@ -72,7 +73,7 @@ def light_transfer(
     v = unit_vectors(np.where(bare[:, None], n, v), "toward_camera")
     toward = distant_directions(directions)
     weighted = harmonics(toward, shading.ORDER) * (4 * np.pi / directions)
-    visible = ShadowMap(RayCaster(xyz, index), xyz, n, sight.RAY_OFFSET_MM).table(toward).visibility
+    visible = ShadowMap(RayCaster(xyz, index), xyz, n, RAY_OFFSET_MM).table(toward).visibility
     diffuse = shading.diffuse_response(n)
     specular = np.zeros((len(xyz), len(EXPONENTS), weighted.shape[1]))
 

@@ -111,9 +111,7 @@ def test_every_table_of_the_paper_is_printed_and_summarised_as_json(monkeypatch)
     monkeypatch.setattr(
         validation, "lighting_row", lambda seed, size: validation.LightingRow(seed, 12.0, 2.0)
     )
-    monkeypatch.setattr(
-        cli.common, "stop_cleanly_on_interrupt", lambda out: None
-    )  # keep the tests' own Ctrl-C
+    monkeypatch.setattr(cli.common, "stop_cleanly_on_interrupt", lambda out: None)
     done = CliRunner().invoke(app, ["validate", "--size", "16", "--json"])
     assert done.exit_code == 0, done.output
     tables = json.loads(done.stdout)

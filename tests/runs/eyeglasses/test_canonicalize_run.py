@@ -59,9 +59,7 @@ def save(folder, name="frame", *, unit="mm", marks="mm", seed=0, bend=GlassesBen
 
 
 def run(monkeypatch, *arguments):
-    monkeypatch.setattr(
-        glasses_cli.common, "stop_cleanly_on_interrupt", lambda out: None
-    )  # the tests' own Ctrl-C
+    monkeypatch.setattr(glasses_cli.common, "stop_cleanly_on_interrupt", lambda out: None)
     return CliRunner().invoke(app, ["glasses", "canonicalize", *map(str, arguments)])
 
 

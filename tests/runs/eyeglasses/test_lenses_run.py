@@ -82,9 +82,7 @@ def files(tmp_path_factory):
 
 
 def run(monkeypatch, folder, *arguments, frame="registered.glb", **given):
-    monkeypatch.setattr(
-        glasses_cli.common, "stop_cleanly_on_interrupt", lambda out: None
-    )  # the tests' own Ctrl-C
+    monkeypatch.setattr(glasses_cli.common, "stop_cleanly_on_interrupt", lambda out: None)
     named = {"--cameras": folder / "cameras.json", "--head": folder / "head.ply"}
     named |= {f"--{name}": value for name, value in given.items()}
     options = [str(part) for pair in named.items() for part in pair]

@@ -96,9 +96,7 @@ def changed(inputs, tmp_path):
 
 
 def run(monkeypatch, mesh, out, folder, *more, masks=True, head=True):
-    monkeypatch.setattr(
-        glasses_cli.common, "stop_cleanly_on_interrupt", lambda out: None
-    )  # the tests' own Ctrl-C
+    monkeypatch.setattr(glasses_cli.common, "stop_cleanly_on_interrupt", lambda out: None)
     arguments = [mesh, "-o", out, "--cameras", folder / "cameras.json", "--labels", folder / "labels.json"]
     arguments += ["--masks", folder / "masks"] if masks else []
     arguments += ["--head", folder / "head.glb"] if head else []
