@@ -91,6 +91,10 @@ def estimate_common_albedo(
     on_progress : callable, optional
         Called with each trace row.
 
+    Returns
+    -------
+    CommonAlbedo
+
     Notes
     -----
     The memory is that of one image, and three numbers a texel and some thousand a cell for each. Lights of

@@ -89,6 +89,10 @@ def estimate_albedo(
     on_progress : callable, optional
         Called with each trace row.
 
+    Returns
+    -------
+    AlbedoEstimate
+
     Notes
     -----
     The plan names each part of the model, and the log odds for it. `albedo.view` is a doubt where less than
