@@ -1,0 +1,80 @@
+"""`scan2albedo bake`: the colours of a mesh on another one's texture coordinates, as files."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from scan2albedo.cli import applications, commands
+from scan2albedo.io.images import encode_image, read_image_linear
+from scan2albedo.io.load_scan import read_mesh_file
+from scan2albedo.io.textured_mesh import MeshPicture, TexturedMesh, write_textured_obj
+
+SIZE_MM = 100.0
+
+
+def sheet(cells):
+    """A sheet with coordinates as they lie, on a grid of so many cells a side."""
+    x, y = (axis.ravel() for axis in np.meshgrid(*[np.linspace(0, SIZE_MM, cells + 1)] * 2))
+    corner = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).ravel()
+    right, above = corner + 1, corner + cells + 1
+    faces = np.concatenate([np.stack([corner, right, above], 1), np.stack([right, above + 1, above], 1)])
+    vertices = np.stack([x, y, 0.001 * x**2], axis=1)
+    return vertices, faces, vertices[faces][..., :2] / SIZE_MM
+
+
+@pytest.fixture
+def meshes(tmp_path):
+    """A fine sheet whose picture grows redder to the right, and a coarse one whose u runs to the left."""
+    vertices, faces, uv = sheet(12)
+    red = np.linspace(0.1, 0.9, 64, dtype=np.float32)
+    picture = np.stack(np.broadcast_arrays(red, np.float32(0.2), np.full((64, 1), 0.4, np.float32)), -1)
+    every = np.ones(len(faces), bool)
+    source = TexturedMesh(
+        vertices, faces, uv, (MeshPicture("fine.png", encode_image(picture, ".png"), every),)
+    )
+    write_textured_obj(tmp_path / "fine.obj", source)
+    vertices, faces, uv = sheet(3)
+    write_textured_obj(tmp_path / "coarse.obj", TexturedMesh(vertices, faces, uv * (-1, 1) + (1, 0)))
+    return tmp_path
+
+
+def run(monkeypatch, *arguments):
+    monkeypatch.setattr(applications, "stop_cleanly_on_interrupt", lambda out: None)
+    return CliRunner().invoke(commands.app, ["bake", *map(str, arguments)])
+
+
+def test_colours_are_laid_on_the_other_coordinates(meshes, monkeypatch):
+    paths = meshes / "fine.obj", meshes / "coarse.obj"
+    done = run(monkeypatch, *paths, "-o", meshes / "baked.obj", "--size", "32", "--json")
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["seen"] > 0.95
+    picture = read_image_linear(meshes / "baked.png")[..., :3]
+    np.testing.assert_allclose(picture[16, 2:30, 0], np.linspace(0.9, 0.1, 32)[2:30], atol=0.03)
+    np.testing.assert_allclose(picture[2:30, 16, 2], 0.4, atol=0.02)
+    baked, given = (read_mesh_file(meshes / f"{name}.obj") for name in ("baked", "coarse"))
+    np.testing.assert_allclose(baked.vertices, given.vertices, atol=1e-5)
+    np.testing.assert_allclose(baked.uv, given.uv, atol=1e-6)
+    assert (meshes / "baked.glb").is_file()
+    assert (meshes / "baked_normal.png").is_file()
+
+
+@pytest.mark.parametrize("out", ["baked.png", "coarse.obj"])
+def test_nothing_given_is_overwritten(meshes, monkeypatch, out):
+    before = (meshes / "coarse.obj").read_bytes()
+    done = run(monkeypatch, meshes / "fine.obj", meshes / "coarse.obj", "-o", meshes / out)
+    assert done.exit_code == 2
+    assert "takes a new name that ends in .obj" in done.output
+    assert (meshes / "coarse.obj").read_bytes() == before
+
+
+def test_a_mesh_without_colours_is_named(meshes):
+    from scan2albedo.errors import ApplicationError
+
+    done = CliRunner().invoke(
+        commands.app,
+        ["bake", str(meshes / "coarse.obj"), str(meshes / "fine.obj"), "-o", str(meshes / "x.obj")],
+    )
+    assert isinstance(done.exception, ApplicationError)
+    assert "coarse: the mesh has no colours to bake" in str(done.exception)
