@@ -306,7 +306,6 @@ SPOILED = {
     "no masks": (lambda f: shutil.rmtree(f / "masks"), (), r"masks: the folder holds none of camera_1\.png"),
     "half a mask": (lambda f: halved(f / "masks" / "camera_1.png"), (), r"camera_1\.png"),
     "half a head": (lambda f: halved(f / "head.glb"), (), r"head\.glb"),
-    "no key points": (lambda f: (f / "frame.keypoints.json").unlink(), (), r"frame\.keypoints\.json"),
     "key points in cm": (shrunk, (), r"frame\.keypoints\.json: the glasses are"),
     "no mesh": (lambda f: (f / "frame.obj").unlink(), (), r"frame\.obj: cannot be read"),
     "a mirror as start": (lambda f: write_pose(f, np.diag([-1, 1, 1, 1])), ("start",), r"start\.json: .*rot"),
@@ -325,6 +324,15 @@ def test_bad_input_is_one_line_that_names_the_file(name, changed, tmp_path, monk
     assert len(lines) == 1
     assert re.search(words, lines[0]), lines[0]
     assert not (tmp_path / "out").exists()
+
+
+def test_a_frame_without_key_points_gets_proposed_ones(changed, tmp_path, monkeypatch):
+    (changed / "frame.keypoints.json").unlink()
+    answer = run(monkeypatch, changed / "frame.obj", tmp_path / "out", changed)
+    assert answer.exit_code == 0, answer.output
+    assert "20 key points are proposed from its shape" in answer.stderr
+    record = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert any("proposed from its shape" in note for note in record["notes"])
 
 
 def test_a_spoiled_canonical_frame_is_told(changed, tmp_path, monkeypatch):
