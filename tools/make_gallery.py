@@ -4,7 +4,8 @@
     python tools/make_gallery.py --scan SCAN -o FOLDER
 
 Without SCAN everything is made by the package: its synthetic people and the examples; a minute of CPU. With
-it: what became of the scan (scan.jpg), and the scan beside itself without its light (unlit.jpg).
+it: what became of the scan (scan.jpg), the scan beside itself without its light (unlit.jpg), and the maps of
+a skin material (maps.jpg).
 """
 
 from __future__ import annotations
@@ -32,7 +33,9 @@ from make_readme_picture import (
 from PIL import Image
 
 import scan2albedo as s2a
+from scan2albedo.applications.template_baking import integers, normal_bytes
 from scan2albedo.geometry.rigid import transform_points
+from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.pipeline.result import ProcessResult
 from scan2albedo.rendering.pictures import View, render_mesh
 from scan2albedo.synthetic import Scanner
@@ -55,8 +58,8 @@ def main() -> None:
     else:
         scanner = Scanner(rotation_max_deg=TILT_DEG)
         scan, _ = s2a.synthetic.raw_scan(SEED, lights=[FLASH], scanner=scanner)
-    result = s2a.process(scan, unlit="all", seed=0)
-    pictures = {"scan": panels(result), "unlit": unlit_panels(result)}
+    result = s2a.process(scan, unlit="all", maps="chart", texture_size=HEIGHT, seed=0)
+    pictures = {"scan": panels(result), "unlit": unlit_panels(result), "maps": maps_panels(result)}
     if given.scan is None:
         del pictures["scan"]  # README's picture
         with tempfile.TemporaryDirectory() as folder:
@@ -80,6 +83,17 @@ def unlit_panels(result: ProcessResult) -> Panels:
             upright = transform_points(result.fitted.model_from_scan, scan.vertices)
             made.append((f"{what}, {where}", scan_picture(scan, upright, view)))
     return made
+
+
+def maps_panels(result: ProcessResult) -> Panels:
+    """Return the maps of a skin material on the face's chart."""
+    assert result.maps_of_skin is not None
+    (tile,) = result.maps_of_skin.tiles
+    shown = {"albedo": encode_srgb_bytes(tile.color_linear), "normals": normal_bytes(tile.normal)}
+    grey = {**tile.maps, "displacement": 0.5 + tile.maps["displacement_mm"] / 2}  # 1 mm outward is white
+    for name in ("displacement", "cavity", "occlusion", "specular"):
+        shown[name] = np.repeat(integers(grey[name])[..., None], 3, axis=-1)
+    return [(name, smaller(pixels)) for name, pixels in shown.items()]
 
 
 def example_panels(folder: Path) -> dict[str, Panels]:

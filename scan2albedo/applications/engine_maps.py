@@ -43,10 +43,10 @@ def engine_maps(
 
     `maps` of each tile are: `occlusion`, the part of an even sky that reaches the surface (1 is all);
     `roughness`, glTF's, of the highlights; `specular`, glTF's factor of the reflectance at normal incidence;
-    `displacement_mm`, how far the scan lies outside of the mesh, on other meshes than the scan; and `cavity`,
-    small relief beside its surroundings, 0.5 where it is flat. Dark spots of the albedo count there as pores,
-    which is a guess. Raises `ApplicationError` when the scan has no colour or no such coordinates, ValueError
-    for another name or size.
+    `displacement_mm`, how far the scan lies outside of other meshes than itself, its noise averaged out where
+    its edges are shorter than 0.8 mm; and `cavity`, small relief beside its surroundings, 0.5 where it is
+    flat. Dark spots of the albedo count there as pores, which is a guess. Raises `ApplicationError` when the
+    scan has no colour or no such coordinates, ValueError for another name or size.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def engine_maps(
     occluder = thin.vertices, thin.faces
     shadows = ShadowMap(RayCaster(*occluder), thin.vertices, vertex_normals(*occluder))
     open_sky, around = shadowed_transfer(shadows)[:, :1], surface_query(*occluder)
-    raw_surface, raw_normals = surface_query(raw, scan.faces), vertex_normals(raw, scan.faces)
+    raw_normals = vertex_normals(raw, scan.faces)
     # How far the scan's vertices, freed from noise, stand out of their surroundings in mm; where edges are
     # longer than those, their curvature, over the same surroundings. A mean over neighbours has a variance of
     # half a squared edge.
@@ -103,6 +103,9 @@ def engine_maps(
         smooth = mean @ smooth
     relief = np.sum((fine - smooth) * raw_normals, axis=1, keepdims=True)
     relief *= around_mm**2 / (passes * step_mm2)
+    if passes > 1:  # the scan is finer than what noise is averaged over
+        raw, raw_normals = fine, vertex_normals(fine, scan.faces)
+    raw_surface = surface_query(raw, scan.faces)
 
     def look(place: FloatArray, outward: FloatArray, tangents: FloatArray, steps: FloatArray) -> Fields:
         on_face, hits, everywhere = face.query(place), raw_surface.query(place), np.ones(len(place), bool)

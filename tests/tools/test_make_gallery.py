@@ -21,7 +21,7 @@ def test_a_scan_is_shown_beside_itself_without_its_light(coarse_scan, tmp_path, 
         sys, "argv", ["make_gallery", "--scan", str(tmp_path / "subject.ply"), "-o", str(tmp_path / "out")]
     )
     make_gallery.main()
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"scan.jpg", "unlit.jpg"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"scan.jpg", "unlit.jpg", "maps.jpg"}
     with Image.open(tmp_path / "out" / "unlit.jpg") as picture:
         pixels = np.asarray(picture.convert("RGB"), float)
     # Four panels, each with a face on white.
