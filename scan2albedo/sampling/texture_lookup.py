@@ -140,7 +140,7 @@ def sample_colors(
         valid &= (density > (MIN_DENSITY * np.median(used) if len(used) else np.inf))[face] & inside
     else:
         assert scan.vertex_color_linear is not None
-        color = hits.interpolated(scan.vertex_color_linear, scan.faces).astype(np.float32)
+        color = hits.interpolated(scan.vertex_color_linear, scan.faces[near]).astype(np.float32)
         seen = np.ones(len(scan.vertices), bool) if scan.color_seen is None else scan.color_seen
         pictured = np.asarray(seen[scan.faces[face]].all(1))
     return Samples(color, valid & pictured, face, pictured, pixel)

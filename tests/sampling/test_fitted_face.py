@@ -14,7 +14,7 @@ from scan2albedo.geometry.rigid import compose, invert_rigid, random_rotation, t
 from scan2albedo.io.color import linear_to_srgb, srgb_to_linear
 from scan2albedo.sampling import geometry_image, texture_lookup
 from scan2albedo.sampling.geometry_images import texture_doubt
-from scan2albedo.sampling.texture_lookup import MOVES, moved_colors
+from scan2albedo.sampling.texture_lookup import MOVES, moved_colors, sample_colors
 
 
 class FlatAnnotation:
@@ -322,3 +322,18 @@ def test_what_was_done_to_a_texture_is_told_by_name(shared_data):
         doubt = texture_doubt(fitted, wrong, geometry_image(fitted, wrong, 128))
         assert doubt is not None
         assert name in doubt.reason
+
+
+def test_vertex_colours_are_those_of_the_faces_near_the_points():
+    """The face's own, though the scan begins with something else that lies far away."""
+    square = np.array([[0.0, 0, 0], [9, 0, 0], [9, 9, 0], [0, 9, 0]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    vertices = np.concatenate([square + 500, square])
+    colors = np.zeros((8, 3), np.float32)
+    colors[:4, 0], colors[4:, 1:] = 1, square[:, :2] / 9
+    scan = RawScan(vertices, np.concatenate([faces, faces + 4]), vertex_color_linear=colors)
+    points = np.random.default_rng(0).uniform(1, 8, (40, 3)) * (1, 1, 0)
+    found = sample_colors(scan, points, np.tile((0.0, 0, 1), (40, 1)), np.zeros((40, 3, 2)))
+    np.testing.assert_allclose(found.color_linear[:, 0], 0)
+    np.testing.assert_allclose(found.color_linear[:, 1:], points[:, :2] / 9, atol=1e-6)
+    assert found.seen.all()
