@@ -30,10 +30,11 @@ def main(scan: str, out: str, command: str) -> None:
     """Run all checks."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     addon.register()
-    call = {"filepath": scan, "out": out, "quality": "draft", "unlit": "face"}
+    call = {"filepath": scan, "out": out, "quality": "draft", "unlit": "face", "maps": "chart"}
     assert bpy.ops.import_scene.scan2albedo(command=command, **call) == {"FINISHED"}
     check_face(bpy.data.objects["person"])
     check_scan(bpy.data.objects["person"], bpy.data.objects["person scan without light"])
+    check_maps(bpy.data.objects["person"], bpy.data.objects["person with maps of skin"])
     for distance_mm in (None, 800.0):
         lit = brightness([{**LAMP, "distance_mm": distance_mm}], 0.0, Path(out))
         assert abs(lit - PAINT) < 0.03, (distance_mm, lit)
@@ -75,6 +76,16 @@ def check_scan(face, scan) -> None:  # type: ignore[no-untyped-def]
         _, nearest, _, _ = face.closest_point_on_mesh(place)
         gaps.append((place - nearest).length)
     assert np.percentile(gaps, 20) < 0.001, np.percentile(gaps, 20)
+
+
+def check_maps(face, mapped) -> None:  # type: ignore[no-untyped-def]
+    """The mesh with maps is the face again, and its material reads a picture for each input of skin."""
+    assert mapped.hide_render
+    assert max(abs(a - b) for a, b in zip(face.dimensions, mapped.dimensions, strict=True)) < 1e-4
+    nodes = mapped.data.materials[0].node_tree.nodes
+    surface = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
+    for name in ("Base Color", "Roughness", "Normal", "Specular IOR Level"):
+        assert surface.inputs[name].is_linked, name
 
 
 def brightness(lights: list[dict], ambient: float, out: Path) -> float:

@@ -41,11 +41,12 @@ AXES = Matrix(((1, 0, 0, 0), (0, 0, -1, 0), (0, 1, 0, 0), (0, 0, 0, 1)))
 
 
 def process_command(
-    command: str, scan: Path, out: Path, *, quality: str, unlit: str, model: str, budget_s: float
+    command: str, scan: Path, out: Path, *, quality: str, unlit: str, maps: str, model: str, budget_s: float
 ) -> list[str]:
     """Return the command line that processes a scan into the folder `out`."""
     words = [command, "process", str(scan), "-o", str(out), "--json", "--quality", quality]
-    words += [] if unlit == "none" else ["--unlit", unlit]
+    for flag, choice in (("--unlit", unlit), ("--maps", maps)):
+        words += [] if choice == "none" else [flag, choice]
     words += [] if not model else ["--model", model]
     return words if budget_s <= 0 else [*words, "--budget", str(budget_s)]
 
@@ -95,16 +96,25 @@ class Run:
 def import_result(folder: Path) -> bpy.types.Object:
     """Import a result's face with its material and its lights, which are not shown in renders at first."""
     result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
-    face = _imported(folder / "fitted.glb", result["name"])
+    face, *_ = _imported(folder / "fitted.glb", result["name"])
     face.data.materials.clear()
     face.data.materials.append(_material(folder, result["name"]))
     _lights(result["lights"], result["name"])
     if (folder / "unlit.glb").is_file():
-        scan = _imported(folder / "unlit.glb", f"{result['name']} scan without light")
-        scan.matrix_world = _pose(folder) @ scan.matrix_world
-        scan.hide_render = True
-        scan.hide_set(True)
+        for scan in _imported(folder / "unlit.glb", f"{result['name']} scan without light"):
+            scan.matrix_world = _pose(folder) @ scan.matrix_world
+            _hide(scan)
+    # In the face's own frame: its maps for engines, and a template, whose blendshapes become shape keys.
+    for stem, what in (("maps", "with maps of skin"), ("template", "as template")):
+        if (folder / f"{stem}.glb").is_file():
+            for part in _imported(folder / f"{stem}.glb", f"{result['name']} {what}"):
+                _hide(part)
     return face
+
+
+def _hide(item: bpy.types.Object) -> None:
+    item.hide_render = True
+    item.hide_set(True)
 
 
 def _pose(folder: Path) -> Matrix:
@@ -117,12 +127,14 @@ def _pose(folder: Path) -> Matrix:
     return AXES @ in_metres @ AXES.inverted()
 
 
-def _imported(file: Path, name: str) -> bpy.types.Object:
+def _imported(file: Path, name: str) -> list[bpy.types.Object]:
+    """Return the meshes of a file: the first is called `name`, others get numbers."""
     before = set(bpy.data.objects)
     bpy.ops.import_scene.gltf(filepath=str(file))
     new = [item for item in bpy.data.objects if item not in before and item.type == "MESH"]
-    new[0].name = name
-    return new[0]
+    for item in new:
+        item.name = name
+    return new
 
 
 def _material(folder: Path, name: str) -> bpy.types.Material:
@@ -250,6 +262,11 @@ class IMPORT_SCENE_OT_scan2albedo(bpy.types.Operator, ImportHelper):
         items=[(name, name.title(), "") for name in ("none", "face", "all")],
         default="face",
     )
+    maps: EnumProperty(  # type: ignore[valid-type]
+        name="Maps of skin",
+        items=[(name, name.title(), "") for name in ("none", "chart", "scan", "template")],
+        default="none",
+    )
     model: StringProperty(name="Template", description="Your own template's file", subtype="FILE_PATH")  # type: ignore[valid-type]
     budget_s: FloatProperty(name="Seconds", description="0: as many as it takes", default=0.0, min=0.0)  # type: ignore[valid-type]
     out: StringProperty(name="Results", description="Their folder; else a temporary one", subtype="DIR_PATH")  # type: ignore[valid-type]
@@ -266,6 +283,7 @@ class IMPORT_SCENE_OT_scan2albedo(bpy.types.Operator, ImportHelper):
         options = {
             "quality": self.quality,
             "unlit": self.unlit,
+            "maps": self.maps,
             "model": self.model,
             "budget_s": self.budget_s,
         }
