@@ -367,7 +367,7 @@ def propose_keypoints(mesh: Any) -> ProposedKeyPoints:
     enclose, or panes fill, are largest on both sides: its front. Key points are extremes, joints and bends of
     rims, bridge and temples; deviations say how sharp they are and how far both sides agree. Which way is
     up and which forward is decided by the likeness to a typical frame's key points; what other explanations
-    say widens the deviations by their odds. The unit is the one in which an average face wears the frame.
+    say widens the deviations by their odds. The unit is the one in which it is as large as a typical frame.
 
     Parameters
     ----------

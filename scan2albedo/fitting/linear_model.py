@@ -200,7 +200,7 @@ class _State:
         matrix = np.diag(np.concatenate([np.zeros(6), precision]))
         gradient = np.concatenate([np.zeros(6), precision * value])
         _, blend, slopes = self._posed
-        turns, small = list[FloatArray](), SMALL**4
+        turns, small = list[FloatArray](), np.cbrt(np.finfo(float).eps)  # rad; truncation and rounding alike
         for joint, axis in [(joint, axis) for joint in self.free for axis in range(3)]:
             moved = self.rotations.copy()
             moved[joint, axis] += small
