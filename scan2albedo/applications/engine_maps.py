@@ -43,10 +43,9 @@ def engine_maps(
 
     `maps` of each tile are: `occlusion`, the part of an even sky that reaches the surface (1 is all);
     `roughness`, glTF's, of the highlights; `specular`, glTF's factor of the reflectance at normal incidence;
-    `displacement_mm`, how far the scan lies outside of other meshes than itself, its noise averaged out where
-    its edges are shorter than 0.8 mm; and `cavity`, small relief beside its surroundings, 0.5 where it is
-    flat. Dark spots of the albedo count there as pores, which is a guess. Raises `ApplicationError` when the
-    scan has no colour or no such coordinates, ValueError for another name or size.
+    `displacement_mm`, how far the scan, its noise averaged out, lies outside of other meshes than itself; and
+    `cavity`, small relief beside its surroundings, 0.5 where it is flat; dark spots of the albedo count as
+    pores, a guess. `ApplicationError` without colour or such coordinates, ValueError for other names, sizes.
 
     Parameters
     ----------
@@ -62,8 +61,8 @@ def engine_maps(
     Notes
     -----
     Phong's exponent m of the highlights becomes the roughness (2 m + 1)^(-1/4) of a GGX lobe of the same
-    width [1]_. Their strength is that of skin [2]_ times the model's relative one by region, since the
-    albedo's scale, and so that of measured highlights, is not known.
+    width [1]_, and their strength k_s, beside an albedo as bright as the scan, F0 = 4 k_s / (2 m + 1), which
+    has the same peak; that of skin [2]_ where none were seen. The model's relative gloss multiplies it.
 
     .. [1] B. Walter, S. Marschner, H. Li, K. Torrance, "Microfacet models for refraction through rough
        surfaces", EGSR 2007.
@@ -85,27 +84,29 @@ def engine_maps(
     appearance, face = Appearance(fitted, scan), surface_query(fitted.vertices, fitted.faces)
     image, gloss = estimate.image, estimate.reflectance
     relative = np.ones(image.shape) if image.specular_scale is None else image.specular_scale
-    strength = filled_from_nearest(relative, image.mask)[..., None] * (SKIN_F0 / PLASTIC_F0)
     exponent = gloss.exponent if gloss.specular_strength > 0 else MATTE_EXPONENT
+    usual = np.median(estimate.shading.mean(-1)[image.seen if image.seen.any() else image.mask])
+    f0 = float(4 * usual * gloss.specular_strength / (2 * exponent + 1)) or SKIN_F0
+    strength = filled_from_nearest(relative, image.mask)[..., None] * (f0 / PLASTIC_F0)
     thin = thinned(blank.vertices, blank.faces, around_mm)
     occluder = thin.vertices, thin.faces
     shadows = ShadowMap(RayCaster(*occluder), thin.vertices, vertex_normals(*occluder))
     open_sky, around = shadowed_transfer(shadows)[:, :1], surface_query(*occluder)
-    raw_normals = vertex_normals(raw, scan.faces)
+    raw_normals, mean = vertex_normals(raw, scan.faces), neighbour_mean(len(raw), scan.faces)
     # How far the scan's vertices, freed from noise, stand out of their surroundings in mm; where edges are
     # longer than those, their curvature, over the same surroundings. A mean over neighbours has a variance of
     # half a squared edge.
     step_mm2 = (usual_edge(raw, scan.faces) or around_mm) ** 2 / 2
     passes = int(np.clip(round(around_mm**2 / step_mm2), 1, 100))
-    mean = neighbour_mean(len(raw), scan.faces)
     fine = smooth = mean @ (mean @ raw)
     for _ in range(passes):
         smooth = mean @ smooth
     relief = np.sum((fine - smooth) * raw_normals, axis=1, keepdims=True)
     relief *= around_mm**2 / (passes * step_mm2)
-    if passes > 1:  # the scan is finer than what noise is averaged over
-        raw, raw_normals = fine, vertex_normals(fine, scan.faces)
-    raw_surface = surface_query(raw, scan.faces)
+    # Noise is averaged out of what the scan differs by from the face, so that shape the fit follows stays.
+    feet = face.query(raw).points
+    raw = feet + mean @ (mean @ (raw - feet))
+    raw_normals, raw_surface = vertex_normals(raw, scan.faces), surface_query(raw, scan.faces)
 
     def look(place: FloatArray, outward: FloatArray, tangents: FloatArray, steps: FloatArray) -> Fields:
         on_face, hits, everywhere = face.query(place), raw_surface.query(place), np.ones(len(place), bool)
@@ -130,12 +131,11 @@ def engine_maps(
 
     made, tiles = painted(blank, size, look), []
     on_chart = np.abs(np.linalg.det(blank.uv[:, 1:] - blank.uv[:, :1])).sum() / 2
-    texels_per_mm = size * np.sqrt(on_chart / (face_areas(blank.vertices, blank.faces).sum() or 1.0))
+    spread = around_mm * size * np.sqrt(on_chart / (face_areas(blank.vertices, blank.faces).sum() or 1.0))
     for tile in made.tiles:
         # Relief and pores beside their surroundings, 0 to 1; 0.5 is flat.
         value = np.asarray(tile.color_linear, np.float32).max(-1)
         pores = _PORE_MM * np.log(np.maximum(value, value.max() / 1000 or 1.0))
-        high = tile.maps["cavity"] + pores - gaussian_filter(pores, around_mm * texels_per_mm)
-        cavity = np.clip(0.5 + high / (2 * _RELIEF_MM), 0, 1)
-        tiles.append(replace(tile, maps={**tile.maps, "cavity": cavity}))
+        high = (tile.maps["cavity"] + pores - gaussian_filter(pores, spread)) / (2 * _RELIEF_MM)
+        tiles.append(replace(tile, maps={**tile.maps, "cavity": np.clip(0.5 + high, 0, 1)}))
     return replace(made, tiles=tuple(tiles))

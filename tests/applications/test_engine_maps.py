@@ -28,7 +28,8 @@ def estimate(strength=0.2, exponent=20.0):
     image = GeometryImage(
         np.zeros((16, 16, 3)), np.tile((0.0, 0, 1), (16, 16, 1)), mask, specular_scale=scale
     )
-    return SimpleNamespace(image=image, reflectance=Reflectance("oren-nayar", 0.3, strength, exponent))
+    reflectance = Reflectance("oren-nayar", 0.3, strength, exponent)
+    return SimpleNamespace(image=image, reflectance=reflectance, shading=np.full((16, 16, 3), 1.5))
 
 
 def cap(chart=plain, **options):
@@ -51,14 +52,28 @@ def test_maps_show_relief_occlusion_and_gloss():
     assert 0 <= tile.maps["cavity"].min() < 0.5 < tile.maps["cavity"].max() <= 1
     np.testing.assert_allclose(tile.maps["roughness"], 41**-0.25, rtol=1e-5)
     left, right = tile.maps["specular"][64, 8], tile.maps["specular"][64, -8]
-    np.testing.assert_allclose([left, right], [0.35, 0.7], rtol=0.01)
+    # The peak of a GGX lobe, F0 (2 m + 1) / 4 of the light, is Phong's k_s, as bright as the albedo is made.
+    np.testing.assert_allclose([left * 0.04 * 41 / 4, right * 0.04 * 41 / 4], [0.5 * 0.3, 0.3], rtol=0.01)
     (matte,) = engine_maps(scan, fitted, estimate(0.0), "chart", 32).tiles
+    np.testing.assert_allclose(matte.maps["specular"][16, [2, -2]], [0.35, 0.7], rtol=0.01)
     np.testing.assert_allclose(matte.maps["roughness"], (2 * MATTE_EXPONENT + 1) ** -0.25, rtol=1e-5)
     # The chart's mesh has the bumps itself: its valleys see less of the sky, and the scan adds nothing.
     assert np.abs(matte.maps["displacement_mm"]).max() < 0.2
     open_sky = matte.maps["occlusion"]
     assert np.corrcoef(open_sky[4:-4, 4:-4].ravel(), bump[16:-16:4, 16:-16:4].ravel())[0, 1] > 0.6
     assert 0.6 < open_sky.min() < open_sky.max() <= 1
+
+
+def test_the_noise_of_a_coarse_scan_is_not_in_the_displacement():
+    scan, fitted = cap(scan_cells=60, noise_mm=0.3)
+    (tile,) = engine_maps(scan, fitted, estimate(), "chart", 128).tiles
+    high = tile.maps["displacement_mm"][16:-16, 16:-16]
+    # The fitted surface has the true shape: what the scan, 2 mm between its vertices, differs by is noise.
+    assert high.std() < 0.1
+    # Averaging the scan's own points would have lowered the bumps, 3 mm high, by .3 mm.
+    x, y = np.meshgrid(*[((np.arange(128) + 0.5) / 128 * 2 - 1)[16:-16] * HALF_MM] * 2)
+    top = np.cos(x / 9) * np.cos(y / 9) > 0.9
+    assert abs(high[top].mean()) < 0.1
 
 
 def test_pores_are_dark_spots_and_a_scan_has_no_displacement_of_its_own():

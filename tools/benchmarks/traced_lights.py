@@ -87,15 +87,19 @@ class Environment:
         return {"sky": sky, "dark": dark}
 
 
-def environment_map(kind: str, rows: int = _MAP_ROWS) -> FloatArray:
-    """Return (rows, 2 rows, 3) as Mitsuba's envmap wants it: +y above, left edge -z, +x a quarter in."""
+def environment_map(kind: str | Callable[[FloatArray], FloatArray], rows: int = _MAP_ROWS) -> FloatArray:
+    """Return (rows, 2 rows, 3) as Mitsuba's envmap wants it: +y above, left edge -z, +x a quarter in.
+
+    `kind` is a name in `ENVIRONMENTS`, or gives the radiance (N, 3) from directions (N, 3).
+    """
     column, row = np.meshgrid(np.arange(2 * rows), np.arange(rows))
     # Mitsuba wraps the last column onto the first one and puts the poles on the first and last row.
     azimuth, polar = 2 * np.pi * column / (2 * rows - 1), np.pi * row / (rows - 1)
     directions = np.stack(
         [np.sin(azimuth) * np.sin(polar), np.cos(polar), -np.cos(azimuth) * np.sin(polar)], -1
     )
-    return ENVIRONMENTS[kind](directions.reshape(-1, 3)).reshape(rows, 2 * rows, 3)
+    radiance = ENVIRONMENTS[kind] if isinstance(kind, str) else kind
+    return radiance(directions.reshape(-1, 3)).reshape(rows, 2 * rows, 3)
 
 
 @dataclass(frozen=True)
