@@ -1,6 +1,6 @@
 """Engine maps in a path tracer beside the raw scan's photographs: PSNR before and after each map joins.
 
-    python tools/bench_engine_maps.py [SCAN ...] [--texels 512] [--size 240] [--paths 64] [--pictures FOLDER]
+    python tools/bench_engine_maps.py [SCAN ...] [--texels 384] [--size 200] [--paths 36] [--pictures FOLDER]
 
 Mitsuba renders the fitted face from the front with `engine_maps` on the model's chart, as its principled
 material, under the light that was estimated. The reference is the raw scan, its own lit texture shining by
@@ -27,6 +27,7 @@ from __future__ import annotations
 
 import argparse
 import warnings
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -67,6 +68,11 @@ QUARTERED = 2
 PATH = {"type": "path", "max_depth": 5, "rr_depth": 100}
 SHINING, LAMPS_ALONE = {"type": "path", "max_depth": 1}, {"type": "path", "max_depth": 2}
 RELIT = PointLight(-1.0, 0.5, np.inf, 3.0, radius_deg=6.0)
+COLUMNS = (
+    *("texture", "constant", "lit", "lambert", "albedo", "+normals", "+displaced", "+roughness", "+specular"),
+    *("+cavity", "own", "open", "+occlusion", "true", "true+"),
+)
+RELIT_COLUMNS = ("lit", "constant", "albedo", "+normals", "+displaced", "own", "true")
 Mesh = tuple[FloatArray, FloatArray, IntArray, FloatArray]
 """Vertices, normals, faces, places in the texture, one for each vertex."""
 
@@ -226,7 +232,9 @@ class Face:
             glossy = base | {"specular": 0.5}
             bsdf = {"type": "blendbsdf", "weight": bitmap(np.clip(weight, 0, 1)), "a": base, "b": glossy}
         if "normals" in names:
-            bsdf = {"type": "normalmap", "normalmap": bitmap(0.5 + 0.5 * tile.normal), "inner": bsdf}
+            # Mitsuba darkens what leans away from the surface (shadowing); engines do not.
+            leaning = {"normalmap": bitmap(0.5 + 0.5 * tile.normal), "use_shadowing_function": False}
+            bsdf = {"type": "normalmap", **leaning, "inner": bsdf}
         return self._studio.mesh(shape or self.flat, bsdf=bsdf)
 
 
@@ -355,12 +363,12 @@ def sheet(pictures: Pictures, columns: int = 5) -> NDArray[np.uint8]:
 
 
 def main() -> None:
-    """Print the likeness of each scan's pictures, and their means over the scans that have them all."""
+    """Print the likeness of each scan's pictures, and means over the scans whose albedo is known."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("scan", nargs="*", type=Path, help="files; all that are known when omitted")
-    parser.add_argument("--texels", type=int, default=512, help="of a side of the maps")
-    parser.add_argument("--size", type=int, default=240, help="pixels of a side of the pictures")
-    parser.add_argument("--paths", type=int, default=64, help="a pixel")
+    parser.add_argument("--texels", type=int, default=384, help="of a side of the maps")
+    parser.add_argument("--size", type=int, default=200, help="pixels of a side of the pictures")
+    parser.add_argument("--paths", type=int, default=36, help="a pixel")
     parser.add_argument("--pictures", type=Path, help="folder to write the pictures into")
     chosen = parser.parse_args()
     files = chosen.scan or [file for pattern in SCANS for file in sorted(DATA.glob(pattern))]
@@ -368,29 +376,33 @@ def main() -> None:
         raise SystemExit(
             f"{DATA}: no scans; this command measures on faces that are not part of the repository"
         )
-    rows: tuple[list[list[float]], list[list[float]]] = [], []
+    print_row("PSNR dB", COLUMNS)
+    print_row("relit, dB", RELIT_COLUMNS)
+    complete: dict[str, list[list[float]]] = {"": [], "relit:": []}
     for file in files:
         both = pictures_of(file, chosen.texels, chosen.size, chosen.paths)
-        for kept, name, pictures in zip(rows, (file.stem, f"relit:{file.stem}"), both, strict=True):
-            if pictures:
-                kept.append(
-                    line(name, {each: likeness(*three)[0] for each, three in pictures.items()}, bool(kept))
-                )
-            if pictures and chosen.pictures:
+        for (prefix, kept), columns, pictures in zip(
+            complete.items(), (COLUMNS, RELIT_COLUMNS), both, strict=True
+        ):
+            if not pictures:
+                continue
+            likenesses = {name: likeness(*three)[0] for name, three in pictures.items()}
+            print_row(f"{prefix}{file.stem}", [likenesses.get(name, "-") for name in columns])
+            if len(likenesses) == len(columns):
+                kept.append(list(likenesses.values()))
+            if chosen.pictures:
                 chosen.pictures.mkdir(parents=True, exist_ok=True)
-                Image.fromarray(sheet(pictures)).save(chosen.pictures / f"{name.replace(':', '_')}.png")
-    for kept, name in zip(rows, ("mean", "relit:mean"), strict=True):
+                name = f"{prefix}{file.stem}.png".replace(":", "_")
+                Image.fromarray(sheet(pictures)).save(chosen.pictures / name)
+    for prefix, kept in complete.items():
         if kept:
-            full = [row for row in kept if len(row) == max(map(len, kept))]
-            print(f"{name:22}" + " ".join(f"{value:10.1f}" for value in np.mean(full, axis=0)))
+            print_row(f"{prefix}mean", np.mean(kept, axis=0).tolist())
 
 
-def line(name: str, of: dict[str, float], below: bool) -> list[float]:
-    """Print a scan's figures, the first time below their names, and return them."""
-    if not below:
-        print(f"{'PSNR dB':22}" + " ".join(f"{each:>10}" for each in of))
-    print(f"{name:22}" + " ".join(f"{value:10.1f}" for value in of.values()), flush=True)
-    return list(of.values())
+def print_row(name: str, cells: Sequence[str | float]) -> None:
+    """Print a row of the table, figures with one digit after the point."""
+    text = [cell if isinstance(cell, str) else f"{cell:.1f}" for cell in cells]
+    print(f"{name:22}" + " ".join(f"{cell:>10}" for cell in text), flush=True)
 
 
 if __name__ == "__main__":

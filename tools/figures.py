@@ -97,6 +97,9 @@ SKIN = {
     "d_window_lamp": "a window and a lamp",
     "mean": "mean",
 }
+MAPPED = (SKIN | {name: f"`{name}`" for name in ("p105_front", "p106_gloss", "p108_smile_m")}) | {
+    "mean": "mean of those with a known albedo"
+}
 WORST = {"worst": "worst: "}
 PAINTED = "all of them, while the light's model and its priors were made"
 
@@ -174,6 +177,49 @@ SOURCES = {
                     "unlit beyond it, `all`": "{17}, {18}, {19} % ({20} %)",
                 },
             )
+        },
+    ),
+    "engine_maps": Source(
+        "python tools/bench_engine_maps.py",
+        f"{PAINTED}; james and the first two painted heads while these maps were mended",
+        "../shared/data/traced",
+        tables={
+            "table": Table(
+                r"(james|fran|p\d+_\w+|d_\w+|mean) ",
+                {
+                    "scan": "{0}",
+                    "texture": "{1}",
+                    "one colour": "{2}",
+                    "lit twice": "{3}",
+                    "albedo, Lambert": "{4}",
+                    "albedo": "{5}",
+                    "+ normals": "{6}",
+                    "+ displacement": "{7}",
+                    "+ roughness": "{8}",
+                    "+ specular": "{9}",
+                    "+ cavity": "{10}",
+                    "own normals": "{11}",
+                    "no rays": "{12}",
+                    "no rays, occlusion": "{13}",
+                    "true albedo": "{14}",
+                    "true albedo, all maps": "{15}",
+                },
+                MAPPED,
+            ),
+            "relit": Table(
+                r"relit:\w+ ",
+                {
+                    "scan": "{0}",
+                    "lit twice": "{1}",
+                    "one colour": "{2}",
+                    "albedo": "{3}",
+                    "+ normals": "{4}",
+                    "+ displacement": "{5}",
+                    "own normals": "{6}",
+                    "true albedo": "{7}",
+                },
+                {f"relit:{name}": shown for name, shown in MAPPED.items()},
+            ),
         },
     ),
     "quality": Source(
