@@ -181,7 +181,7 @@ SOURCES = {
     ),
     "engine_maps": Source(
         "python tools/bench_engine_maps.py",
-        f"{PAINTED}; james and the first two painted heads while these maps were mended",
+        f"{PAINTED}; james and five others while these maps were mended",
         "../shared/data/traced",
         tables={
             "table": Table(
