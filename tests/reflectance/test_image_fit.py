@@ -6,7 +6,7 @@ import itertools
 import numpy as np
 import pytest
 
-from scan2albedo.core import Budget
+from scan2albedo.core import Budget, Meter
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics, project_environment
@@ -61,7 +61,7 @@ def albedo_error(found, truth):
 
 def test_derivatives_agree_with_finite_differences(model):
     observation, _ = picture(people(1, 5)[0], 0)
-    terms = ImageTerms(observation, model, LightingModel.default())
+    terms = ImageTerms(observation, model, LightingModel.default(), Meter("test", "objective"))
     p = 0.3 * np.random.default_rng(1).normal(size=20 + 80 + 3)
     jacobian = terms.jacobian(terms.predict(p))
     for direction in np.random.default_rng(2).normal(size=(3, len(p))):
@@ -72,7 +72,7 @@ def test_derivatives_agree_with_finite_differences(model):
 def test_the_prediction_is_the_shading_of_the_model(model):
     observation, _ = picture(people(1, 5)[0], 0)
     lighting = LightingModel.default()
-    terms = ImageTerms(observation, model, lighting)
+    terms = ImageTerms(observation, model, lighting, Meter("test", "objective"))
     p = 0.2 * np.random.default_rng(3).normal(size=103)
     b, g, t = terms.split(p)
     light = lighting.light(g, scale_rgb=np.exp(t))

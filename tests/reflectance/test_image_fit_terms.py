@@ -8,6 +8,7 @@ import warnings
 import numpy as np
 import pytest
 
+from scan2albedo.core import Meter
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics, project_environment
@@ -153,7 +154,7 @@ def test_all_vertices_in_the_dark(model):
 def test_a_perceptual_term_leads_to_its_known_optimum(model, lighting, scale, offset, monkeypatch):
     """Colours that the models can make, of another face in other light than the image."""
     image = picture(people(1, 5)[0], 3)
-    terms = ImageTerms(image, model, lighting)
+    terms = ImageTerms(image, model, lighting, Meter("test", "objective"))
     p = np.concatenate([0.5 * np.random.default_rng(4).normal(size=40), np.log([0.5, 0.6, 0.4])])
     target = np.full((len(SEEN), 3), np.nan)
     target[terms.used] = terms.predict(p).color
