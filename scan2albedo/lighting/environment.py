@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, checked_array
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rasterization import area_mean
 
@@ -32,14 +32,10 @@ class DistantLights:
     irradiance_linear: ArrayLike
 
     def __post_init__(self) -> None:
-        toward = _checked_directions(self.directions)
-        irradiance, count = np.asarray(self.irradiance_linear, np.float64), len(toward)
-        if irradiance.shape not in ((count,), (count, 3)):
-            raise ValueError(f"irradiance_linear must be ({count}, 3) or ({count},), got {irradiance.shape}")
-        if not np.isfinite(irradiance).all():
-            raise ValueError("irradiance_linear must be finite")
+        toward, given = _checked_directions(self.directions), np.asarray(self.irradiance_linear, np.float64)
+        rgb = np.repeat(given[:, None], 3, 1) if given.ndim == 1 else given
+        rgb = checked_array(rgb, (len(toward), 3), "irradiance_linear", finite=ValueError)
         object.__setattr__(self, "directions", toward)
-        rgb = irradiance if irradiance.ndim == 2 else np.repeat(irradiance[:, None], 3, 1)
         object.__setattr__(self, "irradiance_linear", rgb)
 
     @classmethod
@@ -199,10 +195,7 @@ def checked_map(environment_linear: ArrayLike, *, several: bool = False) -> Floa
 
 
 def _checked_directions(directions: ArrayLike) -> FloatArray:
-    toward = np.asarray(directions, np.float64)
-    if toward.ndim != 2 or toward.shape[1] != 3 or len(toward) == 0:
-        raise ValueError(f"directions must have shape (K, 3), got {toward.shape}")
-    unit = normalized(toward)
-    if not (np.isfinite(unit).all() and unit.any(1).all()):
-        raise ValueError("directions must be finite and not zero")
+    unit = normalized(checked_array(directions, ("K", 3), "directions", finite=ValueError))
+    if not (len(unit) and unit.any(1).all()):
+        raise ValueError("directions must be one or more, and not zero")
     return unit

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, checked_mesh
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.operators import surface_diffusion
 from scan2albedo.geometry.rays import blocks
 from scan2albedo.reflectance.image_fit import ImageFit, fit_image
 from scan2albedo.reflectance.lighting_model import LightingModel
-from scan2albedo.reflectance.linear_model import LinearModel
+from scan2albedo.reflectance.linear_model import LinearModel, require_one_topology
 from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
 from scan2albedo.reflectance.photograph import ImageObservation
 from scan2albedo.reflectance.vertex_reflectance import BLOCK
@@ -67,7 +67,7 @@ def finetune(
     with which objectives and RMSE of the held-out images fall most surely, if they fall by more than by
     chance (`is_improvement`). Changes are counted from the model given, so that rounds cannot drift. The
     shares w' stay. Raises `ReflectanceError` when there are no images or no held-out ones, an image cannot be
-    fitted, or a vertex is not finite; `ValueError` for faces or shapes that do not fit.
+    fitted, or the mesh is not that of the model, or not finite.
 
     Parameters
     ----------
@@ -86,18 +86,13 @@ def finetune(
     Images determine the albedo only up to the light: the anchor keeps it. Tuning adds no directions.
     """
     count = len(model.known)
-    triangles, positions = np.asarray(faces, np.int64), np.asarray(vertices, np.float64)
-    if triangles.ndim != 2 or triangles.shape[1] != 3 or positions.shape != (count, 3):
-        raise ValueError(f"faces {triangles.shape}, vertices {positions.shape}, not (F, 3), ({count}, 3)")
-    if triangles.size and (triangles.min() < 0 or triangles.max() >= count):
-        raise ValueError(f"faces point outside 0 ... {count - 1}")
+    positions, triangles = checked_mesh(vertices, faces, "the face at rest", ReflectanceError)
+    require_one_topology("the face at rest", len(positions), "the model", count)
     triangles = triangles[model.known[triangles].all(1)]
-    if not np.isfinite(positions[triangles]).all():
-        raise ReflectanceError("vertices hold NaN or infinite values; give positions in mm")
     if not observations or not held_out:
         counts = f"{len(observations)} images to tune with, {len(held_out)} held out"
         raise ReflectanceError(f"{counts}; give one or more of each")
-    smooth = surface_diffusion(np.nan_to_num(positions), triangles, SMOOTHING_MM)
+    smooth = surface_diffusion(positions, triangles, SMOOTHING_MM)
     lighting = LightingModel.default() if lighting is None else lighting
     meter = Meter("reflectance.finetune", "held-out objective", Budget.of(budget), on_progress)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, checked_array
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import edges_with_faces, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, pixel_directions, project
@@ -117,9 +117,7 @@ def refine_geometry(
     tools/bench_reflectance_geometry.py compares weights of landmarks.
     """
     matrix = normalized_cameras(np.asarray(camera, np.float64)[None])[0]
-    landmarks = np.array(landmarks_px, np.float64)
-    if landmarks.shape != (LANDMARKS, 2):
-        raise ValueError(f"landmarks_px must have shape ({LANDMARKS}, 2), got {landmarks.shape}")
+    landmarks = checked_array(landmarks_px, (LANDMARKS, 2), "landmarks_px").copy()
     landmarks[~np.isfinite(landmarks).all(1)] = np.nan
     count = shape_model.identity_components
     identity = checked_coefficients(initial_identity, (count,), "initial_identity")
@@ -128,9 +126,7 @@ def refine_geometry(
     coefficients = np.concatenate([identity, expression])
     seen = np.flatnonzero(np.isfinite(landmarks).all(1))
     if initial_scene_from_model is not None:
-        pose = np.array(initial_scene_from_model, np.float64)
-        if pose.shape != (4, 4):
-            raise ValueError(f"initial_scene_from_model must have shape (4, 4), got {pose.shape}")
+        pose = checked_array(initial_scene_from_model, (4, 4), "initial_scene_from_model")
         if not is_rigid(pose):
             raise ReflectanceError("initial_scene_from_model is not rigid; give rotation and translation")
     elif len(seen) < 6:
@@ -158,17 +154,17 @@ def refine_geometry(
         raise ReflectanceError("no landmark is seen, no reflectance given: undetermined; give one of both")
     converged, iterations = True, 0
     rmse: tuple[float | None, float | None] = (None, None)
-    name, anchors = "reflectance.geometry.landmarks", []
+    name = "reflectance.geometry.landmarks"
     plan = [PlanStep(name, False, "no landmark is seen")]
     if len(seen):
         vertex = shape_model.landmark_vertices[seen]
         _, depth = project(matrix, state.vertices[vertex])
         if not (depth > 0).all():
             raise ReflectanceError("landmarks lie behind the camera at first; check pose and camera")
-        anchors = [terms.LandmarkTerm(matrix, vertex, landmarks[seen], _pixel_mm(matrix, depth))]
+        anchor = terms.LandmarkTerm(matrix, vertex, landmarks[seen], _pixel_mm(matrix, depth))
         plan = [PlanStep(name, True, "landmarks are seen", f"{len(seen)} landmarks")]
         stage = meter.sub_meter(name, "objective")
-        state = replace(state, terms=anchors, meter=stage)
+        state = replace(state, terms=[anchor], meter=stage)
         for rigid, most in ((True, 20), (False, 100)):
             found = _descent(replace(state, rigid=rigid), most)
             state, converged = found.best, found.converged
@@ -193,7 +189,7 @@ def refine_geometry(
                 before, after = (term.relative_rmse(one.vertices) for one in (state, colored))
                 rmse = before, after
                 evidence = f"relative rmse {before:.4f} -> {after:.4f}, {len(term.used)} vertices"
-                both, free = [*anchors, term], meter.untraced()
+                both, free = [*state.terms, term], meter.untraced()
                 first, last = (replace(one, terms=both, meter=free).cost for one in (state, colored))
                 objection = ""
                 if not last < first:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.operators import cross_matrices, vertex_normal_jacobian
@@ -43,15 +43,12 @@ class SmoothImage:
     def __init__(self, image_linear: ArrayLike, mask: ArrayLike | None, blur_px: float) -> None:
         from scipy.ndimage import gaussian_filter
 
-        image = np.asarray(image_linear, np.float64)
-        if image.ndim != 3 or image.shape[2] != 3 or min(image.shape[:2]) < 2:
-            raise ValueError(f"image_linear must have shape (H, W, 3), H and W at least 2, got {image.shape}")
+        image = checked_array(image_linear, ("H", "W", 3), "image_linear")
+        if min(image.shape[:2]) < 2:
+            raise ValueError(f"image_linear is {image.shape}, expected H and W of 2 or more")
         self.valid = np.asarray(np.isfinite(image).all(2))
         if mask is not None:
-            chosen = np.asarray(mask)
-            if chosen.dtype != np.bool_ or chosen.shape != self.valid.shape:
-                raise ValueError(f"mask must be bool {self.valid.shape}, got {chosen.dtype} {chosen.shape}")
-            self.valid &= chosen
+            self.valid &= checked_array(mask, self.valid.shape, "mask", kind=bool)
         if not self.valid.any():
             raise ReflectanceError("the image has no pixel left: all are NaN or masked; check the mask")
         filled = np.where(self.valid[..., None], image, 0.0)

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, checked_array
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.lighting.environment import map_directions, texel_directions
 from scan2albedo.lighting.harmonics import row_projection
@@ -55,9 +55,9 @@ class LightingModel(LinearModel):
     @classmethod
     def from_coefficients(cls, lights: ArrayLike, *, components: int = 80) -> LightingModel:
         """Learn from lights (K, 81, 3); `ValueError` for other shapes, `ReflectanceError` for dark ones."""
-        samples = np.asarray(lights, np.float64)
-        if samples.ndim != 3 or samples.shape[1:] != (HARMONICS, 3) or len(samples) == 0:
-            raise ValueError(f"lights must have shape (K, {HARMONICS}, 3), got {samples.shape}")
+        samples = checked_array(lights, ("K", HARMONICS, 3), "lights")
+        if len(samples) == 0:
+            raise ValueError("there are no lights to learn from")
         bad = ~(np.isfinite(samples).all((1, 2)) & (samples[:, 0] > 0).all(1))
         if bad.any():
             raise ReflectanceError(f"light {np.flatnonzero(bad)[0]} has NaN or a dark channel; leave it out")

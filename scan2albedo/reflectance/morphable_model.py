@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.reflectance.linear_model import LinearModel, principal_directions, require_one_topology
@@ -79,8 +79,7 @@ class MorphableReflectanceModel:
 
     def __post_init__(self) -> None:
         count = len(self.known)
-        if self.support.shape != (count,):
-            raise ReflectanceError(f"reflectance model: support is {self.support.shape}, expected ({count},)")
+        checked_array(self.support, (count,), "reflectance model: support", ReflectanceError, kind=int)
         for part, name in _PARTS.items():
             one: LinearModel = getattr(self, part)
             one.check(f"reflectance model: {name}", (count,) if part == "total" else (count, 3))
@@ -291,10 +290,8 @@ def held_out_components(samples: Sequence[VertexReflectance], vertices: ArrayLik
     """
     if len(samples) < 10:
         raise ReflectanceError(f"{len(samples)} samples are too few to choose directions; give 10 or more")
-    xyz = np.asarray(vertices, np.float64)
     model = MorphableReflectanceModel.from_samples([one for k, one in enumerate(samples) if k % 5 != 4])
-    if xyz.shape != (len(model.known), 3):
-        raise ReflectanceError(f"vertices is {xyz.shape}, expected ({len(model.known)}, 3)")
+    xyz = checked_array(vertices, (len(model.known), 3), "vertices", ReflectanceError)
     # Neighbouring cubes differ in this sum by one, so that they fall into different halves.
     first = np.floor(xyz / 25).sum(1) % 2 == 0
     tried = (0, 1, 2, 3, 5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300)

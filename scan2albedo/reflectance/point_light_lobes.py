@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, checked_array
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance
 
@@ -38,11 +38,11 @@ def point_light_lobes(
     >>> point_light_lobes([[0.0, 0, 0]], [[0.0, 0, 1]], ahead, ahead).round(3)
     array([[[0.318, 0.119, 0.398, 2.626]]])
     """
-    given = vertices, normals, camera_positions, light_positions
-    arrays = [np.ascontiguousarray(values, np.float64) for values in given]
-    counts = [len(a) for a in arrays]
-    if any(a.ndim != 2 or a.shape[1] != 3 for a in arrays) or counts[::2] != counts[1::2]:
-        raise ValueError(f"shapes are {[a.shape for a in arrays]}, expected (V, 3) twice and (J, 3) twice")
+    xyz = checked_array(vertices, ("V", 3), "vertices")
+    cameras = checked_array(camera_positions, ("J", 3), "camera_positions")
+    normal = checked_array(normals, xyz.shape, "normals")
+    lights = checked_array(light_positions, cameras.shape, "light_positions")
+    arrays = [np.ascontiguousarray(array) for array in (xyz, normal, cameras, lights)]
     lobes = np.empty((len(arrays[2]), len(arrays[0]), 4))
     reference = 0.0 if reference_distance_mm is None else float(reference_distance_mm)
     _fill_lobes(*arrays, reference, lobes)
@@ -176,8 +176,6 @@ def point_light_radiance(reflectance: VertexReflectance, lobes: ArrayLike) -> Fl
     `reflectance` is that of V vertices; `lobes` are those of `point_light_lobes`. Raises `ValueError` when
     they have another shape.
     """
-    terms = np.asarray(lobes, np.float64)
-    if terms.ndim != 3 or terms.shape[1:] != (len(reflectance.known), 4):
-        raise ValueError(f"lobes is {terms.shape}, expected (J, {len(reflectance.known)}, 4)")
+    terms = checked_array(lobes, ("J", len(reflectance.known), 4), "lobes")
     gloss = np.einsum("jvs,vs->jv", terms[..., 1:], reflectance.weights)
     return terms[..., :1] * reflectance.diffuse_linear + gloss[..., None]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray, checked_array, checked_mesh
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.reflectance.linear_model import LinearModel, principal_directions, require_one_topology
@@ -55,21 +55,15 @@ class MorphableShapeModel(LinearModel):
     """(68,): vertex of each landmark, iBUG-68 order."""
 
     def __post_init__(self) -> None:
-        count = len(self.mean)
+        count, marks = len(self.mean), self.landmark_vertices
         self.check("shape model:", (count, 3))
-        if self.faces.ndim != 2 or self.faces.shape[1:] != (3,) or not len(self.faces):
-            raise ReflectanceError(f"shape model: faces is {self.faces.shape}, expected (F, 3) with F > 0")
-        if self.landmark_vertices.shape != (LANDMARKS,):
-            raise ReflectanceError(
-                f"shape model: landmark_vertices is {self.landmark_vertices.shape}, expected ({LANDMARKS},)"
-            )
-        for name in ("faces", "landmark_vertices"):
-            index = getattr(self, name)
-            if index.dtype.kind not in "iu" or index.min() < 0 or index.max() >= count:
-                raise ReflectanceError(
-                    f"shape model: {name} must be integers in 0 ... {count - 1}, got {index.dtype} in "
-                    f"{index.min()} ... {index.max()}"
-                )
+        checked_mesh(self.mean, self.faces, "shape model", ReflectanceError)
+        if not len(self.faces):
+            raise ReflectanceError("shape model: it has no faces")
+        checked_array(marks, (LANDMARKS,), "shape model: landmark_vertices", ReflectanceError, kind=int)
+        if marks.min() < 0 or marks.max() >= count:
+            said = f"landmark_vertices are {marks.min()} to {marks.max()}, it has {count} vertices"
+            raise ReflectanceError(f"shape model: {said}")
 
     @classmethod
     def from_samples(
@@ -164,8 +158,7 @@ def _checked_stack(shapes: ArrayLike, name: str) -> FloatArray:
         stack = np.asarray(shapes, np.float64)
     except ValueError as error:
         raise ReflectanceError(f"{name} differ in number of vertices; bring all to one topology") from error
-    if stack.ndim != 3 or stack.shape[2] != 3:
-        raise ReflectanceError(f"{name} must have shape (K, V, 3), got {stack.shape}")
+    checked_array(stack, ("K", "V", 3), name, ReflectanceError)
     bad = ~np.isfinite(stack).all((1, 2))
     if bad.any():
         raise ReflectanceError(f"{name}: shape {np.flatnonzero(bad)[0]} is not finite; leave it out")

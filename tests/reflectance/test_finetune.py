@@ -269,9 +269,9 @@ def test_what_cannot_be_tuned_with_is_refused(model):
         finetune(model, shots, [], FACES, POINTS)
     with pytest.raises(ReflectanceError, match="0 images"):
         finetune(model, [], shots, FACES, POINTS)
-    with pytest.raises(ValueError, match="point outside"):
+    with pytest.raises(ReflectanceError, match="refer to vertices"):
         finetune(model, shots, shots, [[0, 1, len(POINTS)]], POINTS)
-    with pytest.raises(ValueError, match="vertices"):
-        finetune(model, shots, shots, FACES, vertices=POINTS[1:])
-    with pytest.raises(ReflectanceError, match="vertices hold NaN"):
+    with pytest.raises(ReflectanceError, match="one topology"):
+        finetune(model, shots, shots, FACES, vertices=POINTS.repeat(2, 0))
+    with pytest.raises(ReflectanceError, match="vertices are NaN"):
         finetune(model, shots, shots, FACES, vertices=np.full_like(POINTS, np.nan))

@@ -140,7 +140,7 @@ def test_what_cannot_be_a_transfer_is_refused(model):
     )
     with pytest.raises(ReflectanceError, match=f"transfer of vertex {FIRST} "):
         dataclasses.replace(image, transfer=spoilt)
-    with pytest.raises(ValueError, match="transfer has shapes"):
+    with pytest.raises(ValueError, match="diffuse of the transfer is"):
         dataclasses.replace(image, transfer=LightResponse(OPEN.diffuse[:5], OPEN.specular[:5]))
 
 

@@ -231,7 +231,7 @@ def test_what_cannot_be_learned_from_is_refused():
 
 def test_what_does_not_fit_the_model_is_refused():
     model = MorphableReflectanceModel.from_samples(faces(3))
-    with pytest.raises(ValueError, match="shape"):
+    with pytest.raises(ValueError, match=r"coefficients is \(1,\), expected \(2,\)"):
         model.reconstruct([0.0])
     with pytest.raises(ReflectanceError, match="50 vertices"):
         model.project(faces(1, vertices=50)[0])

@@ -357,7 +357,7 @@ def _looked_up(**changes: Any) -> VertexSamples:
 
 
 for _name, _change, _says in (
-    ("vertices NaN", {"vertices": np.full_like(_scene().vertices, math.nan)}, "not all finite"),
+    ("vertices NaN", {"vertices": np.full_like(_scene().vertices, math.nan)}, "vertices are NaN or infinite"),
     ("normals NaN", {"normals": np.full_like(_scene().normals, math.nan)}, "of length nan"),
     ("normals zero", {"normals": np.zeros_like(_scene().normals)}, "none of 1024 vertices is seen"),
 ):
@@ -628,7 +628,7 @@ for _name, _image, _changes, _says in (
     ("whose camera sees nothing", GREY, {"camera": AWAY}, "0 are seen by the camera"),
     ("whose camera is singular", GREY, {"camera": np.zeros((3, 4))}, "singular"),
     ("of a head scaled by 1e3", GREY, {"vertices": 1e3 * _scene().vertices}, "0 are seen by the camera"),
-    ("of a head with NaN", GREY, {"vertices": NO_NUMBER}, "not all finite"),
+    ("of a head with NaN", GREY, {"vertices": NO_NUMBER}, "vertices are NaN or infinite"),
 ):
 
     @CASES.extreme(STAGE, f"observing a photograph {_name}", "named error")
