@@ -38,15 +38,25 @@ def point_light_lobes(
     >>> point_light_lobes([[0.0, 0, 0]], [[0.0, 0, 1]], ahead, ahead).round(3)
     array([[[0.318, 0.119, 0.398, 2.626]]])
     """
+    views = vertices, normals, camera_positions, light_positions
+    return lobes_and_slopes(*views, reference_distance_mm)[0]
+
+
+def lobes_and_slopes(
+    vertices: ArrayLike,
+    normals: ArrayLike,
+    camera_positions: ArrayLike,
+    light_positions: ArrayLike,
+    reference_distance_mm: float | None = None,
+) -> FloatArray:
+    """Return (2, J, V, 4) what `point_light_lobes` and `lobe_slopes` do."""
     xyz = checked_array(vertices, ("V", 3), "vertices")
-    cameras = checked_array(camera_positions, ("J", 3), "camera_positions")
     normal = checked_array(normals, xyz.shape, "normals")
+    cameras = checked_array(camera_positions, ("J", 3), "camera_positions")
     lights = checked_array(light_positions, cameras.shape, "light_positions")
-    arrays = [np.ascontiguousarray(array) for array in (xyz, normal, cameras, lights)]
-    lobes = np.empty((len(arrays[2]), len(arrays[0]), 4))
-    reference = 0.0 if reference_distance_mm is None else float(reference_distance_mm)
-    _fill_lobes(*arrays, reference, lobes)
-    return lobes
+    found, frames = np.zeros((2, len(cameras), len(xyz), 4)), np.stack([normal, *_tangents(normal)], 1)
+    _fill(*map(np.ascontiguousarray, (xyz, frames, cameras, lights)), reference_distance_mm or 0.0, *found)
+    return found
 
 
 def cosines_of_lobes(lobes: ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -71,11 +81,7 @@ def lobe_slopes(
     vertices, normals, camera_positions, light_positions
         As in `point_light_lobes`.
     """
-    given = vertices, normals, camera_positions, light_positions
-    arrays = [np.ascontiguousarray(values, np.float64) for values in given]
-    slopes = np.empty((len(arrays[2]), len(arrays[0]), 4))
-    _fill_slopes(*arrays, *_tangents(arrays[1]), slopes)
-    return slopes
+    return lobes_and_slopes(vertices, normals, camera_positions, light_positions)[1]
 
 
 def tilted_normals(normals: ArrayLike, tilt: ArrayLike) -> FloatArray:
@@ -96,19 +102,22 @@ def _tangents(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fill_lobes(vertices, normals, cameras, lights, reference, lobes):  # type: ignore[no-untyped-def]
-    """Fill lobes (J, V, 4); 8 twice is 64: constant whole exponents cost a tenth of other powers."""
+def _fill(vertices, frames, cameras, lights, reference, lobes, slopes):  # type: ignore[no-untyped-def]
+    """Fill lobes and slopes (J, V, 4), 0 so far; frames (V, 3, 3) are normals and tangents.
+
+    8 twice is 64: constant whole exponents cost a tenth of other powers.
+    """
+    light, view = np.empty(3), np.empty(3)
     for j in range(len(cameras)):
         for i in range(len(vertices)):
             n_l = n_v = light_square = view_square = cross = 0.0
             for k in range(3):
-                light, view = lights[j, k] - vertices[i, k], cameras[j, k] - vertices[i, k]
-                n_l += normals[i, k] * light
-                n_v += normals[i, k] * view
-                light_square += light * light
-                view_square += view * view
-                cross += light * view
-            lobes[j, i, :] = 0.0
+                light[k], view[k] = lights[j, k] - vertices[i, k], cameras[j, k] - vertices[i, k]
+                n_l += frames[i, 0, k] * light[k]
+                n_v += frames[i, 0, k] * view[k]
+                light_square += light[k] * light[k]
+                view_square += view[k] * view[k]
+                cross += light[k] * view[k]
             if n_l <= 0.0 or view_square == 0.0:
                 continue
             light_length, view_length = np.sqrt(light_square), np.sqrt(view_square)
@@ -122,35 +131,14 @@ def _fill_lobes(vertices, normals, cameras, lights, reference, lobes):  # type: 
                 lobes[j, i, 1] = falloff * 3.0 / (8.0 * np.pi) * n_h
                 lobes[j, i, 2] = falloff * 10.0 / (8.0 * np.pi) * power8
                 lobes[j, i, 3] = falloff * 66.0 / (8.0 * np.pi) * power8**8
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _fill_slopes(vertices, normals, cameras, lights, first, second, slopes):  # type: ignore[no-untyped-def]
-    """Fill slopes (J, V, 4): p_1, p_2, q_1, q_2."""
-    for j in range(len(cameras)):
-        for i in range(len(vertices)):
-            slopes[j, i, :] = 0.0
-            n_l = n_h = light_square = view_square = 0.0
-            for k in range(3):
-                light, view = lights[j, k] - vertices[i, k], cameras[j, k] - vertices[i, k]
-                n_l += normals[i, k] * light
-                light_square += light * light
-                view_square += view * view
-            if n_l <= 0.0:
-                continue
-            ratio = np.sqrt(light_square / max(view_square, 1e-300))
-            p0 = p1 = q0 = q1 = 0.0
-            for k in range(3):
-                light = lights[j, k] - vertices[i, k]
-                half = light + ratio * (cameras[j, k] - vertices[i, k])
-                n_h += normals[i, k] * half
-                p0 += first[i, k] * light
-                p1 += second[i, k] * light
-                q0 += first[i, k] * half
-                q1 += second[i, k] * half
-            slopes[j, i, 0], slopes[j, i, 1] = p0 / n_l, p1 / n_l
-            if n_h > 0.0:
-                slopes[j, i, 2], slopes[j, i, 3] = q0 / n_h, q1 / n_h
+            for t in range(2):
+                e_l = e_v = 0.0
+                for k in range(3):
+                    e_l += frames[i, 1 + t, k] * light[k] / light_length
+                    e_v += frames[i, 1 + t, k] * view[k] / view_length
+                slopes[j, i, t] = e_l / n_l
+                if n_h > 0.0:
+                    slopes[j, i, 2 + t] = (e_l + e_v) / (n_l + n_v)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

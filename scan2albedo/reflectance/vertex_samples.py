@@ -13,7 +13,7 @@ from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.geometry.mesh import face_cross_products, normalized
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, project
 from scan2albedo.reflectance.olat import OlatImages
-from scan2albedo.reflectance.point_light_lobes import lobe_slopes, point_light_lobes, turn_lobes
+from scan2albedo.reflectance.point_light_lobes import lobes_and_slopes, turn_lobes
 from scan2albedo.reflectance.vertex_visibility import VertexVisibility, checked_surface, pixels_around
 
 
@@ -226,7 +226,7 @@ def sample_vertices(
         raise ReflectanceError(f"there are {len(olat)} pictures but {len(rig)} cameras in the rig")
     xyz, index, normal = checked_surface(vertices, faces, normals)
     views = xyz, normal, rig.camera_positions, rig.light_positions
-    lobes = point_light_lobes(*views, reference_distance_mm=reference_distance_mm)
+    lobes, lobe_slopes = lobes_and_slopes(*views, reference_distance_mm)
     shape = (len(olat), len(xyz), 3)
     observed, variance, valid = np.zeros(shape), np.zeros(shape), np.zeros(shape, bool)
     visibility = VertexVisibility(xyz, index, normal)
@@ -254,6 +254,6 @@ def sample_vertices(
     square = np.bincount(corners, weight * angle.ravel() ** 2, len(xyz))
     normal_spread = np.sqrt(square / np.maximum(np.bincount(corners, weight, len(xyz)), np.finfo(float).tiny))
     return VertexSamples(
-        *(observed, np.sqrt(variance), valid, lobes, rig.light, lobe_slopes(*views), normal_spread),
+        *(observed, np.sqrt(variance), valid, lobes, rig.light, lobe_slopes, normal_spread),
         visibility.form_factors(),
     )
