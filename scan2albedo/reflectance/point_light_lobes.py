@@ -107,7 +107,7 @@ def _fill(vertices, frames, cameras, lights, reference, lobes, slopes):  # type:
 
     8 twice is 64: constant whole exponents cost a tenth of other powers.
     """
-    light, view = np.empty(3), np.empty(3)
+    light, view, on_light, on_half = np.empty((4, 3))
     for j in range(len(cameras)):
         for i in range(len(vertices)):
             n_l = n_v = light_square = view_square = cross = 0.0
@@ -131,14 +131,16 @@ def _fill(vertices, frames, cameras, lights, reference, lobes, slopes):  # type:
                 lobes[j, i, 1] = falloff * 3.0 / (8.0 * np.pi) * n_h
                 lobes[j, i, 2] = falloff * 10.0 / (8.0 * np.pi) * power8
                 lobes[j, i, 3] = falloff * 66.0 / (8.0 * np.pi) * power8**8
-            for t in range(2):
-                e_l = e_v = 0.0
+            ratio = np.sqrt(light_square / view_square)
+            for a in range(3):
+                on_light[a] = on_half[a] = 0.0
                 for k in range(3):
-                    e_l += frames[i, 1 + t, k] * light[k] / light_length
-                    e_v += frames[i, 1 + t, k] * view[k] / view_length
-                slopes[j, i, t] = e_l / n_l
-                if n_h > 0.0:
-                    slopes[j, i, 2 + t] = (e_l + e_v) / (n_l + n_v)
+                    on_light[a] += frames[i, a, k] * light[k]
+                    on_half[a] += frames[i, a, k] * (light[k] + ratio * view[k])
+            for t in range(2):
+                slopes[j, i, t] = on_light[1 + t] / on_light[0]
+                if on_half[0] > 0.0:
+                    slopes[j, i, 2 + t] = on_half[1 + t] / on_half[0]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
