@@ -15,7 +15,7 @@ from scan2albedo.geometry.operators import surface_diffusion
 from scan2albedo.geometry.rays import blocks
 from scan2albedo.reflectance.image_fit import ImageFit, fit_image
 from scan2albedo.reflectance.lighting_model import LightingModel
-from scan2albedo.reflectance.linear_model import LinearModel, require_one_topology
+from scan2albedo.reflectance.linear_model import require_one_topology
 from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
 from scan2albedo.reflectance.photograph import ImageObservation
 from scan2albedo.reflectance.vertex_reflectance import BLOCK
@@ -172,14 +172,10 @@ def assured_gains(before: FloatArray, after: FloatArray) -> FloatArray:
 
 def with_change(model: MorphableReflectanceModel, change: FloatArray) -> MorphableReflectanceModel:
     """Return a model with a change (1 + N, V, 4): of mean and directions, of red, green, blue and s."""
-    albedo, total = change[..., :3], change[..., 3]
-    diffuse = LinearModel(model.diffuse.mean + albedo[0], model.diffuse.basis + albedo[1:])
-    return replace(
-        model,
-        diffuse=diffuse,
-        total=LinearModel(model.total.mean + total[0], model.total.basis + total[1:]),
-        total_variance=model.total_variance + float(np.sum(diffuse.deviation**2 - model.deviation**2)),
-    )
+    whole = np.pad(change, ((0, 0), (0, 0), (0, 3)))
+    moved = replace(model, mean=model.mean + whole[0], basis=model.basis + whole[1:])
+    more = float(np.sum(moved.deviation**2 - model.deviation**2))
+    return replace(moved, total_variance=model.total_variance + more)
 
 
 def smoothed(change: FloatArray, smooth: Callable[[FloatArray], FloatArray]) -> FloatArray:
@@ -218,16 +214,16 @@ def best_change(
         used, b = np.flatnonzero(np.asarray(observation.seen) & model.known), fit.face.coefficients
         response = observation.response(used)
         diffuse[used, i] = response.diffuse @ fit.light
-        share, albedo, total = (part.at(b)[used] for part in (model.share, model.diffuse, model.total))
+        albedo, total, share = np.split(model.at(b)[used], [3, 4], axis=1)
         specular[used, i] = np.einsum("vk,vkj->vj", share, response.specular @ fit.light)
         colors = np.asarray(observation.observed_linear)[used]
-        error = colors - albedo * diffuse[used, i] - total[:, None] * specular[used, i]
+        error = colors - albedo * diffuse[used, i] - total * specular[used, i]
         off[used, i] = error
         spread = max(1.4826 * float(np.median(np.abs(error))), 1e-6 * float(np.abs(colors).mean()))
         # Large differences count by their size rather than its square, as in the fit.
         noise[used, i] = spread * np.maximum(np.abs(error), spread)
-    of_diffuse = mean_change * float(model.diffuse.mean[model.known].mean())
-    of_sum = mean_change * float(model.total.mean[model.known].mean())
+    of_diffuse = mean_change * float(model.mean[model.known, :3].mean())
+    of_sum = mean_change * float(model.mean[model.known, 3].mean())
     kernel, size = features @ features.T, 3 * images
     same_channel, any_channel = np.kron(kernel, np.eye(3)), np.kron(kernel, np.ones((3, 3)))
     solution = np.empty((count, size))

@@ -193,8 +193,8 @@ class ImageTerms:
         I_vj = c_v(b)_j D_v . L_j + sum_k s_v(b) w'_vk(b) S_vk . L_j,
         L_j = exp(t_j) (mean + sum g_i basis_i)_j.
 
-    `prior` (P,) are second derivatives of the prior; log scale_rgb has none. `mean` and `basis` are those of
-    c, s and w' at the vertices `used`, directions last: (U, 3, N), (U, N), (U, 3, N).
+    `prior` (P,) are second derivatives of the prior; log scale_rgb has none. `mean` (U, 7) and
+    `basis` (U, 7, N), directions last, are those of the model at the vertices `used`.
     """
 
     def __init__(
@@ -208,9 +208,8 @@ class ImageTerms:
         self.used: IntArray = np.flatnonzero(np.asarray(observation.seen) & model.known)
         self.observed: FloatArray = np.asarray(observation.observed_linear)[self.used]
         self.response = observation.response(self.used)
-        parts = model.diffuse, model.total, model.share
-        self.mean = [part.mean[self.used] for part in parts]
-        self.basis = [np.ascontiguousarray(np.moveaxis(part.basis[:, self.used], 0, -1)) for part in parts]
+        self.mean = model.mean[self.used]
+        self.basis = np.ascontiguousarray(np.moveaxis(model.basis[:, self.used], 0, -1))
         self.lighting, self.perceptual, self.count = lighting, perceptual, len(model.known)
         self.meter = meter
         weight = 2 * PRIOR_WEIGHT[observation.transfer is not None]
@@ -224,7 +223,7 @@ class ImageTerms:
 
     def split(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return b, g and t of parameters."""
-        first = self.basis[1].shape[1]
+        first = self.basis.shape[2]
         return parameters[:first], parameters[first:-3], parameters[-3:]
 
     def light(self, parameters: FloatArray) -> FloatArray:
@@ -233,15 +232,15 @@ class ImageTerms:
         return self.lighting.light(g, scale_rgb=np.exp(t))
 
     def factors(self, parameters: FloatArray) -> Iterator[FloatArray]:
-        """Yield c (U, 3), s (U,), w' (U, 3), and radiances of a white surface and of lobes (U, 3, 3)."""
+        """Yield c (U, 3), s (U, 1), w' (U, 3), and radiances of a white surface and of lobes (U, 3, 3)."""
         b, light = self.split(parameters)[0], self.light(parameters)
-        yield from (mean + basis @ b for mean, basis in zip(self.mean, self.basis, strict=True))
+        yield from np.split(self.mean + self.basis @ b, [3, 4], axis=1)
         yield from (self.response.diffuse @ light, self.response.specular @ light)
 
     def predict(self, parameters: FloatArray, before: Prediction | None = None) -> Prediction:
         """Return the colours of parameters (P,), reached by a step from `before`."""
         diffuse, total, share, diffuse_light, lobe_light = self.factors(parameters)
-        color = diffuse * diffuse_light + total[:, None] * np.einsum("vk,vkj->vj", share, lobe_light)
+        color = diffuse * diffuse_light + total * np.einsum("vk,vkj->vj", share, lobe_light)
         if self.perceptual is None:
             return Prediction(self, parameters, color)
         # Arrays of their own, so that a function that writes into its arguments harms nobody.
@@ -276,10 +275,10 @@ class ImageTerms:
         """Return the derivatives (U, 3, P) of the colours by the parameters."""
         _, _, t = self.split(at.parameters)
         diffuse, total, share, diffuse_light, lobe_light = self.factors(at.parameters)
-        by_diffuse, by_total, by_share = self.basis
-        weights = by_total[:, None] * share[..., None] + total[:, None, None] * by_share
+        by_diffuse, by_total, by_share = np.split(self.basis, [3, 4], axis=1)
+        weights = by_total * share[..., None] + total[:, None] * by_share
         by_b = by_diffuse * diffuse_light[..., None] + np.swapaxes(lobe_light, 1, 2) @ weights
-        specular = np.einsum("vk,vkh->vh", total[:, None] * share, self.response.specular)
+        specular = np.einsum("vk,vkh->vh", total * share, self.response.specular)
         by_g = np.empty((*at.color.shape, self.lighting.components))
         by_t = np.zeros((*at.color.shape, 3))
         for channel in range(3):

@@ -153,20 +153,15 @@ def default_model() -> FaceModels:
         np.concatenate([two, whole - two.sum(-1, keepdims=True)], axis=-1)
         for two, whole in zip(part("share"), (1, 0), strict=True)
     ]
-    people, count = int(arrays["people"]), len(shares[0])
-    model = reflectance.MorphableReflectanceModel(
-        known=np.ones(count, bool),
-        support=np.full(count, people),
-        diffuse=reflectance.LinearModel(*part("diffuse")),
-        total=reflectance.LinearModel(*part("total")),
-        share=reflectance.LinearModel(*shares),
-        total_variance=float(arrays["total_variance"]),
-        samples=people,
-    )
-    mean, basis = part("shape")
+    people, count, variance = int(arrays["people"]), len(shares[0]), float(arrays["total_variance"])
+    columns = zip(part("diffuse"), (total[..., None] for total in part("total")), shares, strict=True)
+    mean, basis = (np.concatenate(three, axis=-1) for three in columns)
+    known, support = np.ones(count, bool), np.full(count, people)
+    model = reflectance.MorphableReflectanceModel(mean, basis, known, support, variance, people)
+    shape_mean, shape_basis = part("shape")
     shape = reflectance.MorphableShapeModel(
-        to_surface @ mean,
-        np.stack([to_surface @ direction for direction in basis]),
+        to_surface @ shape_mean,
+        np.stack([to_surface @ direction for direction in shape_basis]),
         int(arrays["identity_components"]),
         faces,
         arrays["landmark_vertices"],
