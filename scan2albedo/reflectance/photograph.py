@@ -1,6 +1,5 @@
 """`ImageObservation`: colours of one image at the vertices of a face; how to get it from a photograph."""
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -195,8 +194,7 @@ def observe_photograph(
     gamma, saturation : float
         See `OlatOptions`.
     """
-    if not 0 < gamma < math.inf or not saturation > 0:
-        raise ValueError(f"gamma is {gamma} and saturation {saturation}, expected > 0 and gamma finite")
+    OlatOptions(gamma=gamma, saturation=saturation)  # refuses what they must not be
     xyz, index, normal = sight.checked_surface(vertices, faces, normals)
     normal = normalized(normal)
     matrix = checked_array(camera, (3, 4), "camera")

@@ -119,18 +119,13 @@ class MorphableShapeModel(LinearModel):
             advice="give a file that MorphableShapeModel.save wrote (data_schemas/shape_model.schema.json)",
             error=ReflectanceError,
         )
-        mean, *bases = (np.atleast_1d(arrays[name]).astype(np.float64) for name in tuple(_KINDS)[:3])
-        found = tuple(len(part) for part in (mean, *bases))
-        expected = header.vertices, header.identity_components, header.expression_components
-        if found != expected:
-            raise ReflectanceError(
-                f"shape model {path}: its header says (vertices, identity, expression) = {expected}, the "
-                f"arrays hold {found}; write the file again"
+        shape, indices = (header.vertices, 3), (arrays["faces"], arrays["landmark_vertices"])
+        counts = (), (header.identity_components,), (header.expression_components,)
+        with errors_of(f"shape model {path}", ReflectanceError, advice="write the file again"):
+            mean, *bases = (
+                checked_array(arrays[name], (*count, *shape), name, ReflectanceError)
+                for name, count in zip(_KINDS, counts, strict=False)
             )
-        indices = arrays["faces"], arrays["landmark_vertices"]
-        with errors_of(str(path), ReflectanceError, advice="write the file again"):
-            for name, basis in zip(("identity_basis", "expression_basis"), bases, strict=True):
-                LinearModel(mean, basis).check(f"shape model: {name}", (header.vertices, 3))
             return cls(mean, np.concatenate(bases), header.identity_components, *indices)
 
     def save(self, path: str | Path) -> None:

@@ -12,6 +12,7 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_arr
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.geometry.mesh import face_cross_products, normalized
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, project
+from scan2albedo.geometry.rigid import compose, is_rigid
 from scan2albedo.reflectance.olat import OlatImages
 from scan2albedo.reflectance.point_light_lobes import lobes_and_slopes, turn_lobes
 from scan2albedo.reflectance.vertex_visibility import VertexVisibility, checked_surface, pixels_around
@@ -70,15 +71,10 @@ def rig_of_head_poses(
     """
     turn = checked_array(rotations, ("C", 3, 3), "rotations", ReflectanceError)
     shift = checked_array(translations, turn.shape[:2], "translations", ReflectanceError)
-    finite = np.where(np.isfinite(turn).all((1, 2), keepdims=True), turn, 0.0)
-    off = np.abs(finite @ finite.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0)
-    bad = (off > 1e-4) | (np.linalg.det(finite) <= 0)
-    if bad.any():
-        first = int(np.flatnonzero(bad)[0])
-        raise ReflectanceError(
-            f"head pose {first} has no proper rotation: R R^T is off by {off[first]:.3g}, det R is "
-            f"{np.linalg.det(finite[first]):.3g}"
-        )
+    for number, rotation in enumerate(turn):
+        if not is_rigid(compose(rotation, np.zeros(3)), 1e-4):
+            said = f"head pose {number} has no proper rotation, R R^T = 1 and det R = 1"
+            raise ReflectanceError(f"{said}: {rotation.tolist()}")
     seen_by = checked_array(view, ("J",), "view", ReflectanceError, kind=int)
     numbers = [seen_by, checked_array(flash, seen_by.shape, "flash", ReflectanceError, kind=int)]
     for name, index in zip(("view", "flash"), numbers, strict=True):

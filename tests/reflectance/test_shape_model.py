@@ -81,7 +81,7 @@ def test_a_model_comes_back_from_its_file(tmp_path):
         ({"header": np.array('{"format": "something"}')}, "format"),
         ({"header": None}, "cannot be read"),
         ({"mean": np.full((90, 3), np.nan)}, "NaN"),
-        ({"mean": np.zeros((89, 3))}, "header says"),
+        ({"mean": np.zeros((89, 3))}, r"mean is \(89, 3\), expected \(90, 3\)"),
         ({"faces": np.array([[0, 1, 90]])}, "vertices 0 to 90 of 90"),
         ({"faces": np.zeros((2, 3))}, "faces holds float64"),
         ({"landmark_vertices": np.arange(5)}, "landmark_vertices"),
