@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -97,9 +98,9 @@ def finetune(
     meter = Meter("reflectance.finetune", "held-out objective", Budget.of(budget), on_progress)
 
     def fit(observation: ImageObservation, tried: MorphableReflectanceModel, late: bool = False) -> ImageFit:
-        # Raises `_OutOfTime` when the deadline cut the fit short, unless that is allowed (`late`).
+        # Raises `TimeoutError` when the deadline cut the fit short, unless that is allowed (`late`).
         if meter.out_of_time and not late:
-            raise _OutOfTime
+            raise TimeoutError
         meter.count()
         left = Budget(seconds=meter.sub_meter(meter.stage, meter.unit).budget.seconds)
         with warnings.catch_warnings():
@@ -107,7 +108,7 @@ def finetune(
             warnings.filterwarnings("ignore", message="the image fit stopped", category=RuntimeWarning)
             found = fit_image(observation, tried, lighting, budget=left)
         if meter.out_of_time and not late:
-            raise _OutOfTime
+            raise TimeoutError
         return found
 
     def held_out_errors(tried: MorphableReflectanceModel, late: bool = False) -> FloatArray:
@@ -120,7 +121,7 @@ def finetune(
     errors = held_out_errors(model, late=True)
     before, converged = float(errors[:, 0].mean()), False
     meter.record(before)
-    try:
+    with suppress(TimeoutError):
         while len(steps) < ROUNDS and not meter.exhausted and not converged:
             fits = [fit(observation, current) for observation in observations]
             best = partial(best_change, model, observations, fits, mean_change=MEAN_CHANGE)
@@ -139,13 +140,7 @@ def finetune(
                     break
             else:
                 converged = not meter.exhausted
-    except _OutOfTime:
-        pass
     return FineTuning(current, tuple(steps), before, float(errors[:, 0].mean()), converged, meter.trace)
-
-
-class _OutOfTime(Exception):
-    """The budget's seconds have ended amid the fits of a round."""
 
 
 def is_improvement(before: FloatArray, after: FloatArray) -> bool:

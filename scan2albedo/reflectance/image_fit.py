@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray, checked_array
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.optimization.least_squares import LocalTerm, NormalEquations, map_equations, minimize
 from scan2albedo.reflectance.lighting_model import LightingModel
@@ -248,9 +248,8 @@ class ImageTerms:
         predicted[self.used], observed[self.used] = color, self.observed
         answer = self.perceptual(predicted, observed)
         try:
-            distance, whole = float(answer[0]), np.asarray(answer[1], np.float64)
-            if whole.shape != (self.count, 3):
-                raise ValueError(f"a gradient {whole.shape}")
+            distance = float(answer[0])
+            whole = checked_array(answer[1], (self.count, 3), "the gradient")
         except (TypeError, ValueError, IndexError) as error:
             raise ReflectanceError(
                 f"the perceptual function returned {type(answer).__name__}, expected a number and its "
