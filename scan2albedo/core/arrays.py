@@ -21,7 +21,8 @@ def checked_array(
 ) -> NDArray[Any]:
     """Return values of a shape, where letters stand for any number; an `error` that names them for others.
 
-    Numbers become float64; of the `kind` bool or int no others are taken. NaN and infinity raise `finite`.
+    It may begin with any axes, `...`. Numbers become float64; of the `kind` bool or int no others are taken.
+    NaN and infinity raise `finite`.
 
     >>> checked_array([[1, 2]], ("N", 3), "points")
     Traceback (most recent call last):
@@ -29,11 +30,12 @@ def checked_array(
     ValueError: points is (1, 2), expected (N, 3)
     """
     array = np.asarray(values, np.float64 if kind is float else None)
-    sizes = [got if isinstance(want, str) else want for want, got in zip(shape, array.shape, strict=False)]
-    fitting = len(shape) == array.ndim and tuple(sizes) == array.shape
+    whole = (*array.shape[: array.ndim - len(shape) + 1], *shape[1:]) if shape[0] is ... else shape
+    sizes = [got if isinstance(want, str) else want for want, got in zip(whole, array.shape, strict=False)]
+    fitting = len(whole) == array.ndim and tuple(sizes) == array.shape
     if not (fitting and np.issubdtype(array.dtype, np.integer if kind is int else kind)):
         found, wanted = ("", "") if kind is float else (f"{array.dtype} ", f"{kind.__name__} ")
-        said = str(shape).replace("'", "")
+        said = str(shape).replace("'", "").replace("Ellipsis", "...")
         raise error(f"{name} is {found}{array.shape}, expected {wanted}{said}")
     if finite is not None and not (good := np.isfinite(array)).all():
         first = np.argwhere(~good)[0].tolist()

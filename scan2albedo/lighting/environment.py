@@ -185,12 +185,10 @@ def environment_weights(environment_linear: ArrayLike, directions: ArrayLike) ->
 
 def checked_map(environment_linear: ArrayLike, *, several: bool = False) -> FloatArray:
     """Return a map (H, W, 3), or `several` (..., H, W, 3), as an array; ValueError where it is none."""
-    image = np.asarray(environment_linear, np.float64)
-    if image.ndim < 3 or (image.ndim > 3 and not several) or image.shape[-1] != 3 or image.size == 0:
-        expected = "(..., H, W, 3)" if several else "(H, W, 3)"
-        raise ValueError(f"environment_linear must have shape {expected}, got {image.shape}")
-    if not np.isfinite(image).all():
-        raise ValueError("environment_linear must be finite")
+    shape = (..., "H", "W", 3) if several else ("H", "W", 3)
+    image = checked_array(environment_linear, shape, "environment_linear", finite=ValueError)
+    if image.size == 0:
+        raise ValueError(f"environment_linear is {image.shape}, which holds no texel")
     return image
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray, checked_array
 from scan2albedo.lighting.environment import checked_map, map_directions
 
 _NODES = 160
@@ -35,7 +35,7 @@ def harmonics(direction: ArrayLike, order: int = 8) -> FloatArray:
     >>> harmonics([0.0, 0.0, 1.0], order=2).round(3).tolist()
     [0.282, 0.0, 0.489, 0.0, 0.0, 0.0, 0.631, 0.0, 0.0]
     """
-    x, y, z = _axes(direction)
+    x, y, z = np.moveaxis(checked_array(direction, (..., 3), "direction", finite=ValueError), -1, 0)
     values = np.empty((_count(order), *x.shape))
     cosine, sine = np.ones_like(x), np.zeros_like(x)
     for m in range(order + 1):
@@ -57,7 +57,7 @@ def harmonics_gradient(direction: ArrayLike, order: int = 8) -> FloatArray:
     >>> (harmonics_gradient([0.0, 0.0, 1.0], order=1) + 0.0).round(3)[[1, 3]].tolist()
     [[0.0, 0.489, 0.0], [0.489, 0.0, 0.0]]
     """
-    x, y, z = _axes(direction)
+    x, y, z = np.moveaxis(checked_array(direction, (..., 3), "direction", finite=ValueError), -1, 0)
     gradient = np.zeros((_count(order), 3, *x.shape))
     before, power = (np.zeros_like(x), np.zeros_like(x)), (np.ones_like(x), np.zeros_like(x))
     columns = [_legendre_column(z, m, order) for m in range(order + 2)]
@@ -89,15 +89,6 @@ def _legendre_column(z: FloatArray, m: int, order: int) -> list[FloatArray]:
         back = np.sqrt((last**2 - m**2) / (4 * last**2 - 1)) * column[-2] if last > m else 0.0
         column.append(up * (z * column[-1] - back))
     return column
-
-
-def _axes(direction: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
-    unit = np.asarray(direction, np.float64)
-    if unit.ndim == 0 or unit.shape[-1] != 3:
-        raise ValueError(f"direction must have shape (..., 3), got {unit.shape}")
-    if not np.isfinite(unit).all():
-        raise ValueError("direction holds NaN or infinite values; give unit vectors")
-    return unit[..., 0], unit[..., 1], unit[..., 2]
 
 
 def _count(order: int) -> int:

@@ -10,6 +10,8 @@ def test_what_fits_comes_back_in_its_kind():
     assert checked_array([[1, 2, 3]], ("N", 3), "points").dtype == np.float64
     assert checked_array(np.int8([1, 2]), (2,), "numbers", kind=int).dtype == np.int64
     assert checked_array([True], ("N",), "mask", kind=bool).dtype == np.bool_
+    for given in (np.zeros(3), np.zeros((4, 3)), np.zeros((2, 0, 3))):
+        assert checked_array(given, (..., 3), "directions") is given
     given = np.full((2, 3), np.nan)
     assert checked_array(given, (2, 3), "points") is given
 
@@ -20,6 +22,9 @@ def test_what_fits_comes_back_in_its_kind():
         (np.zeros((2, 4)), ("N", 3), float, r"x is \(2, 4\), expected \(N, 3\)"),
         (np.zeros(3), ("N", 3), float, r"x is \(3,\), expected \(N, 3\)"),
         (np.zeros((1, 3, 1)), ("N", 3), float, r"x is \(1, 3, 1\), expected \(N, 3\)"),
+        (np.zeros((2, 4)), (..., 3), float, r"x is \(2, 4\), expected \(..., 3\)"),
+        (np.zeros(()), (..., 3), float, r"x is \(\), expected \(..., 3\)"),
+        (np.zeros((2, 3)), (..., "H", "W", 3), float, r"expected \(..., H, W, 3\)"),
         (np.zeros(2), (2,), int, r"x is float64 \(2,\), expected int \(2,\)"),
         (np.zeros(2, int), ("N",), bool, r"x is int64 \(2,\), expected bool \(N,\)"),
         ([0.0, np.inf], ("N",), float, r"x: 1 values are NaN or infinite, first at \[1\]"),
