@@ -105,7 +105,7 @@ class MorphableShapeModel(LinearModel):
             np.concatenate([np.tensordot(identity, off, 1), expression]),
             len(identity),
             np.asarray(faces, np.int64),
-            np.asarray(landmark_vertices, np.int64),
+            checked_array(landmark_vertices, ("L",), "landmark_vertices", ReflectanceError, kind=int),
         )
 
     @classmethod

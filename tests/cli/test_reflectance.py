@@ -213,7 +213,7 @@ def test_finetune_refuses_one_photograph_for_both(model, photographs, tmp_path):
 @pytest.mark.parametrize(
     ("content", "told"),
     [
-        ("[1, 2]", "68 integers"),
+        ("[1, 2]", "(2,), expected int (68,)"),
         ("{", "cannot be read"),
         (json.dumps(list(range(10**6, 10**6 + 68))), "has 3663"),
     ],
