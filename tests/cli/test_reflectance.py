@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
+from benchmarks.everyday_light import generated_environment
 from typer.testing import CliRunner
 
 from scan2albedo.cli.commands import app
@@ -16,7 +17,6 @@ from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.records import read_record
 from scan2albedo.reflectance import (
     MorphableReflectanceModel,
-    generated_environment,
     read_photograph,
     read_reflectance,
 )

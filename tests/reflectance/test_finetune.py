@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pytest
+from benchmarks.everyday_light import generated_environment
 from scipy.spatial import ConvexHull
 
 from scan2albedo.core import Budget
@@ -18,7 +19,6 @@ from scan2albedo.reflectance import (
     VertexReflectance,
     finetune,
     fit_image,
-    generated_environment,
     shade_environment,
 )
 from scan2albedo.reflectance.environment_shading import light_response

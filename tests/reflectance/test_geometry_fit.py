@@ -7,6 +7,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from benchmarks.everyday_light import generated_environment
 
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core import Budget, Meter
@@ -19,7 +20,6 @@ from scan2albedo.lighting.harmonics import project_environment
 from scan2albedo.reflectance import (
     MorphableShapeModel,
     VertexReflectance,
-    generated_environment,
     refine_geometry,
     shade_environment,
 )

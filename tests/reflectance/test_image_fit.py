@@ -5,6 +5,7 @@ import itertools
 
 import numpy as np
 import pytest
+from benchmarks.everyday_light import generated_environment
 
 from scan2albedo.core import Budget, Meter
 from scan2albedo.errors import ReflectanceError
@@ -16,7 +17,6 @@ from scan2albedo.reflectance import (
     MorphableReflectanceModel,
     VertexReflectance,
     fit_image,
-    generated_environment,
     shade_environment,
 )
 from scan2albedo.reflectance.image_fit import ImageTerms

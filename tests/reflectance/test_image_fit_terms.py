@@ -7,6 +7,7 @@ import warnings
 
 import numpy as np
 import pytest
+from benchmarks.everyday_light import generated_environment, generated_lighting
 
 from scan2albedo.core import Meter
 from scan2albedo.errors import ReflectanceError
@@ -14,12 +15,10 @@ from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics, project_environment
 from scan2albedo.reflectance import (
     ImageObservation,
-    LightingModel,
     LightResponse,
     MorphableReflectanceModel,
     VertexReflectance,
     fit_image,
-    generated_environment,
 )
 from scan2albedo.reflectance.environment_shading import light_response
 from scan2albedo.reflectance.finetune import best_change
@@ -54,7 +53,7 @@ def model():
 
 @pytest.fixture(scope="module")
 def lighting():
-    return LightingModel.generate(count=200, components=30)
+    return generated_lighting(count=200, components=30)
 
 
 def folded():
@@ -234,7 +233,7 @@ def test_some_colours_negative(model, lighting):
 
 
 def test_light_without_directions(model):
-    alone = LightingModel.generate(count=20, components=0)
+    alone = generated_lighting(count=20, components=0)
     assert alone.components == 0
     fit = quiet_fit(picture(people(1, 5)[0], 3), model, alone)
     assert fit.light_coefficients.shape == (0,)
@@ -243,7 +242,7 @@ def test_light_without_directions(model):
 
 def test_neither_model_has_directions():
     mean = MorphableReflectanceModel.from_samples(people(1, 0))
-    fit = quiet_fit(picture(people(1, 5)[0], 3), mean, LightingModel.generate(count=20, components=0))
+    fit = quiet_fit(picture(people(1, 5)[0], 3), mean, generated_lighting(count=20, components=0))
     assert fit.face.coefficients.shape == (0,)
     assert finite(fit)
 

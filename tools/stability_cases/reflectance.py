@@ -11,6 +11,7 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
+from benchmarks.everyday_light import generated_environment
 from benchmarks.reflectance_captures import Capture, head_capture, of_pairs, relative_rmse, samples_of
 from benchmarks.reflectance_pictures import Scene, build_scene
 
@@ -34,7 +35,6 @@ from scan2albedo.reflectance import (
     finetune,
     fit_image,
     fit_reflectance,
-    generated_environment,
     observe_photograph,
     point_light_lobes,
     refine_geometry,
