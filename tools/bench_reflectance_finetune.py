@@ -22,6 +22,7 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
+from benchmarks.everyday_light import generated_environment
 from benchmarks.reflectance_scenes import Surface, albedo_error, person, surface
 
 from scan2albedo.geometry.mesh import normalized
@@ -34,7 +35,6 @@ from scan2albedo.reflectance import (
     VertexReflectance,
     finetune,
     fit_image,
-    generated_environment,
     shade_environment,
 )
 from scan2albedo.reflectance.finetune import best_change, smoothed, with_change

@@ -23,6 +23,7 @@ from typing import get_args
 from unittest.mock import patch
 
 import numpy as np
+from benchmarks.everyday_light import generated_environment
 from benchmarks.reflectance_scenes import learned, person, shape_model, surface
 from numba import njit
 from scipy.spatial import cKDTree
@@ -41,7 +42,6 @@ from scan2albedo.reflectance import (
     ImageObservation,
     VertexReflectance,
     fit_image,
-    generated_environment,
     geometry_fit,
     geometry_terms,
     image_fit,

@@ -27,6 +27,7 @@ from functools import cache
 from unittest.mock import patch
 
 import numpy as np
+from benchmarks.everyday_light import generated_environment
 from benchmarks.reflectance_scenes import (
     CAMERA_MM,
     albedo_error,
@@ -53,7 +54,6 @@ from scan2albedo.reflectance import (
     VertexReflectance,
     fit_face,
     fit_image,
-    generated_environment,
     light_transfer,
     observe_photograph,
     shade_environment,

@@ -32,8 +32,8 @@ def packed(built: FaceModels) -> dict[str, NDArray]:
     control = np.moveaxis(found, 1, 0)
     parts = {
         "diffuse": model.diffuse,
-        "total": model.total,
-        "share": LinearModel(model.share.mean[:, :2], model.share.basis[..., :2]),
+        "total": LinearModel(model.mean[:, 3], model.basis[..., 3]),
+        "share": LinearModel(model.mean[:, 4:6], model.basis[..., 4:6]),
         "shape": LinearModel(control[0], control[1:]),
     }
     arrays = {

@@ -1,4 +1,6 @@
-"""Types of arrays in annotations, whose shapes stand in docstrings; checked meshes; texels; a smooth step."""
+"""Types of arrays in annotations, whose shapes stand in docstrings; checked arrays; texels; a smooth step."""
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -8,20 +10,55 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
+def checked_array(
+    values: ArrayLike,
+    shape: tuple[Any, ...],
+    name: str,
+    error: type[Exception] = ValueError,
+    *,
+    kind: type = float,
+    finite: type[Exception] | None = None,
+) -> NDArray[Any]:
+    """Return values of a shape, where letters stand for any number; an `error` that names them for others.
+
+    It may begin with any axes, `...`. Numbers become float64; of the `kind` bool or int no others are taken.
+    NaN and infinity raise `finite`.
+
+    >>> checked_array([[1, 2]], ("N", 3), "points")
+    Traceback (most recent call last):
+        ...
+    ValueError: points is (1, 2), expected (N, 3)
+    """
+    array = np.asarray(values, np.float64 if kind is float else None)
+    whole = (*array.shape[: array.ndim - len(shape) + 1], *shape[1:]) if shape[0] is ... else shape
+    sizes = [got if isinstance(want, str) else want for want, got in zip(whole, array.shape, strict=False)]
+    fitting = len(whole) == array.ndim and tuple(sizes) == array.shape
+    if not (fitting and np.issubdtype(array.dtype, np.integer if kind is int else kind)):
+        found, wanted = ("", "") if kind is float else (f"{array.dtype} ", f"{kind.__name__} ")
+        said = str(shape).replace("'", "").replace("Ellipsis", "...")
+        raise error(f"{name} is {found}{array.shape}, expected {wanted}{said}")
+    if finite is not None and not (good := np.isfinite(array)).all():
+        first = np.argwhere(~good)[0].tolist()
+        raise finite(f"{name}: {int((~good).sum())} values are NaN or infinite, first at {first}")
+    return array.astype(np.int64) if kind is int else array
+
+
 def checked_mesh(
     vertices: ArrayLike, faces: ArrayLike, name: str, error: type[Exception] = ValueError
 ) -> tuple[FloatArray, IntArray]:
     """Return vertices (V, 3) and faces (F, 3) of a mesh; an `error` that begins with its name for others."""
-    xyz, index = np.asarray(vertices, np.float64), np.asarray(faces)
+    xyz, index = np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces)
     for what, array in (("vertices", xyz), ("faces", index)):
         if array.ndim != 2 or array.shape[1] != 3:
             raise error(f"{name}: its {what} have shape {array.shape}, expected (N, 3); triangulate it")
     if bad := int((~np.isfinite(xyz)).any(1).sum()):
         raise error(f"{name}: {bad} of {len(xyz)} vertices are NaN or infinite; repair it first")
-    index = index.astype(np.int64)
-    if len(index) and not (index.min() >= 0 and index.max() < len(xyz)):
-        raise error(f"{name}: its faces refer to vertices {index.min()} to {index.max()} of {len(xyz)}")
-    return xyz, index
+    whole = index.astype(np.int64)
+    if (whole != index).any():
+        raise error(f"{name}: its faces hold numbers that are not whole")
+    if len(whole) and not (whole.min() >= 0 and whole.max() < len(xyz)):
+        raise error(f"{name}: its faces refer to vertices {whole.min()} to {whole.max()} of {len(xyz)}")
+    return xyz, whole
 
 
 def smoothstep(x: ArrayLike) -> FloatArray:

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, checked_array
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rasterization import area_mean
 
@@ -32,14 +32,10 @@ class DistantLights:
     irradiance_linear: ArrayLike
 
     def __post_init__(self) -> None:
-        toward = _checked_directions(self.directions)
-        irradiance, count = np.asarray(self.irradiance_linear, np.float64), len(toward)
-        if irradiance.shape not in ((count,), (count, 3)):
-            raise ValueError(f"irradiance_linear must be ({count}, 3) or ({count},), got {irradiance.shape}")
-        if not np.isfinite(irradiance).all():
-            raise ValueError("irradiance_linear must be finite")
+        toward, given = _checked_directions(self.directions), np.asarray(self.irradiance_linear, np.float64)
+        rgb = np.repeat(given[:, None], 3, 1) if given.ndim == 1 else given
+        rgb = checked_array(rgb, (len(toward), 3), "irradiance_linear", finite=ValueError)
         object.__setattr__(self, "directions", toward)
-        rgb = irradiance if irradiance.ndim == 2 else np.repeat(irradiance[:, None], 3, 1)
         object.__setattr__(self, "irradiance_linear", rgb)
 
     @classmethod
@@ -189,20 +185,15 @@ def environment_weights(environment_linear: ArrayLike, directions: ArrayLike) ->
 
 def checked_map(environment_linear: ArrayLike, *, several: bool = False) -> FloatArray:
     """Return a map (H, W, 3), or `several` (..., H, W, 3), as an array; ValueError where it is none."""
-    image = np.asarray(environment_linear, np.float64)
-    if image.ndim < 3 or (image.ndim > 3 and not several) or image.shape[-1] != 3 or image.size == 0:
-        expected = "(..., H, W, 3)" if several else "(H, W, 3)"
-        raise ValueError(f"environment_linear must have shape {expected}, got {image.shape}")
-    if not np.isfinite(image).all():
-        raise ValueError("environment_linear must be finite")
+    shape = (..., "H", "W", 3) if several else ("H", "W", 3)
+    image = checked_array(environment_linear, shape, "environment_linear", finite=ValueError)
+    if image.size == 0:
+        raise ValueError(f"environment_linear is {image.shape}, which holds no texel")
     return image
 
 
 def _checked_directions(directions: ArrayLike) -> FloatArray:
-    toward = np.asarray(directions, np.float64)
-    if toward.ndim != 2 or toward.shape[1] != 3 or len(toward) == 0:
-        raise ValueError(f"directions must have shape (K, 3), got {toward.shape}")
-    unit = normalized(toward)
-    if not (np.isfinite(unit).all() and unit.any(1).all()):
-        raise ValueError("directions must be finite and not zero")
+    unit = normalized(checked_array(directions, ("K", 3), "directions", finite=ValueError))
+    if not (len(unit) and unit.any(1).all()):
+        raise ValueError("directions must be one or more, and not zero")
     return unit

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray, checked_array
 from scan2albedo.lighting.environment import checked_map, map_directions
 
 _NODES = 160
@@ -35,7 +35,7 @@ def harmonics(direction: ArrayLike, order: int = 8) -> FloatArray:
     >>> harmonics([0.0, 0.0, 1.0], order=2).round(3).tolist()
     [0.282, 0.0, 0.489, 0.0, 0.0, 0.0, 0.631, 0.0, 0.0]
     """
-    x, y, z = _axes(direction)
+    x, y, z = np.moveaxis(checked_array(direction, (..., 3), "direction", finite=ValueError), -1, 0)
     values = np.empty((_count(order), *x.shape))
     cosine, sine = np.ones_like(x), np.zeros_like(x)
     for m in range(order + 1):
@@ -57,19 +57,19 @@ def harmonics_gradient(direction: ArrayLike, order: int = 8) -> FloatArray:
     >>> (harmonics_gradient([0.0, 0.0, 1.0], order=1) + 0.0).round(3)[[1, 3]].tolist()
     [[0.0, 0.489, 0.0], [0.489, 0.0, 0.0]]
     """
-    x, y, z = _axes(direction)
+    x, y, z = np.moveaxis(checked_array(direction, (..., 3), "direction", finite=ValueError), -1, 0)
     gradient = np.zeros((_count(order), 3, *x.shape))
     before, power = (np.zeros_like(x), np.zeros_like(x)), (np.ones_like(x), np.zeros_like(x))
+    columns = [_legendre_column(z, m, order) for m in range(order + 2)]
     for m in range(order + 1):
         if m > 0:
             before, power = power, (x * power[0] - y * power[1], x * power[1] + y * power[0])
-        column, slope = _legendre_column(z, m, order), [np.zeros_like(z)]
-        for degree in range(m + 1, order + 1):
-            up, back = _recurrence(degree, m)
-            below = slope[-2] if len(slope) > 1 else 0.0
-            slope.append(up * (column[degree - m - 1] + z * slope[-1] - back * below))
+        # Each is a derivative of a Legendre polynomial by z, the next one that of it.
         for degree in range(m, order + 1):
-            legendre, along_z = column[degree - m], slope[degree - m]
+            legendre, along_z = columns[m][degree - m], np.zeros_like(z)
+            if degree > m:
+                steep = np.sqrt((degree - m) * (degree + m + 1) / (1 if m else 2))
+                along_z = steep * columns[m + 1][degree - m - 1]
             centre = degree * (degree + 1)
             gradient[centre + m] = m * legendre * before[0], -m * legendre * before[1], along_z * power[0]
             if m > 0:
@@ -85,24 +85,10 @@ def _legendre_column(z: FloatArray, m: int, order: int) -> list[FloatArray]:
     first = np.sqrt(np.prod((2 * steps + 1) / (2 * steps)) / (4 * np.pi)) * (np.sqrt(2) if m else 1.0)
     column = [np.full_like(z, first)]
     for degree in range(m + 1, order + 1):
-        up, back = _recurrence(degree, m)
-        column.append(up * (z * column[-1] - back * (column[-2] if len(column) > 1 else 0.0)))
+        up, last = np.sqrt((4 * degree**2 - 1) / (degree**2 - m**2)), degree - 1
+        back = np.sqrt((last**2 - m**2) / (4 * last**2 - 1)) * column[-2] if last > m else 0.0
+        column.append(up * (z * column[-1] - back))
     return column
-
-
-def _recurrence(degree: int, m: int) -> tuple[float, float]:
-    up = np.sqrt((4 * degree**2 - 1) / (degree**2 - m**2))
-    last = degree - 1
-    return float(up), float(np.sqrt((last**2 - m**2) / (4 * last**2 - 1))) if last > m else 0.0
-
-
-def _axes(direction: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
-    unit = np.asarray(direction, np.float64)
-    if unit.ndim == 0 or unit.shape[-1] != 3:
-        raise ValueError(f"direction must have shape (..., 3), got {unit.shape}")
-    if not np.isfinite(unit).all():
-        raise ValueError("direction holds NaN or infinite values; give unit vectors")
-    return unit[..., 0], unit[..., 1], unit[..., 2]
 
 
 def _count(order: int) -> int:

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, checked_array
 from scan2albedo.core.lights import PointLight
 
 _BRDFS = "lambert", "minnaert", "oren-nayar"
@@ -94,21 +94,15 @@ def shade_points(
     .. [1] G. Toderici, G. Passalis, T. Theoharis, I. Kakadiaris, "An automated method for human face
        modeling and relighting with application to face recognition", section 3.2.1.
     """
-    xyz, unit = np.ascontiguousarray(position, np.float64), np.ascontiguousarray(normal, np.float64)
+    # Compiled loops would read past the end of other arrays, or turn them to NaN.
+    xyz = np.ascontiguousarray(checked_array(position, ("N", 3), "position", finite=ValueError))
+    unit = np.ascontiguousarray(checked_array(normal, xyz.shape, "normal", finite=ValueError))
     count = len(xyz)
     seen = np.ones((len(lights), count), np.uint8) if visible is None else np.asarray(visible)
-    scale = np.ones(count) if specular_scale is None else np.asarray(specular_scale, np.float64)
+    checked_array(seen, (len(lights), count), "visible")
+    scale = np.ones(count) if specular_scale is None else specular_scale
+    scale = checked_array(scale, (count,), "specular_scale", finite=ValueError)
     view = np.asarray(view_direction, np.float64)
-    # Compiled loops would read past the end of other arrays, or turn them to NaN.
-    given = {"position": xyz, "normal": unit, "visible": seen, "specular_scale": scale}
-    shapes = (count, 3), (count, 3), (len(lights), count), (count,)
-    for (name, array), shape in zip(given.items(), shapes, strict=True):
-        if array.shape != shape:
-            raise ValueError(f"{name} has shape {array.shape}, expected {shape}")
-    for name in ("position", "normal", "specular_scale"):
-        bad = np.argwhere(~np.isfinite(given[name]))
-        if len(bad):
-            raise ValueError(f"{name} {bad[0, 0]} is not finite ({len(bad)} numbers are not); leave such out")
     if view.shape not in ((3,), (count, 3)) or not np.isfinite(view).all() or not view.any(-1).all():
         raise ValueError(f"view_direction is {view.tolist()}, expected three finite numbers, not all zero")
     colors = None if all(lamp.white for lamp in lights) else np.array([lamp.color_linear for lamp in lights])

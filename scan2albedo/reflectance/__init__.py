@@ -16,7 +16,7 @@ from scan2albedo.reflectance.face_fit import FaceFit, fit_face
 from scan2albedo.reflectance.finetune import FineTuning, finetune
 from scan2albedo.reflectance.geometry_fit import GeometryFit, refine_geometry
 from scan2albedo.reflectance.image_fit import ImageFit, fit_image
-from scan2albedo.reflectance.lighting_model import LightingModel, generated_environment
+from scan2albedo.reflectance.lighting_model import LightingModel
 from scan2albedo.reflectance.linear_model import LinearModel
 from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
 from scan2albedo.reflectance.olat import OlatImages, OlatOptions, extract_olat
@@ -50,7 +50,7 @@ __all__ = [
     "ImageFit", "ImageObservation", "LightResponse", "LightingModel", "LinearModel", "MeshReflectance",
     "MorphableReflectanceModel", "MorphableShapeModel", "OlatImages", "OlatOptions", "PhotographFiles",
     "ReflectanceFit", "ReflectanceFitOptions", "RelightingError", "VertexReflectance", "VertexSamples",
-    "extract_olat", "finetune", "fit_face", "fit_image", "fit_reflectance", "generated_environment",
+    "extract_olat", "finetune", "fit_face", "fit_image", "fit_reflectance",
     "light_transfer", "lobe_slopes", "lobe_weights_of_phong", "observe_photograph", "point_light_lobes",
     "point_light_radiance", "read_capture", "read_photograph", "read_reflectance", "refine_geometry",
     "reflectance_from_albedo", "relighting_error", "rig_of_head_poses", "sample_vertices",

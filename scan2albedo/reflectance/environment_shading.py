@@ -9,7 +9,7 @@ from numpy.polynomial.legendre import Legendre, leggauss, legvander
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, checked_array
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.lighting.harmonics import harmonic_degrees, harmonics, harmonics_gradient
@@ -127,9 +127,8 @@ def light_response(normals: ArrayLike, toward_camera: ArrayLike, *, lobe: Lobe =
     Needs 2.6 kB a vertex. Raises `ReflectanceError` when a vector is not a unit vector, `ValueError` when
     shapes disagree or for an unknown `Lobe`.
     """
-    n, v = unit_vectors(normals, "normals"), unit_vectors(toward_camera, "toward_camera")
-    if n.shape != v.shape:
-        raise ValueError(f"normals are {n.shape} and toward_camera {v.shape}, expected (V, 3) both")
+    n = unit_vectors(normals, "normals")
+    v = unit_vectors(checked_array(toward_camera, n.shape, "toward_camera"), "toward_camera")
     if lobe not in ("tilted", "full"):
         raise ValueError(f"lobe must be 'tilted' or 'full', got {lobe!r}")
     cosine = np.einsum("vi,vi->v", n, v)
@@ -189,9 +188,7 @@ def shade_environment(
 
 def unit_vectors(vectors: ArrayLike, name: str) -> FloatArray:
     """Return vectors (V, 3), or raise `ValueError` for the shape, `ReflectanceError` for another length."""
-    unit = np.asarray(vectors, np.float64)
-    if unit.ndim != 2 or unit.shape[1] != 3:
-        raise ValueError(f"{name} must have shape (V, 3), got {unit.shape}")
+    unit = checked_array(vectors, ("V", 3), name)
     length = np.linalg.norm(unit, axis=1)
     wrong = ~(np.abs(length - 1) < 1e-4)
     if wrong.any():

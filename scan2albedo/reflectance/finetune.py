@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -9,13 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, checked_mesh
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.operators import surface_diffusion
 from scan2albedo.geometry.rays import blocks
 from scan2albedo.reflectance.image_fit import ImageFit, fit_image
 from scan2albedo.reflectance.lighting_model import LightingModel
-from scan2albedo.reflectance.linear_model import LinearModel
+from scan2albedo.reflectance.linear_model import require_one_topology
 from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
 from scan2albedo.reflectance.photograph import ImageObservation
 from scan2albedo.reflectance.vertex_reflectance import BLOCK
@@ -67,7 +68,7 @@ def finetune(
     with which objectives and RMSE of the held-out images fall most surely, if they fall by more than by
     chance (`is_improvement`). Changes are counted from the model given, so that rounds cannot drift. The
     shares w' stay. Raises `ReflectanceError` when there are no images or no held-out ones, an image cannot be
-    fitted, or a vertex is not finite; `ValueError` for faces or shapes that do not fit.
+    fitted, or the mesh is not that of the model, or not finite.
 
     Parameters
     ----------
@@ -86,25 +87,20 @@ def finetune(
     Images determine the albedo only up to the light: the anchor keeps it. Tuning adds no directions.
     """
     count = len(model.known)
-    triangles, positions = np.asarray(faces, np.int64), np.asarray(vertices, np.float64)
-    if triangles.ndim != 2 or triangles.shape[1] != 3 or positions.shape != (count, 3):
-        raise ValueError(f"faces {triangles.shape}, vertices {positions.shape}, not (F, 3), ({count}, 3)")
-    if triangles.size and (triangles.min() < 0 or triangles.max() >= count):
-        raise ValueError(f"faces point outside 0 ... {count - 1}")
+    positions, triangles = checked_mesh(vertices, faces, "the face at rest", ReflectanceError)
+    require_one_topology("the face at rest", len(positions), "the model", count)
     triangles = triangles[model.known[triangles].all(1)]
-    if not np.isfinite(positions[triangles]).all():
-        raise ReflectanceError("vertices hold NaN or infinite values; give positions in mm")
     if not observations or not held_out:
         counts = f"{len(observations)} images to tune with, {len(held_out)} held out"
         raise ReflectanceError(f"{counts}; give one or more of each")
-    smooth = surface_diffusion(np.nan_to_num(positions), triangles, SMOOTHING_MM)
+    smooth = surface_diffusion(positions, triangles, SMOOTHING_MM)
     lighting = LightingModel.default() if lighting is None else lighting
     meter = Meter("reflectance.finetune", "held-out objective", Budget.of(budget), on_progress)
 
     def fit(observation: ImageObservation, tried: MorphableReflectanceModel, late: bool = False) -> ImageFit:
-        # Raises `_OutOfTime` when the deadline cut the fit short, unless that is allowed (`late`).
+        # Raises `TimeoutError` when the deadline cut the fit short, unless that is allowed (`late`).
         if meter.out_of_time and not late:
-            raise _OutOfTime
+            raise TimeoutError
         meter.count()
         left = Budget(seconds=meter.sub_meter(meter.stage, meter.unit).budget.seconds)
         with warnings.catch_warnings():
@@ -112,7 +108,7 @@ def finetune(
             warnings.filterwarnings("ignore", message="the image fit stopped", category=RuntimeWarning)
             found = fit_image(observation, tried, lighting, budget=left)
         if meter.out_of_time and not late:
-            raise _OutOfTime
+            raise TimeoutError
         return found
 
     def held_out_errors(tried: MorphableReflectanceModel, late: bool = False) -> FloatArray:
@@ -125,7 +121,7 @@ def finetune(
     errors = held_out_errors(model, late=True)
     before, converged = float(errors[:, 0].mean()), False
     meter.record(before)
-    try:
+    with suppress(TimeoutError):
         while len(steps) < ROUNDS and not meter.exhausted and not converged:
             fits = [fit(observation, current) for observation in observations]
             best = partial(best_change, model, observations, fits, mean_change=MEAN_CHANGE)
@@ -144,13 +140,7 @@ def finetune(
                     break
             else:
                 converged = not meter.exhausted
-    except _OutOfTime:
-        pass
     return FineTuning(current, tuple(steps), before, float(errors[:, 0].mean()), converged, meter.trace)
-
-
-class _OutOfTime(Exception):
-    """The budget's seconds have ended amid the fits of a round."""
 
 
 def is_improvement(before: FloatArray, after: FloatArray) -> bool:
@@ -177,14 +167,10 @@ def assured_gains(before: FloatArray, after: FloatArray) -> FloatArray:
 
 def with_change(model: MorphableReflectanceModel, change: FloatArray) -> MorphableReflectanceModel:
     """Return a model with a change (1 + N, V, 4): of mean and directions, of red, green, blue and s."""
-    albedo, total = change[..., :3], change[..., 3]
-    diffuse = LinearModel(model.diffuse.mean + albedo[0], model.diffuse.basis + albedo[1:])
-    return replace(
-        model,
-        diffuse=diffuse,
-        total=LinearModel(model.total.mean + total[0], model.total.basis + total[1:]),
-        total_variance=model.total_variance + float(np.sum(diffuse.deviation**2 - model.deviation**2)),
-    )
+    whole = np.pad(change, ((0, 0), (0, 0), (0, 3)))
+    moved = replace(model, mean=model.mean + whole[0], basis=model.basis + whole[1:])
+    more = float(np.sum(moved.deviation**2 - model.deviation**2))
+    return replace(moved, total_variance=model.total_variance + more)
 
 
 def smoothed(change: FloatArray, smooth: Callable[[FloatArray], FloatArray]) -> FloatArray:
@@ -223,16 +209,16 @@ def best_change(
         used, b = np.flatnonzero(np.asarray(observation.seen) & model.known), fit.face.coefficients
         response = observation.response(used)
         diffuse[used, i] = response.diffuse @ fit.light
-        share, albedo, total = (part.at(b)[used] for part in (model.share, model.diffuse, model.total))
+        albedo, total, share = np.split(model.at(b)[used], [3, 4], axis=1)
         specular[used, i] = np.einsum("vk,vkj->vj", share, response.specular @ fit.light)
         colors = np.asarray(observation.observed_linear)[used]
-        error = colors - albedo * diffuse[used, i] - total[:, None] * specular[used, i]
+        error = colors - albedo * diffuse[used, i] - total * specular[used, i]
         off[used, i] = error
         spread = max(1.4826 * float(np.median(np.abs(error))), 1e-6 * float(np.abs(colors).mean()))
         # Large differences count by their size rather than its square, as in the fit.
         noise[used, i] = spread * np.maximum(np.abs(error), spread)
-    of_diffuse = mean_change * float(model.diffuse.mean[model.known].mean())
-    of_sum = mean_change * float(model.total.mean[model.known].mean())
+    of_diffuse = mean_change * float(model.mean[model.known, :3].mean())
+    of_sum = mean_change * float(model.mean[model.known, 3].mean())
     kernel, size = features @ features.T, 3 * images
     same_channel, any_channel = np.kron(kernel, np.eye(3)), np.kron(kernel, np.ones((3, 3)))
     solution = np.empty((count, size))

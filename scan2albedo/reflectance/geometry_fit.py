@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, checked_array
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import edges_with_faces, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, pixel_directions, project
 from scan2albedo.geometry.rigid import compose, is_rigid, procrustes, rotation_from_vector, transform_points
-from scan2albedo.optimization.least_squares import Damping, Descent, MapPoint, most_probable
+from scan2albedo.optimization.least_squares import Damping, Descent, minimize
 from scan2albedo.reflectance import geometry_terms as terms
 from scan2albedo.reflectance.environment_shading import HARMONICS
-from scan2albedo.reflectance.geometry_terms import GeometryObjective, GeometryState, PhotometricTerm
+from scan2albedo.reflectance.geometry_terms import GeometryPoint, PhotometricTerm
 from scan2albedo.reflectance.image_fit import MOST_UNEXPLAINED
 from scan2albedo.reflectance.linear_model import checked_coefficients, require_one_topology
 from scan2albedo.reflectance.shape_model import LANDMARKS, MorphableShapeModel
@@ -117,9 +117,7 @@ def refine_geometry(
     tools/bench_reflectance_geometry.py compares weights of landmarks.
     """
     matrix = normalized_cameras(np.asarray(camera, np.float64)[None])[0]
-    landmarks = np.array(landmarks_px, np.float64)
-    if landmarks.shape != (LANDMARKS, 2):
-        raise ValueError(f"landmarks_px must have shape ({LANDMARKS}, 2), got {landmarks.shape}")
+    landmarks = checked_array(landmarks_px, (LANDMARKS, 2), "landmarks_px").copy()
     landmarks[~np.isfinite(landmarks).all(1)] = np.nan
     count = shape_model.identity_components
     identity = checked_coefficients(initial_identity, (count,), "initial_identity")
@@ -128,9 +126,7 @@ def refine_geometry(
     coefficients = np.concatenate([identity, expression])
     seen = np.flatnonzero(np.isfinite(landmarks).all(1))
     if initial_scene_from_model is not None:
-        pose = np.array(initial_scene_from_model, np.float64)
-        if pose.shape != (4, 4):
-            raise ValueError(f"initial_scene_from_model must have shape (4, 4), got {pose.shape}")
+        pose = checked_array(initial_scene_from_model, (4, 4), "initial_scene_from_model")
         if not is_rigid(pose):
             raise ReflectanceError("initial_scene_from_model is not rigid; give rotation and translation")
     elif len(seen) < 6:
@@ -138,7 +134,8 @@ def refine_geometry(
     else:
         points = shape_model.at(coefficients)[shape_model.landmark_vertices[seen]]
         pose = pose_from_landmarks(matrix, points, landmarks[seen])
-    state = GeometryState(shape_model, pose, coefficients)
+    meter = Meter("reflectance.geometry", "objective", Budget.of(budget), on_progress)
+    state = GeometryPoint(shape_model, pose, coefficients, meter)
     if (reflectance is None) != (light is None):
         raise ValueError("reflectance and light go together; give both or none")
     term_over = None
@@ -155,22 +152,22 @@ def refine_geometry(
         term_over = partial(terms.photometric_term, image, matrix, shape_model.faces, *lit)
     elif not len(seen):
         raise ReflectanceError("no landmark is seen, no reflectance given: undetermined; give one of both")
-    meter = Meter("reflectance.geometry", "objective", Budget.of(budget), on_progress)
     converged, iterations = True, 0
     rmse: tuple[float | None, float | None] = (None, None)
-    name, anchors = "reflectance.geometry.landmarks", []
+    name = "reflectance.geometry.landmarks"
     plan = [PlanStep(name, False, "no landmark is seen")]
     if len(seen):
         vertex = shape_model.landmark_vertices[seen]
         _, depth = project(matrix, state.vertices[vertex])
         if not (depth > 0).all():
             raise ReflectanceError("landmarks lie behind the camera at first; check pose and camera")
-        anchors = [terms.LandmarkTerm(matrix, vertex, landmarks[seen], _pixel_mm(matrix, depth))]
+        anchor = terms.LandmarkTerm(matrix, vertex, landmarks[seen], _pixel_mm(matrix, depth))
         plan = [PlanStep(name, True, "landmarks are seen", f"{len(seen)} landmarks")]
         stage = meter.sub_meter(name, "objective")
+        state = replace(state, terms=[anchor], meter=stage)
         for rigid, most in ((True, 20), (False, 100)):
-            found = _descent(GeometryObjective(shape_model, anchors, rigid), state, stage, most)
-            state, converged = found.best.state, found.converged
+            found = _descent(replace(state, rigid=rigid), most)
+            state, converged = found.best, found.converged
             iterations += found.steps
         meter.merge(stage)
     name = "reflectance.geometry.photometry"
@@ -181,10 +178,10 @@ def refine_geometry(
         plan.append(PlanStep(name, False, "the budget had ended"))
     else:
         stage = meter.sub_meter(name, "objective")
-        moved = photometric_descent(term_over, GeometryObjective(shape_model, anchors), state, stage)
+        moved = photometric_descent(term_over, replace(state, meter=stage))
         meter.merge(stage)
         iterations += moved.steps
-        colored, evidence = moved.best.state, ""
+        colored, evidence = moved.best, ""
         objection = "the image shows nothing of the face, or no step helps"
         if moved.steps:
             objection = "shapes before and after show nothing in common"
@@ -192,8 +189,8 @@ def refine_geometry(
                 before, after = (term.relative_rmse(one.vertices) for one in (state, colored))
                 rmse = before, after
                 evidence = f"relative rmse {before:.4f} -> {after:.4f}, {len(term.used)} vertices"
-                objective, free = GeometryObjective(shape_model, [*anchors, term]), meter.untraced()
-                first, last = (MapPoint.evaluate(objective, one, free).cost for one in (state, colored))
+                both, free = [*state.terms, term], meter.untraced()
+                first, last = (replace(one, terms=both, meter=free).cost for one in (state, colored))
                 objection = ""
                 if not last < first:
                     objection = "the objective did not fall over what both shapes show"
@@ -219,38 +216,31 @@ def refine_geometry(
 
 
 def photometric_descent(
-    term_over: Callable[..., PhotometricTerm | None],
-    anchors: GeometryObjective,
-    state: GeometryState,
-    meter: Meter,
-) -> Descent[MapPoint[GeometryState]]:
-    """Return where colours and `anchors` lead; which vertices are seen is found anew every five steps."""
-    found = Descent(MapPoint(anchors, state, np.inf, meter), False, 0, Damping().first)
+    term_over: Callable[..., PhotometricTerm | None], start: GeometryPoint
+) -> Descent[GeometryPoint]:
+    """Return where colours and the start's terms lead; what is seen is found anew every five steps."""
+    found = Descent(start, False, 0, Damping().first)
     for _ in range(10):
-        term = term_over(found.best.state.vertices)
-        if term is None or meter.exhausted:
+        term = term_over(found.best.vertices)
+        if term is None or start.meter.exhausted:
             break
-        objective = replace(anchors, terms=[*anchors.terms, term])
-        part = _descent(objective, found.best.state, meter, 5, found.damping)
-        settled = part.converged and not meter.exhausted
+        point = replace(found.best, terms=[*start.terms, term])
+        part = _descent(point, 5, found.damping)
+        settled = part.converged and not start.meter.exhausted
         found = replace(part, converged=settled, steps=found.steps + part.steps)
         if part.converged:
             break
     return found
 
 
-def _descent(
-    objective: GeometryObjective,
-    state: GeometryState,
-    meter: Meter,
-    steps: int,
-    damping: float = Damping().first,
-) -> Descent[MapPoint[GeometryState]]:
+def _descent(start: GeometryPoint, steps: int, damping: float = Damping().first) -> Descent[GeometryPoint]:
     """Return where up to `steps` steps lead, nowhere when the budget has ended."""
-    start = MapPoint(objective, state, np.inf, meter)
-    if not meter.exhausted:
-        start = MapPoint.evaluate(objective, state, meter)
-    return most_probable(start, steps=steps, tolerance=1e-4, damping=Damping(first=damping))
+    if (meter := start.meter).exhausted:
+        return Descent(start, False, 0, damping)
+    first, record = Damping(first=damping), lambda point: meter.record(point.cost)
+    return minimize(
+        start, steps=steps, tolerance=1e-4, flat_steps=3, damping=first, meter=meter, on_better=record
+    )
 
 
 def _pixel_mm(camera: FloatArray, depth: FloatArray) -> float:

@@ -1,21 +1,23 @@
 """The terms of a geometry fit: landmarks and colours as functions of the vertices' positions."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core import Meter
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.operators import cross_matrices, vertex_normal_jacobian
 from scan2albedo.geometry.pinhole import camera_centers, project, projected
 from scan2albedo.geometry.rasterization import bilinear, bilinear_slopes
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
-from scan2albedo.optimization.least_squares import LocalTerm
+from scan2albedo.optimization.least_squares import LocalTerm, NormalEquations, map_equations
 from scan2albedo.reflectance.environment_shading import shade_environment, shading_gradient
 from scan2albedo.reflectance.image_fit import photometric_penalty
 from scan2albedo.reflectance.shape_model import MorphableShapeModel
@@ -41,15 +43,12 @@ class SmoothImage:
     def __init__(self, image_linear: ArrayLike, mask: ArrayLike | None, blur_px: float) -> None:
         from scipy.ndimage import gaussian_filter
 
-        image = np.asarray(image_linear, np.float64)
-        if image.ndim != 3 or image.shape[2] != 3 or min(image.shape[:2]) < 2:
-            raise ValueError(f"image_linear must have shape (H, W, 3), H and W at least 2, got {image.shape}")
+        image = checked_array(image_linear, ("H", "W", 3), "image_linear")
+        if min(image.shape[:2]) < 2:
+            raise ValueError(f"image_linear is {image.shape}, expected H and W of 2 or more")
         self.valid = np.asarray(np.isfinite(image).all(2))
         if mask is not None:
-            chosen = np.asarray(mask)
-            if chosen.dtype != np.bool_ or chosen.shape != self.valid.shape:
-                raise ValueError(f"mask must be bool {self.valid.shape}, got {chosen.dtype} {chosen.shape}")
-            self.valid &= chosen
+            self.valid &= checked_array(mask, self.valid.shape, "mask", kind=bool)
         if not self.valid.any():
             raise ReflectanceError("the image has no pixel left: all are NaN or masked; check the mask")
         filled = np.where(self.valid[..., None], image, 0.0)
@@ -200,63 +199,58 @@ def photometric_term(
 
 
 @dataclass(frozen=True)
-class GeometryState:
-    """A pose and a shape."""
+class GeometryPoint:
+    """A pose and a shape with the objective there, for `minimize`: of both, or of the pose where `rigid`."""
 
     model: MorphableShapeModel
     scene_from_model: FloatArray
     """(4, 4), rigid."""
     coefficients: FloatArray
     """(N_S + N_E,), identity first."""
+    meter: Meter
+    terms: Sequence[LandmarkTerm | PhotometricTerm] = ()
+    rigid: bool = False
 
     @cached_property
     def vertices(self) -> FloatArray:
         """(V, 3) in the scene."""
         return transform_points(self.scene_from_model, self.model.at(self.coefficients))
 
-
-@dataclass(frozen=True)
-class GeometryObjective:
-    """Terms over pose and coefficients, or over the pose only where `rigid`."""
-
-    model: MorphableShapeModel
-    terms: Sequence[LandmarkTerm | PhotometricTerm]
-    rigid: bool = False
+    @cached_property
+    def _prior(self) -> tuple[FloatArray, FloatArray]:
+        """Precisions and values (6 + N,), 0 for the pose."""
+        precision = np.full(self.model.components, 2 * PRIOR_WEIGHT)
+        return np.append(np.zeros(6), precision), np.append(np.zeros(6), self.coefficients)
 
     @cached_property
-    def prior(self) -> FloatArray:
-        """(6 + N,) precisions."""
-        return np.append(np.zeros(6), np.full(self.model.components, 2 * PRIOR_WEIGHT))
+    def cost(self) -> float:
+        """The sum of the terms, and the prior."""
+        self.meter.count()
+        precision, numbers = self._prior
+        data = sum((term.value(self.vertices) for term in self.terms), start=0.0)
+        return data + 0.5 * float(precision @ numbers**2)
 
-    def numbers(self, state: GeometryState) -> FloatArray:
-        """Return zeros for the pose, and the coefficients (6 + N,)."""
-        return np.append(np.zeros(6), state.coefficients)
-
-    def value(self, state: GeometryState) -> float:
-        """Return the sum of the terms."""
-        return sum((term.value(state.vertices) for term in self.terms), start=0.0)
-
-    def local_terms(self, state: GeometryState) -> Iterator[LocalTerm]:
-        """Yield the terms by turn, shift and the coefficients that move."""
+    def normal_equations(self) -> NormalEquations:
+        """Return the quadratic model by turn, shift and the coefficients that move."""
         count = 0 if self.rigid else self.model.components
-        basis = self.model.basis[:count].reshape(count, state.vertices.size).T
-        turn = -cross_matrices(state.vertices - state.vertices.mean(0))
+        basis = self.model.basis[:count].reshape(count, self.vertices.size).T
+        turn = -cross_matrices(self.vertices - self.vertices.mean(0))
         shift = np.broadcast_to(np.eye(3), turn.shape)
         pose_motion = np.concatenate([turn, shift], axis=2).reshape(-1, 6)
-        rotation = state.scene_from_model[:3, :3]
-        for term in self.terms:
-            local = term.linearized(state.vertices)
+        rotation, local_terms = self.scene_from_model[:3, :3], []
+        for local in (term.linearized(self.vertices) for term in self.terms):
             by = local.jacobian
             by_shape = sparse.bsr_matrix((by.data @ rotation, by.indices, by.indptr), shape=by.shape)
             jacobian = np.concatenate([by @ pose_motion, by_shape @ basis], axis=1)
-            yield LocalTerm(jacobian, local.slope, local.curvature)
+            local_terms.append(replace(local, jacobian=jacobian))
+        return map_equations(local_terms, *self._prior)
 
-    def moved(self, state: GeometryState, step: FloatArray) -> GeometryState:
-        """Return the state after a turn about its middle (rad), a shift (mm) and a change of coefficients."""
-        middle = state.vertices.mean(0)
+    def moved(self, step: FloatArray) -> Self:
+        """Return the point after a turn about its middle (rad), a shift (mm) and a change of coefficients."""
+        middle = self.vertices.mean(0)
         # A turn of more than a radian in one step is a runaway.
         turn = rotation_from_vector(step[:3] / max(1.0, float(np.linalg.norm(step[:3]))))
-        pose = compose(turn, middle - turn @ middle + step[3:6]) @ state.scene_from_model
-        coefficients = state.coefficients.copy()
+        pose = compose(turn, middle - turn @ middle + step[3:6]) @ self.scene_from_model
+        coefficients = self.coefficients.copy()
         coefficients[: len(step) - 6] += step[6:]
-        return GeometryState(self.model, pose, coefficients)
+        return replace(self, scene_from_model=pose, coefficients=coefficients)

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray, checked_array
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.optimization.least_squares import LocalTerm, MapPoint, most_probable
+from scan2albedo.optimization.least_squares import LocalTerm, NormalEquations, map_equations, minimize
 from scan2albedo.reflectance.lighting_model import LightingModel
 from scan2albedo.reflectance.linear_model import require_one_topology
 from scan2albedo.reflectance.morphable_model import ModelReflectance, MorphableReflectanceModel
@@ -103,20 +103,20 @@ def fit_image(
     if not (seen & model.known).any():
         raise ReflectanceError("no vertex is both seen and known to the model; check the mask")
     lighting = LightingModel.default() if lighting is None else lighting
-    terms = ImageTerms(observation, model, lighting, perceptual)
     meter = Meter("reflectance.image", "objective", Budget.of(budget), on_progress)
+    terms = ImageTerms(observation, model, lighting, meter, perceptual)
     # The mean face in mean light, as bright as the image.
     start = np.zeros(len(terms.prior))
     color = np.median(terms.predict(start).color, axis=0)
     floor = 1e-4 * np.array([terms.unit, max(float(color.max()), np.finfo(float).tiny)])
     observed = np.median(terms.observed, axis=0)
     start[-3:] = np.log(np.maximum(observed, floor[0]) / np.maximum(color, floor[1]))
-    first = MapPoint.evaluate(terms, terms.predict(start), meter)
-    found = most_probable(first, steps=200, tolerance=1e-5)
+    first, record = terms.predict(start), lambda point: meter.record(point.cost)
+    found = minimize(first, steps=200, tolerance=1e-5, flat_steps=3, meter=meter, on_better=record)
     if not found.converged:
         text = f"the image fit stopped after {found.steps} steps without having converged; the objective is "
         warnings.warn(f"{text}{found.best.cost:.4g}", RuntimeWarning, stacklevel=2)
-    best, used = found.best.state, terms.used
+    best, used = found.best, terms.used
     b, g, t = terms.split(best.parameters)
     face, light = model.reconstruct(b), terms.light(best.parameters)
     radiance = terms.response.shade(face.reflectance.chosen(used), light).radiance_linear
@@ -128,7 +128,7 @@ def fit_image(
         light=light,
         radiance_linear=among_all(used, len(model.known), radiance),
         relative_rmse=float(off),
-        objective=found.best.cost,
+        objective=best.cost,
         converged=found.converged,
         iterations=found.steps,
         trace=meter.trace,
@@ -143,8 +143,9 @@ def photometric_penalty(off: FloatArray) -> tuple[float, FloatArray]:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Colours (U, 3) of the vertices used at parameters p = (b, g, t)."""
+    """Colours (U, 3) of the vertices used at parameters p = (b, g, t), with the objective, for `minimize`."""
 
+    terms: "ImageTerms"
     parameters: FloatArray
     color: FloatArray
     distance: float = 0.0
@@ -152,6 +153,35 @@ class Prediction:
     """`distance`, `gradient`: of the caller's function, and (U, 3) by the colours; None without one."""
     curvature: float = 0.0
     """Second derivative of the distance, taken as the same along every colour."""
+
+    @cached_property
+    def off(self) -> FloatArray:
+        """(U, 3) differences in units of the image's."""
+        return (self.color - self.terms.observed) / self.terms.unit
+
+    @cached_property
+    def cost(self) -> float:
+        """Charbonnier's penalty of the differences, the caller's, and the prior."""
+        self.terms.meter.count()
+        data = photometric_penalty(self.off)[0] + _PERCEPTUAL_WEIGHT * self.distance
+        return data + 0.5 * float(self.terms.prior @ self.parameters**2)
+
+    def normal_equations(self) -> NormalEquations:
+        """Return the quadratic model: Charbonnier's penalty as weighted squares, the caller's by slope."""
+        unit, off = self.terms.unit, self.off.ravel()
+        jacobian = self.terms.jacobian(self) / unit
+        _, curvature = photometric_penalty(off)
+        slope = curvature * off
+        if self.gradient is not None:
+            slope += _PERCEPTUAL_WEIGHT * unit * self.gradient.ravel()
+            curvature = curvature + _PERCEPTUAL_WEIGHT * unit**2 * self.curvature
+        colors = LocalTerm(jacobian.reshape(len(off), -1), slope, curvature)
+        return map_equations([colors], self.terms.prior, self.parameters)
+
+    def moved(self, step: FloatArray) -> "Prediction":
+        """Return the prediction a step (P,) on."""
+        limited = np.clip(step[-3:], -5, 5)  # a longer one would overflow in the exponential
+        return self.terms.predict(self.parameters + np.append(step[:-3], limited), self)
 
 
 class ImageTerms:
@@ -163,8 +193,8 @@ class ImageTerms:
         I_vj = c_v(b)_j D_v . L_j + sum_k s_v(b) w'_vk(b) S_vk . L_j,
         L_j = exp(t_j) (mean + sum g_i basis_i)_j.
 
-    `prior` (P,) are second derivatives of the prior; log scale_rgb has none. `mean` and `basis` are those of
-    c, s and w' at the vertices `used`, directions last: (U, 3, N), (U, N), (U, 3, N).
+    `prior` (P,) are second derivatives of the prior; log scale_rgb has none. `mean` (U, 7) and
+    `basis` (U, 7, N), directions last, are those of the model at the vertices `used`.
     """
 
     def __init__(
@@ -172,15 +202,16 @@ class ImageTerms:
         observation: ImageObservation,
         model: MorphableReflectanceModel,
         lighting: LightingModel,
+        meter: Meter,
         perceptual: PerceptualDistance | None = None,
     ) -> None:
         self.used: IntArray = np.flatnonzero(np.asarray(observation.seen) & model.known)
         self.observed: FloatArray = np.asarray(observation.observed_linear)[self.used]
         self.response = observation.response(self.used)
-        parts = model.diffuse, model.total, model.share
-        self.mean = [part.mean[self.used] for part in parts]
-        self.basis = [np.ascontiguousarray(np.moveaxis(part.basis[:, self.used], 0, -1)) for part in parts]
+        self.mean = model.mean[self.used]
+        self.basis = np.ascontiguousarray(np.moveaxis(model.basis[:, self.used], 0, -1))
         self.lighting, self.perceptual, self.count = lighting, perceptual, len(model.known)
+        self.meter = meter
         weight = 2 * PRIOR_WEIGHT[observation.transfer is not None]
         self.prior = np.append(np.full(model.components + lighting.components, weight), np.zeros(3))
 
@@ -192,7 +223,7 @@ class ImageTerms:
 
     def split(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return b, g and t of parameters."""
-        first = self.basis[1].shape[1]
+        first = self.basis.shape[2]
         return parameters[:first], parameters[first:-3], parameters[-3:]
 
     def light(self, parameters: FloatArray) -> FloatArray:
@@ -201,25 +232,24 @@ class ImageTerms:
         return self.lighting.light(g, scale_rgb=np.exp(t))
 
     def factors(self, parameters: FloatArray) -> Iterator[FloatArray]:
-        """Yield c (U, 3), s (U,), w' (U, 3), and radiances of a white surface and of lobes (U, 3, 3)."""
+        """Yield c (U, 3), s (U, 1), w' (U, 3), and radiances of a white surface and of lobes (U, 3, 3)."""
         b, light = self.split(parameters)[0], self.light(parameters)
-        yield from (mean + basis @ b for mean, basis in zip(self.mean, self.basis, strict=True))
+        yield from np.split(self.mean + self.basis @ b, [3, 4], axis=1)
         yield from (self.response.diffuse @ light, self.response.specular @ light)
 
     def predict(self, parameters: FloatArray, before: Prediction | None = None) -> Prediction:
         """Return the colours of parameters (P,), reached by a step from `before`."""
         diffuse, total, share, diffuse_light, lobe_light = self.factors(parameters)
-        color = diffuse * diffuse_light + total[:, None] * np.einsum("vk,vkj->vj", share, lobe_light)
+        color = diffuse * diffuse_light + total * np.einsum("vk,vkj->vj", share, lobe_light)
         if self.perceptual is None:
-            return Prediction(parameters, color)
+            return Prediction(self, parameters, color)
         # Arrays of their own, so that a function that writes into its arguments harms nobody.
         predicted, observed = np.full((2, self.count, 3), np.nan)
         predicted[self.used], observed[self.used] = color, self.observed
         answer = self.perceptual(predicted, observed)
         try:
-            distance, whole = float(answer[0]), np.asarray(answer[1], np.float64)
-            if whole.shape != (self.count, 3):
-                raise ValueError(f"a gradient {whole.shape}")
+            distance = float(answer[0])
+            whole = checked_array(answer[1], (self.count, 3), "the gradient")
         except (TypeError, ValueError, IndexError) as error:
             raise ReflectanceError(
                 f"the perceptual function returned {type(answer).__name__}, expected a number and its "
@@ -238,41 +268,16 @@ class ImageTerms:
             curvature = max(bend / length, 0.0) if length > 0 else 0.0
         else:
             curvature = float(np.sum(gradient**2)) / (2 * abs(distance)) if distance else 0.0
-        return Prediction(parameters, color, distance, gradient, curvature)
-
-    def numbers(self, state: Prediction) -> FloatArray:
-        """Return the parameters (P,)."""
-        return state.parameters
-
-    def moved(self, state: Prediction, step: FloatArray) -> Prediction:
-        """Return the prediction a step (P,) on."""
-        limited = np.clip(step[-3:], -5, 5)  # a longer one would overflow in the exponential
-        return self.predict(state.parameters + np.append(step[:-3], limited), state)
-
-    def value(self, state: Prediction) -> float:
-        """Return Charbonnier's penalty of the differences, and the caller's."""
-        off = (state.color - self.observed) / self.unit
-        return photometric_penalty(off)[0] + _PERCEPTUAL_WEIGHT * state.distance
-
-    def local_terms(self, state: Prediction) -> Iterator[LocalTerm]:
-        """Yield the penalties of all colours: Charbonnier's as weighted squares, the caller's by slope."""
-        jacobian = self.jacobian(state) / self.unit
-        off = ((state.color - self.observed) / self.unit).ravel()
-        _, curvature = photometric_penalty(off)
-        slope = curvature * off
-        if state.gradient is not None:
-            slope += _PERCEPTUAL_WEIGHT * self.unit * state.gradient.ravel()
-            curvature = curvature + _PERCEPTUAL_WEIGHT * self.unit**2 * state.curvature
-        yield LocalTerm(jacobian.reshape(len(off), -1), slope, curvature)
+        return Prediction(self, parameters, color, distance, gradient, curvature)
 
     def jacobian(self, at: Prediction) -> FloatArray:
         """Return the derivatives (U, 3, P) of the colours by the parameters."""
         _, _, t = self.split(at.parameters)
         diffuse, total, share, diffuse_light, lobe_light = self.factors(at.parameters)
-        by_diffuse, by_total, by_share = self.basis
-        weights = by_total[:, None] * share[..., None] + total[:, None, None] * by_share
+        by_diffuse, by_total, by_share = np.split(self.basis, [3, 4], axis=1)
+        weights = by_total * share[..., None] + total[:, None] * by_share
         by_b = by_diffuse * diffuse_light[..., None] + np.swapaxes(lobe_light, 1, 2) @ weights
-        specular = np.einsum("vk,vkh->vh", total[:, None] * share, self.response.specular)
+        specular = np.einsum("vk,vkh->vh", total * share, self.response.specular)
         by_g = np.empty((*at.color.shape, self.lighting.components))
         by_t = np.zeros((*at.color.shape, 3))
         for channel in range(3):

@@ -1,22 +1,21 @@
-"""`LightingModel`: light of everyday places as a mean and directions of change, and the maps behind it."""
+"""`LightingModel`: light of everyday places as a mean and directions of change."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import FloatArray, checked_array
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.lighting.environment import map_directions, texel_directions
-from scan2albedo.lighting.harmonics import row_projection
+from scan2albedo.io.npz import read_npz
 from scan2albedo.reflectance.environment_shading import HARMONICS
 from scan2albedo.reflectance.linear_model import LinearModel, checked_coefficients, principal_directions
 
-SHAPE = (32, 64)
-"""Rows and columns: finer than harmonics of order 8 resolve."""
+LIGHTING_FILE = Path(__file__).parent / "data" / "everyday_light.npz"
 
 
 @dataclass(frozen=True)
@@ -32,32 +31,17 @@ class LightingModel(LinearModel):
     @staticmethod
     @cache
     def default() -> LightingModel:
-        """Return the model of 600 generated maps; made once a process, in about a second."""
-        return LightingModel.generate()
-
-    @classmethod
-    def generate(cls, *, count: int = 600, components: int = 80, seed: int = 0) -> LightingModel:
-        """Learn a model of `components` directions from `count` maps of `generated_environment`.
-
-        Raises `ReflectanceError` when `count` is below 2, which has no directions.
-
-        Parameters
-        ----------
-        count, components, seed : int
-        """
-        if count < 2:
-            raise ReflectanceError(f"{count} environment maps do not show how light varies; give 2 or more")
-        rng = np.random.default_rng(seed)
-        projection = np.concatenate([row_projection(row, SHAPE) for row in range(SHAPE[0])]).T
-        maps = (generated_environment(rng).reshape(-1, 3) for _ in range(count))
-        return cls.from_coefficients(np.stack([projection @ image for image in maps]), components=components)
+        """Return the model of 600 skies, rooms and studios that tools/build_lighting_model.py makes."""
+        what, advice = "lighting model", "install the package anew"
+        parts = read_npz(LIGHTING_FILE, ("mean", "basis"), what=what, advice=advice, error=ReflectanceError)
+        return LightingModel(**parts)
 
     @classmethod
     def from_coefficients(cls, lights: ArrayLike, *, components: int = 80) -> LightingModel:
         """Learn from lights (K, 81, 3); `ValueError` for other shapes, `ReflectanceError` for dark ones."""
-        samples = np.asarray(lights, np.float64)
-        if samples.ndim != 3 or samples.shape[1:] != (HARMONICS, 3) or len(samples) == 0:
-            raise ValueError(f"lights must have shape (K, {HARMONICS}, 3), got {samples.shape}")
+        samples = checked_array(lights, ("K", HARMONICS, 3), "lights")
+        if len(samples) == 0:
+            raise ValueError("there are no lights to learn from")
         bad = ~(np.isfinite(samples).all((1, 2)) & (samples[:, 0] > 0).all(1))
         if bad.any():
             raise ReflectanceError(f"light {np.flatnonzero(bad)[0]} has NaN or a dark channel; leave it out")
@@ -73,92 +57,3 @@ class LightingModel(LinearModel):
         Raises `ValueError` for another shape, `ReflectanceError` for numbers that are not finite.
         """
         return checked_coefficients(scale_rgb, (3,), "scale_rgb") * self.at(coefficients)
-
-
-def generated_environment(seed: int | np.random.Generator) -> FloatArray:
-    """Return a map (32, 64, 3) of linear radiance: a sky, a room with windows, one with lamps, or a studio.
-
-    Rows go from +y down to -y, columns by azimuth from -pi to pi, from +z toward +x; all azimuths are equally
-    likely. The same `seed` gives the same map.
-    """
-    rng = np.random.default_rng(seed)
-    toward, kind = texel_directions(SHAPE), int(rng.choice(4, p=[0.3, 0.3, 0.25, 0.15]))
-    if kind == 0:
-        # Gradient from zenith to horizon, a sun that clouds may cover, ground, and things on the horizon.
-        up = toward[..., 1]
-        horizon, zenith = _color(rng.uniform(4500, 7500)), _color(rng.uniform(7000, 14000))
-        blend = np.clip(up, 0, 1)[..., None] ** rng.uniform(0.3, 0.9)
-        sky = (1 - blend) * horizon * rng.uniform(0.8, 1.8) + blend * zenith * rng.uniform(0.4, 1.0)
-        cover = rng.uniform()
-        elevation = np.arcsin(rng.uniform(0.05, 0.98))
-        sun = map_directions(np.pi / 2 - elevation, rng.uniform(-np.pi, np.pi))
-        warmth = _color(2500 + 3300 * np.sin(elevation) ** 0.5)
-        glow = _blob(toward, sun, rng.uniform(0.1, 0.25))[..., None] * rng.uniform(5, 60) * (1 - cover) ** 2
-        halo = _blob(toward, sun, rng.uniform(0.4, 0.8))[..., None] * rng.uniform(0.2, 2.0)
-        ground = _surface(rng) * rng.uniform(0.2, 1.0)
-        image = np.where(up[..., None] > 0, sky + (glow + halo) * warmth, ground)
-        for _ in range(rng.integers(0, 5)):
-            block = _panel(toward, rng, low=-0.1, high=rng.uniform(0.1, 0.7), widest=1.2)
-            image = np.where(block[..., None], _surface(rng) * rng.uniform(0.05, 0.8), image)
-    elif kind == 1:
-        # Walls that are lit through one to four windows.
-        image = _room(rng, toward, rng.uniform(0.05, 0.5))
-        day = _color(rng.uniform(5000, 10000))
-        for _ in range(rng.integers(1, 5)):
-            low = rng.uniform(-0.5, 0.1)
-            window = _panel(toward, rng, low=low, high=low + rng.uniform(0.4, 1.1), widest=1.0)
-            image = np.where(window[..., None], day * rng.uniform(2, 15), image)
-    elif kind == 2:
-        # A room at night with one to six lamps, most of them above.
-        image = _room(rng, toward, rng.uniform(0.02, 0.3))
-        color = _color(rng.choice([1900, 2800, 4200, 6000]))  # candles, tungsten, neutral, daylight
-        for _ in range(rng.integers(1, 7)):
-            lamp = map_directions(np.arccos(rng.uniform(-0.3, 1.0)), rng.uniform(-np.pi, np.pi))
-            strength = rng.uniform(2, 30)
-            image = image + strength * _blob(toward, lamp, rng.uniform(0.08, 0.3))[..., None] * color
-    else:
-        # A dark studio with a key light, a fill and a rim light of free colours, from all sides.
-        image = _room(rng, toward, rng.uniform(0.01, 0.1))
-        for strength in rng.uniform(0.5, 12, rng.integers(1, 4)):
-            light = map_directions(rng.uniform(0.2, 2.4), rng.uniform(-np.pi, np.pi))
-            color = _color(rng.uniform(2500, 9000)) * rng.uniform(0.6, 1.4, 3)
-            image = image + strength * _blob(toward, light, rng.uniform(0.15, 0.6))[..., None] * color
-    return image
-
-
-def _room(rng: np.random.Generator, toward: FloatArray, brightness: float) -> FloatArray:
-    """Four walls, floor and ceiling, each of one colour."""
-    turn = rng.uniform(0, np.pi / 2)
-    x = np.cos(turn) * toward[..., 0] + np.sin(turn) * toward[..., 2]
-    z = -np.sin(turn) * toward[..., 0] + np.cos(turn) * toward[..., 2]
-    box = np.stack([x, toward[..., 1] * rng.uniform(1.0, 2.5), z], -1)
-    axis = np.abs(box).argmax(-1)
-    side = np.take_along_axis(box, axis[..., None], -1)[..., 0] > 0
-    colors = np.stack([_surface(rng) for _ in range(6)])
-    colors[3] = 0.5 + 0.5 * colors[3]  # ceilings are pale
-    return brightness * rng.uniform(0.5, 1.5, 6)[2 * axis + side][..., None] * colors[2 * axis + side]
-
-
-def _panel(
-    toward: FloatArray, rng: np.random.Generator, *, low: float, high: float, widest: float
-) -> BoolArray:
-    """Mask of the pixels between two heights and two azimuths."""
-    azimuth = np.arctan2(toward[..., 0], toward[..., 2])
-    off = np.abs((azimuth - rng.uniform(-np.pi, np.pi) + np.pi) % (2 * np.pi) - np.pi)
-    return np.asarray((off < rng.uniform(0.15, widest)) & (toward[..., 1] > low) & (toward[..., 1] < high))
-
-
-def _blob(toward: FloatArray, centre: FloatArray, width_rad: float) -> FloatArray:
-    """A smooth spot of value 1 at its centre."""
-    return np.asarray(np.exp((toward @ centre - 1) / width_rad**2))
-
-
-def _surface(rng: np.random.Generator) -> FloatArray:
-    """Colour of paint, wood, grass or stone: a grey with some hue."""
-    return np.asarray(rng.uniform(0.15, 0.8) * rng.uniform(0.7, 1.3, 3))
-
-
-def _color(kelvin: float) -> FloatArray:
-    """Linear sRGB of a black body, of mean 1: Planck's law at 610, 550 and 465 nm, relative to 6500 K."""
-    body, white = 1 / np.expm1(1.4388e7 / (np.array([610.0, 550.0, 465.0]) * [[kelvin], [6500.0]]))
-    return np.asarray(body / white / (body / white).mean())

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, checked_array
 from scan2albedo.errors import ReflectanceError
 
 _RANK_TOLERANCE = 1e-12
@@ -40,14 +40,8 @@ class LinearModel:
 
     def check(self, what: str, shape: tuple[int, ...]) -> None:
         """Raise `ReflectanceError` when mean or basis do not fit the mean's `shape`, or are not finite."""
-        for name, array, expected in (
-            ("mean", self.mean, shape),
-            ("basis", self.basis, (len(self.basis), *shape)),
-        ):
-            if array.shape != expected:
-                raise ReflectanceError(f"{what} {name} is {array.shape}, expected {expected}")
-            if not np.isfinite(array).all():
-                raise ReflectanceError(f"{what} {name} holds NaN or infinite values")
+        for name, array, expected in (("mean", self.mean, shape), ("basis", self.basis, ("N", *shape))):
+            checked_array(array, expected, f"{what} {name}", ReflectanceError, finite=ReflectanceError)
 
 
 def principal_directions(
@@ -77,9 +71,5 @@ def require_one_topology(one: str, count: int, other: str, expected: int) -> Non
 
 def checked_coefficients(values: ArrayLike | None, shape: tuple[int, ...], name: str) -> FloatArray:
     """Return coefficients, 0 for None; `ValueError` for another shape, `ReflectanceError` for NaN."""
-    coefficients = np.zeros(shape) if values is None else np.array(values, np.float64)
-    if coefficients.shape != shape:
-        raise ValueError(f"{name} must have shape {shape}, got {coefficients.shape}")
-    if not np.isfinite(coefficients).all():
-        raise ReflectanceError(f"{name} must be finite, got NaN or infinite values")
-    return coefficients
+    given = np.zeros(shape) if values is None else np.array(values, np.float64)
+    return checked_array(given, shape, name, finite=ReflectanceError)

@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.reflectance.linear_model import LinearModel, principal_directions, require_one_topology
@@ -17,10 +17,10 @@ from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflecta
 
 PEOPLE_DIFFER = 0.2
 """Standard deviation of an albedo among people, as part of its level."""
-_PARTS = {"diffuse": "diffuse", "total": "sum", "share": "share"}
-"""The model's fields, and what the names of their arrays begin with in its file."""
+_PARTS: dict[str, Any] = {"diffuse": slice(0, 3), "sum": 3, "share": slice(4, 7)}
+"""The model's columns by what the names of their arrays begin with in its file."""
 _KINDS = {"known": "b", "support": "iu", "deviation": "f"} | {
-    f"{part}_{array}": "f" for part in _PARTS.values() for array in ("mean", "basis")
+    f"{part}_{array}": "f" for part in _PARTS for array in ("mean", "basis")
 }
 
 
@@ -54,24 +54,20 @@ class ModelReflectance:
 
 
 @dataclass(frozen=True)
-class MorphableReflectanceModel:
+class MorphableReflectanceModel(LinearModel):
     """Reflectance c, w = s w' of V vertices, linear in N coefficients b of unit variance.
 
         c = c0 + sum b_i C_i,   s = s0 + sum b_i S_i,   w' = w'0 + sum b_i W_i.
 
-    After Han, Wang, Xu, supplement. Raises `ReflectanceError` when shapes disagree or a number is not finite.
+    `mean` (V, 7) and `basis` (N, V, 7) have the columns c, s, w'; the shares w' sum to 1 and their directions
+    to 0. After Han, Wang, Xu, supplement. Raises `ReflectanceError` when shapes disagree or a number is not
+    finite.
     """
 
     known: BoolArray
     """(V,): vertices the model knows; arrays hold zeros elsewhere."""
     support: IntArray
     """(V,): samples that know each vertex."""
-    diffuse: LinearModel
-    """Of c, (V, 3)."""
-    total: LinearModel
-    """Of s, (V,)."""
-    share: LinearModel
-    """Of w', (V, 3): the shares sum to 1 and their directions to 0."""
     total_variance: float
     """Of the samples' albedo, all directions and vertices together."""
     samples: int
@@ -79,16 +75,8 @@ class MorphableReflectanceModel:
 
     def __post_init__(self) -> None:
         count = len(self.known)
-        if self.support.shape != (count,):
-            raise ReflectanceError(f"reflectance model: support is {self.support.shape}, expected ({count},)")
-        for part, name in _PARTS.items():
-            one: LinearModel = getattr(self, part)
-            one.check(f"reflectance model: {name}", (count,) if part == "total" else (count, 3))
-            if one.components != self.components:
-                raise ReflectanceError(
-                    f"reflectance model: {name} basis has {one.components} directions, expected "
-                    f"{self.components} as diffuse basis"
-                )
+        checked_array(self.support, (count,), "reflectance model: support", ReflectanceError, kind=int)
+        self.check("reflectance model:", (count, 7))
 
     @classmethod
     def from_samples(
@@ -143,14 +131,17 @@ class MorphableReflectanceModel:
         lobes = np.where(there[..., None], np.stack([one.weights for one in samples]), 0.0)
         total = lobes.sum(2)
         share = np.divide(lobes, total[..., None], out=np.zeros_like(lobes), where=total[..., None] > 0)
-        mean, off = _mean_and_deviations(diffuse, trust, 0.0)
-        directions, total_variance = principal_directions(off, components, size=float(np.sum(mean**2)))
-        sum_mean, sum_off = _mean_and_deviations(total, trust, 0.0)
-        share_mean, share_off = _mean_and_deviations(share, trust * (there & (total > 0)), 1 / 3)
-        means = mean, sum_mean, np.where(known[:, None], share_mean, 0.0)
-        changes = (np.tensordot(directions, one, 1) for one in (off, sum_off, share_off))
-        albedo, gloss, shares = map(LinearModel, means, changes)
-        return cls(known, support.astype(np.int64), albedo, gloss, shares, total_variance, len(samples))
+        values = np.concatenate([diffuse, total[..., None], share], axis=2)
+        # Without gloss there are no shares of it; where nobody has any, they are equal.
+        weight = np.repeat(trust[..., None], 7, axis=2)
+        weight[..., 4:] *= (there & (total > 0))[..., None]
+        sure, equal = weight.sum(0), np.repeat([0.0, 1 / 3], [4, 3])
+        mean = np.where(sure > 0, (values * weight).sum(0) / np.where(sure > 0, sure, 1.0), equal)
+        mean, off = np.where(known[:, None], mean, 0.0), weight * (values - mean)
+        size = float(np.sum(mean[:, :3] ** 2))
+        directions, total_variance = principal_directions(off[..., :3], components, size=size)
+        basis = np.tensordot(directions, off, 1)
+        return cls(mean, basis, known, support.astype(np.int64), total_variance, len(samples))
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -164,19 +155,18 @@ class MorphableReflectanceModel:
             error=ReflectanceError,
         )
         check_exponents(header.exponents, f"reflectance model {path}")
-        found = arrays["deviation"].shape, arrays["known"].shape
-        if found != ((header.components,), (header.vertices,)):
-            raise ReflectanceError(
-                f"reflectance model {path}: its header says {header.components} components of "
-                f"{header.vertices} vertices, the arrays are {found[0]} and {found[1]}; write the file again"
+        owner, advice = f"reflectance model {path}", "write the file again"
+        with errors_of(owner, ReflectanceError, ValueError, advice=advice):
+            mean, basis = (
+                np.concatenate(
+                    [arrays[f"diffuse_{a}"], arrays[f"sum_{a}"][..., None], arrays[f"share_{a}"]], -1
+                )
+                for a in ("mean", "basis")
             )
-        diffuse, total, share = (
-            LinearModel(*(arrays[f"{name}_{array}"].astype(np.float64) for array in ("mean", "basis")))
-            for name in _PARTS.values()
-        )
-        known, support = arrays["known"], arrays["support"]
-        with errors_of(str(path), ReflectanceError, advice="write the file again"):
-            return cls(known, support, diffuse, total, share, header.total_variance, header.samples)
+            checked_array(arrays["deviation"], (header.components,), "deviation", ReflectanceError)
+            basis = checked_array(basis, (header.components, header.vertices, 7), "basis", ReflectanceError)
+            more = arrays["known"], arrays["support"], header.total_variance, header.samples
+            return cls(mean.astype(np.float64), basis, *more)
 
     def save(self, path: str | Path) -> None:
         """Write the model as an .npz file, whole or not at all; same model, same bytes.
@@ -191,14 +181,14 @@ class MorphableReflectanceModel:
             total_variance=self.total_variance,
         )
         arrays = {"known": self.known, "support": self.support, "deviation": self.deviation}
-        for part, name in _PARTS.items():
-            arrays |= {f"{name}_mean": getattr(self, part).mean, f"{name}_basis": getattr(self, part).basis}
+        for name, columns in _PARTS.items():
+            arrays |= {f"{name}_mean": self.mean[..., columns], f"{name}_basis": self.basis[..., columns]}
         write_npz_record(path, header, arrays, what="reflectance model")
 
     @property
-    def components(self) -> int:
-        """N, the number of coefficients."""
-        return self.diffuse.components
+    def diffuse(self) -> LinearModel:
+        """Of the albedo c alone, (V, 3)."""
+        return LinearModel(self.mean[:, :3], self.basis[..., :3])
 
     @property
     def deviation(self) -> FloatArray:
@@ -212,18 +202,15 @@ class MorphableReflectanceModel:
 
     def mean_only(self, factors: ArrayLike = 1.0) -> Self:
         """Return the model without its directions, with factors (3,) on the channels of the mean albedo."""
-        parts = self.diffuse, self.total, self.share
-        diffuse, total, share = (LinearModel(part.mean, part.basis[:0]) for part in parts)
-        diffuse = replace(diffuse, mean=diffuse.mean * np.asarray(factors))
-        return replace(self, diffuse=diffuse, total=total, share=share)
+        tinted = self.mean * np.append(np.broadcast_to(factors, 3), np.ones(4))
+        return replace(self, mean=tinted, basis=self.basis[:0])
 
     def reconstruct(self, coefficients: ArrayLike) -> ModelReflectance:
         """Return the reflectance of coefficients (N,), negatives set to 0 and counted.
 
         Raises `ValueError` when there are not N, `ReflectanceError` when one is not finite.
         """
-        diffuse, total, share = (part.at(coefficients) for part in (self.diffuse, self.total, self.share))
-        total = total[:, None]
+        diffuse, total, share = np.split(self.at(coefficients), [3, 4], axis=1)
         rounding = -1e-9
         negative = (diffuse < rounding).astype(int) + ((total < rounding) | (share < rounding))
         weights = np.maximum(total, 0) * np.maximum(share, 0)
@@ -256,16 +243,6 @@ class MorphableReflectanceModel:
         return self.reconstruct(np.linalg.lstsq(normal, basis @ off, rcond=1e-12)[0])
 
 
-def _mean_and_deviations(
-    values: FloatArray, weight: FloatArray, otherwise: float
-) -> tuple[FloatArray, FloatArray]:
-    """Return the mean (V, ...) by `weight` (K, V), else `otherwise`, and weighted deviations."""
-    part = weight.reshape(weight.shape + (1,) * (values.ndim - 2))
-    total = part.sum(0)
-    mean = np.where(total > 0, (values * part).sum(0) / np.where(total > 0, total, 1.0), otherwise)
-    return mean, part * (values - mean)
-
-
 def reliability(sample: VertexReflectance, std: FloatArray | None) -> FloatArray:
     """Return (V,) the weight of each vertex of a sample: t^2 / (t^2 + s^2), 0 where it is not known.
 
@@ -291,10 +268,8 @@ def held_out_components(samples: Sequence[VertexReflectance], vertices: ArrayLik
     """
     if len(samples) < 10:
         raise ReflectanceError(f"{len(samples)} samples are too few to choose directions; give 10 or more")
-    xyz = np.asarray(vertices, np.float64)
     model = MorphableReflectanceModel.from_samples([one for k, one in enumerate(samples) if k % 5 != 4])
-    if xyz.shape != (len(model.known), 3):
-        raise ReflectanceError(f"vertices is {xyz.shape}, expected ({len(model.known)}, 3)")
+    xyz = checked_array(vertices, (len(model.known), 3), "vertices", ReflectanceError)
     # Neighbouring cubes differ in this sum by one, so that they fall into different halves.
     first = np.floor(xyz / 25).sum(1) % 2 == 0
     tried = (0, 1, 2, 3, 5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300)

@@ -1,13 +1,12 @@
 """`ImageObservation`: colours of one image at the vertices of a face; how to get it from a photograph."""
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, checked_array
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, project
@@ -44,8 +43,8 @@ def light_transfer(
 
         T = Q[V K] + (1 - h) (A - Q[K]).
 
-    Raises `ReflectanceError` when vertices are not finite, a vector is not a unit vector, or there are no
-    triangles; `ValueError` when shapes disagree, or the number of directions is out of range.
+    Raises `ReflectanceError` when the mesh is none or not finite, or a vector is not a unit vector;
+    `ValueError` when shapes disagree, or the number of directions is out of range.
 
     Parameters
     ----------
@@ -63,9 +62,7 @@ def light_transfer(
     (tools/bench_reflectance_model.py). Light that the surface reflects onto itself is left out.
     """
     xyz, index, n = sight.checked_surface(vertices, faces, normals)
-    n, v = normalized(n), np.asarray(toward_camera, np.float64)
-    if v.shape != n.shape:
-        raise ValueError(f"toward_camera is {v.shape}, expected {n.shape} as vertices")
+    n, v = normalized(n), checked_array(toward_camera, n.shape, "toward_camera")
     if not 64 <= directions <= 100_000:
         raise ValueError(f"directions must be 64 to 100000, got {directions}")
     bare = np.asarray(~n.any(1))
@@ -120,9 +117,7 @@ class ImageObservation:
     cast when omitted. Unused where not seen."""
 
     def __post_init__(self) -> None:
-        seen = np.asarray(self.seen)
-        if seen.dtype != np.bool_ or seen.ndim != 1:
-            raise ValueError(f"seen must be bool (V,), got {seen.dtype} {seen.shape}")
+        seen = checked_array(self.seen, ("V",), "seen", kind=bool)
 
         def require_finite(name: str, rows: FloatArray) -> None:
             """Raise ReflectanceError where numbers (N, ...) of the N seen vertices are not."""
@@ -134,9 +129,7 @@ class ImageObservation:
                 )
 
         for name in ("observed_linear", "normals", "toward_camera"):
-            array = np.asarray(getattr(self, name), np.float64)
-            if array.shape != (len(seen), 3):
-                raise ValueError(f"{name} must have shape ({len(seen)}, 3), got {array.shape}")
+            array = checked_array(getattr(self, name), (len(seen), 3), name)
             require_finite(name, array[seen])
             object.__setattr__(self, name, array)
         for name in ("normals", "toward_camera"):
@@ -148,10 +141,9 @@ class ImageObservation:
             raise ReflectanceError("the image is black where the face is; check exposure and pose")
         if self.transfer is None:
             return
-        diffuse, specular = self.transfer.diffuse, self.transfer.specular
-        shapes = (len(seen), shading.HARMONICS), (len(seen), 3, shading.HARMONICS)
-        if (diffuse.shape, specular.shape) != shapes:
-            raise ValueError(f"transfer has shapes {diffuse.shape}, {specular.shape}, expected {shapes}")
+        count, size = len(seen), shading.HARMONICS
+        diffuse = checked_array(self.transfer.diffuse, (count, size), "diffuse of the transfer")
+        specular = checked_array(self.transfer.specular, (count, 3, size), "specular of the transfer")
         rows = np.concatenate([diffuse[seen], specular[seen].reshape(seen.sum(), -1)], axis=1)
         require_finite("the transfer", rows)
         if not rows.any():
@@ -202,13 +194,10 @@ def observe_photograph(
     gamma, saturation : float
         See `OlatOptions`.
     """
-    if not 0 < gamma < math.inf or not saturation > 0:
-        raise ValueError(f"gamma is {gamma} and saturation {saturation}, expected > 0 and gamma finite")
+    OlatOptions(gamma=gamma, saturation=saturation)  # refuses what they must not be
     xyz, index, normal = sight.checked_surface(vertices, faces, normals)
     normal = normalized(normal)
-    matrix = np.asarray(camera, np.float64)
-    if matrix.shape != (3, 4):
-        raise ValueError(f"camera is {matrix.shape}, expected (3, 4)")
+    matrix = checked_array(camera, (3, 4), "camera")
     with errors_of("the camera cannot be used", ReflectanceError, ValueError):
         matrix = normalized_cameras(matrix[None])[0]
     if np.ndim(image) != 3 or np.shape(image)[2] != 3 or np.size(image) == 0:
@@ -216,9 +205,8 @@ def observe_photograph(
     values = picture_values(np.asarray(image), "the image", saturation)
     finite = np.asarray(np.isfinite(values).all(-1))
     values = np.where(finite[..., None], values, 0.0)
-    skin = np.ones(finite.shape, bool) if mask is None else np.asarray(mask)
-    if skin.shape != finite.shape or skin.dtype != np.bool_:
-        raise ValueError(f"mask is {skin.dtype} {skin.shape}, expected bool {finite.shape} as the image")
+    given = np.ones(finite.shape, bool) if mask is None else mask
+    skin = checked_array(given, finite.shape, "mask", kind=bool)
     linear = linear_values(values, gamma).astype(np.float32)
     toward = normalized(camera_centers(matrix[None])[0] - xyz)
     seen = sight.VertexVisibility(xyz, index, normal).seen(matrix, VIEW_COSINE)

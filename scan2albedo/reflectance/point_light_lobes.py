@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, checked_array
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance
 
@@ -38,15 +38,25 @@ def point_light_lobes(
     >>> point_light_lobes([[0.0, 0, 0]], [[0.0, 0, 1]], ahead, ahead).round(3)
     array([[[0.318, 0.119, 0.398, 2.626]]])
     """
-    given = vertices, normals, camera_positions, light_positions
-    arrays = [np.ascontiguousarray(values, np.float64) for values in given]
-    counts = [len(a) for a in arrays]
-    if any(a.ndim != 2 or a.shape[1] != 3 for a in arrays) or counts[::2] != counts[1::2]:
-        raise ValueError(f"shapes are {[a.shape for a in arrays]}, expected (V, 3) twice and (J, 3) twice")
-    lobes = np.empty((len(arrays[2]), len(arrays[0]), 4))
-    reference = 0.0 if reference_distance_mm is None else float(reference_distance_mm)
-    _fill_lobes(*arrays, reference, lobes)
-    return lobes
+    views = vertices, normals, camera_positions, light_positions
+    return lobes_and_slopes(*views, reference_distance_mm)[0]
+
+
+def lobes_and_slopes(
+    vertices: ArrayLike,
+    normals: ArrayLike,
+    camera_positions: ArrayLike,
+    light_positions: ArrayLike,
+    reference_distance_mm: float | None = None,
+) -> FloatArray:
+    """Return (2, J, V, 4) what `point_light_lobes` and `lobe_slopes` do."""
+    xyz = checked_array(vertices, ("V", 3), "vertices")
+    normal = checked_array(normals, xyz.shape, "normals")
+    cameras = checked_array(camera_positions, ("J", 3), "camera_positions")
+    lights = checked_array(light_positions, cameras.shape, "light_positions")
+    found, frames = np.zeros((2, len(cameras), len(xyz), 4)), np.stack([normal, *_tangents(normal)], 1)
+    _fill(*map(np.ascontiguousarray, (xyz, frames, cameras, lights)), reference_distance_mm or 0.0, *found)
+    return found
 
 
 def cosines_of_lobes(lobes: ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -71,11 +81,7 @@ def lobe_slopes(
     vertices, normals, camera_positions, light_positions
         As in `point_light_lobes`.
     """
-    given = vertices, normals, camera_positions, light_positions
-    arrays = [np.ascontiguousarray(values, np.float64) for values in given]
-    slopes = np.empty((len(arrays[2]), len(arrays[0]), 4))
-    _fill_slopes(*arrays, *_tangents(arrays[1]), slopes)
-    return slopes
+    return lobes_and_slopes(vertices, normals, camera_positions, light_positions)[1]
 
 
 def tilted_normals(normals: ArrayLike, tilt: ArrayLike) -> FloatArray:
@@ -96,19 +102,22 @@ def _tangents(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fill_lobes(vertices, normals, cameras, lights, reference, lobes):  # type: ignore[no-untyped-def]
-    """Fill lobes (J, V, 4); 8 twice is 64: constant whole exponents cost a tenth of other powers."""
+def _fill(vertices, frames, cameras, lights, reference, lobes, slopes):  # type: ignore[no-untyped-def]
+    """Fill lobes and slopes (J, V, 4), 0 so far; frames (V, 3, 3) are normals and tangents.
+
+    8 twice is 64: constant whole exponents cost a tenth of other powers.
+    """
+    light, view, on_light, on_half = np.empty((4, 3))
     for j in range(len(cameras)):
         for i in range(len(vertices)):
             n_l = n_v = light_square = view_square = cross = 0.0
             for k in range(3):
-                light, view = lights[j, k] - vertices[i, k], cameras[j, k] - vertices[i, k]
-                n_l += normals[i, k] * light
-                n_v += normals[i, k] * view
-                light_square += light * light
-                view_square += view * view
-                cross += light * view
-            lobes[j, i, :] = 0.0
+                light[k], view[k] = lights[j, k] - vertices[i, k], cameras[j, k] - vertices[i, k]
+                n_l += frames[i, 0, k] * light[k]
+                n_v += frames[i, 0, k] * view[k]
+                light_square += light[k] * light[k]
+                view_square += view[k] * view[k]
+                cross += light[k] * view[k]
             if n_l <= 0.0 or view_square == 0.0:
                 continue
             light_length, view_length = np.sqrt(light_square), np.sqrt(view_square)
@@ -122,35 +131,16 @@ def _fill_lobes(vertices, normals, cameras, lights, reference, lobes):  # type: 
                 lobes[j, i, 1] = falloff * 3.0 / (8.0 * np.pi) * n_h
                 lobes[j, i, 2] = falloff * 10.0 / (8.0 * np.pi) * power8
                 lobes[j, i, 3] = falloff * 66.0 / (8.0 * np.pi) * power8**8
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _fill_slopes(vertices, normals, cameras, lights, first, second, slopes):  # type: ignore[no-untyped-def]
-    """Fill slopes (J, V, 4): p_1, p_2, q_1, q_2."""
-    for j in range(len(cameras)):
-        for i in range(len(vertices)):
-            slopes[j, i, :] = 0.0
-            n_l = n_h = light_square = view_square = 0.0
-            for k in range(3):
-                light, view = lights[j, k] - vertices[i, k], cameras[j, k] - vertices[i, k]
-                n_l += normals[i, k] * light
-                light_square += light * light
-                view_square += view * view
-            if n_l <= 0.0:
-                continue
-            ratio = np.sqrt(light_square / max(view_square, 1e-300))
-            p0 = p1 = q0 = q1 = 0.0
-            for k in range(3):
-                light = lights[j, k] - vertices[i, k]
-                half = light + ratio * (cameras[j, k] - vertices[i, k])
-                n_h += normals[i, k] * half
-                p0 += first[i, k] * light
-                p1 += second[i, k] * light
-                q0 += first[i, k] * half
-                q1 += second[i, k] * half
-            slopes[j, i, 0], slopes[j, i, 1] = p0 / n_l, p1 / n_l
-            if n_h > 0.0:
-                slopes[j, i, 2], slopes[j, i, 3] = q0 / n_h, q1 / n_h
+            ratio = np.sqrt(light_square / view_square)
+            for a in range(3):
+                on_light[a] = on_half[a] = 0.0
+                for k in range(3):
+                    on_light[a] += frames[i, a, k] * light[k]
+                    on_half[a] += frames[i, a, k] * (light[k] + ratio * view[k])
+            for t in range(2):
+                slopes[j, i, t] = on_light[1 + t] / on_light[0]
+                if on_half[0] > 0.0:
+                    slopes[j, i, 2 + t] = on_half[1 + t] / on_half[0]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -176,8 +166,6 @@ def point_light_radiance(reflectance: VertexReflectance, lobes: ArrayLike) -> Fl
     `reflectance` is that of V vertices; `lobes` are those of `point_light_lobes`. Raises `ValueError` when
     they have another shape.
     """
-    terms = np.asarray(lobes, np.float64)
-    if terms.ndim != 3 or terms.shape[1:] != (len(reflectance.known), 4):
-        raise ValueError(f"lobes is {terms.shape}, expected (J, {len(reflectance.known)}, 4)")
+    terms = checked_array(lobes, ("J", len(reflectance.known), 4), "lobes")
     gloss = np.einsum("jvs,vs->jv", terms[..., 1:], reflectance.weights)
     return terms[..., :1] * reflectance.diffuse_linear + gloss[..., None]

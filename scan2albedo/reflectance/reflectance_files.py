@@ -4,12 +4,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array, checked_mesh
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
+from scan2albedo.reflectance.linear_model import require_one_topology
 from scan2albedo.reflectance.vertex_fit import ReflectanceFit
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance, check_exponents
 
@@ -39,20 +39,15 @@ class MeshReflectance:
     """(V,): which vertices a photograph shows, where a model gave the others; None where it is not known."""
 
     def __post_init__(self) -> None:
-        vertices, faces = np.asarray(self.vertices, np.float64), np.asarray(self.faces)
+        vertices, faces = checked_mesh(self.vertices, self.faces, "the mesh", ReflectanceError)
         count = len(self.reflectance.known)
-        if vertices.shape != (count, 3) or not np.isfinite(vertices).all():
-            raise ReflectanceError(f"vertices is {vertices.shape}, expected finite numbers ({count}, 3)")
-        if faces.ndim != 2 or faces.shape[1] != 3 or not np.issubdtype(faces.dtype, np.integer):
-            raise ReflectanceError(f"faces is {faces.dtype} {faces.shape}, expected integers (F, 3)")
-        if faces.size and (faces.min() < 0 or faces.max() >= count):
-            raise ReflectanceError(f"faces point outside the {count} vertices")
-        if self.std is not None and np.shape(self.std) != (count, 6):
-            raise ReflectanceError(f"std is {np.shape(self.std)}, expected ({count}, 6)")
-        if self.seen is not None and np.shape(self.seen) != (count,):
-            raise ReflectanceError(f"seen is {np.shape(self.seen)}, expected ({count},)")
+        require_one_topology("the mesh", len(vertices), "its reflectance", count)
+        if self.std is not None:
+            checked_array(self.std, (count, 6), "std", ReflectanceError)
+        if self.seen is not None:
+            checked_array(self.seen, (count,), "seen", ReflectanceError, kind=bool)
         object.__setattr__(self, "vertices", vertices)
-        object.__setattr__(self, "faces", faces.astype(np.int64))
+        object.__setattr__(self, "faces", faces)
 
 
 class MeshReflectanceHeader(BaseModel):

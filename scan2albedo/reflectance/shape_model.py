@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray, checked_array, checked_mesh
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.reflectance.linear_model import LinearModel, principal_directions, require_one_topology
@@ -55,21 +55,15 @@ class MorphableShapeModel(LinearModel):
     """(68,): vertex of each landmark, iBUG-68 order."""
 
     def __post_init__(self) -> None:
-        count = len(self.mean)
+        count, marks = len(self.mean), self.landmark_vertices
         self.check("shape model:", (count, 3))
-        if self.faces.ndim != 2 or self.faces.shape[1:] != (3,) or not len(self.faces):
-            raise ReflectanceError(f"shape model: faces is {self.faces.shape}, expected (F, 3) with F > 0")
-        if self.landmark_vertices.shape != (LANDMARKS,):
-            raise ReflectanceError(
-                f"shape model: landmark_vertices is {self.landmark_vertices.shape}, expected ({LANDMARKS},)"
-            )
-        for name in ("faces", "landmark_vertices"):
-            index = getattr(self, name)
-            if index.dtype.kind not in "iu" or index.min() < 0 or index.max() >= count:
-                raise ReflectanceError(
-                    f"shape model: {name} must be integers in 0 ... {count - 1}, got {index.dtype} in "
-                    f"{index.min()} ... {index.max()}"
-                )
+        checked_mesh(self.mean, self.faces, "shape model", ReflectanceError)
+        if not len(self.faces):
+            raise ReflectanceError("shape model: it has no faces")
+        checked_array(marks, (LANDMARKS,), "shape model: landmark_vertices", ReflectanceError, kind=int)
+        if marks.min() < 0 or marks.max() >= count:
+            said = f"landmark_vertices are {marks.min()} to {marks.max()}, it has {count} vertices"
+            raise ReflectanceError(f"shape model: {said}")
 
     @classmethod
     def from_samples(
@@ -111,7 +105,7 @@ class MorphableShapeModel(LinearModel):
             np.concatenate([np.tensordot(identity, off, 1), expression]),
             len(identity),
             np.asarray(faces, np.int64),
-            np.asarray(landmark_vertices, np.int64),
+            checked_array(landmark_vertices, ("L",), "landmark_vertices", ReflectanceError, kind=int),
         )
 
     @classmethod
@@ -125,18 +119,13 @@ class MorphableShapeModel(LinearModel):
             advice="give a file that MorphableShapeModel.save wrote (data_schemas/shape_model.schema.json)",
             error=ReflectanceError,
         )
-        mean, *bases = (np.atleast_1d(arrays[name]).astype(np.float64) for name in tuple(_KINDS)[:3])
-        found = tuple(len(part) for part in (mean, *bases))
-        expected = header.vertices, header.identity_components, header.expression_components
-        if found != expected:
-            raise ReflectanceError(
-                f"shape model {path}: its header says (vertices, identity, expression) = {expected}, the "
-                f"arrays hold {found}; write the file again"
+        shape, indices = (header.vertices, 3), (arrays["faces"], arrays["landmark_vertices"])
+        counts = (), (header.identity_components,), (header.expression_components,)
+        with errors_of(f"shape model {path}", ReflectanceError, advice="write the file again"):
+            mean, *bases = (
+                checked_array(arrays[name], (*count, *shape), name, ReflectanceError)
+                for name, count in zip(_KINDS, counts, strict=False)
             )
-        indices = arrays["faces"], arrays["landmark_vertices"]
-        with errors_of(str(path), ReflectanceError, advice="write the file again"):
-            for name, basis in zip(("identity_basis", "expression_basis"), bases, strict=True):
-                LinearModel(mean, basis).check(f"shape model: {name}", (header.vertices, 3))
             return cls(mean, np.concatenate(bases), header.identity_components, *indices)
 
     def save(self, path: str | Path) -> None:
@@ -164,8 +153,7 @@ def _checked_stack(shapes: ArrayLike, name: str) -> FloatArray:
         stack = np.asarray(shapes, np.float64)
     except ValueError as error:
         raise ReflectanceError(f"{name} differ in number of vertices; bring all to one topology") from error
-    if stack.ndim != 3 or stack.shape[2] != 3:
-        raise ReflectanceError(f"{name} must have shape (K, V, 3), got {stack.shape}")
+    checked_array(stack, ("K", "V", 3), name, ReflectanceError)
     bad = ~np.isfinite(stack).all((1, 2))
     if bad.any():
         raise ReflectanceError(f"{name}: shape {np.flatnonzero(bad)[0]} is not finite; leave it out")

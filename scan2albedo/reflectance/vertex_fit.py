@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance.olat import OlatOptions
 from scan2albedo.reflectance.point_light_lobes import cosines_of_lobes, point_light_radiance
@@ -313,11 +313,7 @@ def relighting_error(
     options : ReflectanceFitOptions
         With light gains, a flash that lit none of the others has gain 1.
     """
-    hidden = np.asarray(held_out)
-    if hidden.dtype != np.bool_ or hidden.shape != samples.light.shape:
-        raise ReflectanceError(
-            f"held_out is {hidden.dtype} {hidden.shape}, expected bool {samples.light.shape}"
-        )
+    hidden = checked_array(held_out, samples.light.shape, "held_out", ReflectanceError, kind=bool)
     if not 0 < hidden.sum() < len(hidden):
         raise ReflectanceError(f"{hidden.sum()} of {len(hidden)} pictures are held out, expected a part")
     fit = fit_reflectance(samples.of_pairs(~hidden), options=options)

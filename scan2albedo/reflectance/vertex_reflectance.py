@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
 from scan2albedo.errors import ReflectanceError
 
 EXPONENTS = (1.0, 8.0, 64.0)
@@ -37,12 +37,9 @@ class VertexReflectance:
     """(V,): vertices with numbers."""
 
     def __post_init__(self) -> None:
-        diffuse, weights = np.asarray(self.diffuse_linear, float), np.asarray(self.weights, float)
-        known = np.asarray(self.known)
-        if diffuse.ndim != 2 or diffuse.shape[1] != 3 or weights.shape != diffuse.shape:
-            raise ReflectanceError(f"diffuse_linear {diffuse.shape}, weights {weights.shape}, not (V, 3)")
-        if known.dtype != np.bool_ or known.shape != diffuse.shape[:1]:
-            raise ReflectanceError(f"known is {known.dtype} {known.shape}, expected bool ({len(diffuse)},)")
+        diffuse = checked_array(self.diffuse_linear, ("V", 3), "diffuse_linear", ReflectanceError)
+        weights = checked_array(self.weights, diffuse.shape, "weights", ReflectanceError)
+        known = checked_array(self.known, diffuse.shape[:1], "known", ReflectanceError, kind=bool)
         numbers = np.concatenate([diffuse, weights], axis=1)
         good = (np.isfinite(numbers) & (numbers >= 0)).all(axis=1)
         if (known & ~good).any():
@@ -110,9 +107,7 @@ def reflectance_from_albedo(
     known : (V,) array_like of bool, optional
         Vertices to keep, those with a finite albedo when omitted.
     """
-    albedo = np.asarray(albedo_linear, np.float64)
-    if albedo.ndim != 2 or albedo.shape[1] != 3:
-        raise ReflectanceError(f"albedo_linear is {albedo.shape}, expected (V, 3)")
+    albedo = checked_array(albedo_linear, ("V", 3), "albedo_linear", ReflectanceError)
     lobes = np.asarray(weights, np.float64)
     if lobes.shape not in ((3,), albedo.shape):
         raise ReflectanceError(f"weights are {lobes.shape}, expected (3,) or {albedo.shape}")

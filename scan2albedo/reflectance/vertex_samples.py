@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.geometry.mesh import face_cross_products, normalized
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, project
+from scan2albedo.geometry.rigid import compose, is_rigid
 from scan2albedo.reflectance.olat import OlatImages
-from scan2albedo.reflectance.point_light_lobes import lobe_slopes, point_light_lobes, turn_lobes
+from scan2albedo.reflectance.point_light_lobes import lobes_and_slopes, turn_lobes
 from scan2albedo.reflectance.vertex_visibility import VertexVisibility, checked_surface, pixels_around
 
 
@@ -32,17 +33,13 @@ class CaptureRig:
     def __post_init__(self) -> None:
         with errors_of("the cameras of the rig cannot be used", ReflectanceError, ValueError):
             cameras = normalized_cameras(self.cameras)
-        positions, light = np.asarray(self.light_positions, np.float64), np.asarray(self.light)
-        count = len(cameras)
-        if positions.shape != (count, 3) or not np.isfinite(positions).all():
-            raise ReflectanceError(
-                f"light_positions is {positions.shape}, expected finite numbers ({count}, 3)"
-            )
-        if light.shape != (count,) or not np.issubdtype(light.dtype, np.integer) or (light < 0).any():
-            raise ReflectanceError(f"light is {light.dtype} {light.shape}, expected ({count},) integers >= 0")
-        object.__setattr__(self, "cameras", cameras)
-        object.__setattr__(self, "light_positions", positions)
-        object.__setattr__(self, "light", light.astype(np.int64))
+        count, wrong = len(cameras), ReflectanceError
+        places = checked_array(self.light_positions, (count, 3), "light_positions", wrong, finite=wrong)
+        light = checked_array(self.light, (count,), "light", wrong, kind=int)
+        if (light < 0).any():
+            raise ReflectanceError(f"light is {light.min()} at least, expected 0 or more")
+        for name, array in (("cameras", cameras), ("light_positions", places), ("light", light)):
+            object.__setattr__(self, name, array)
 
     @property
     def camera_positions(self) -> FloatArray:
@@ -72,22 +69,15 @@ def rig_of_head_poses(
     view, flash : (J,) array_like of int
         Numbers of cameras.
     """
-    turn, shift = np.asarray(rotations, np.float64), np.asarray(translations, np.float64)
-    if turn.ndim != 3 or turn.shape[1:] != (3, 3) or shift.shape != turn.shape[:2]:
-        raise ReflectanceError(f"rotations {turn.shape}, translations {shift.shape}, not (C, 3, 3), (C, 3)")
-    finite = np.where(np.isfinite(turn).all((1, 2), keepdims=True), turn, 0.0)
-    off = np.abs(finite @ finite.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2), initial=0.0)
-    bad = (off > 1e-4) | (np.linalg.det(finite) <= 0)
-    if bad.any():
-        first = int(np.flatnonzero(bad)[0])
-        raise ReflectanceError(
-            f"head pose {first} has no proper rotation: R R^T is off by {off[first]:.3g}, det R is "
-            f"{np.linalg.det(finite[first]):.3g}"
-        )
-    numbers = [np.asarray(index) for index in (view, flash)]
+    turn = checked_array(rotations, ("C", 3, 3), "rotations", ReflectanceError)
+    shift = checked_array(translations, turn.shape[:2], "translations", ReflectanceError)
+    for number, rotation in enumerate(turn):
+        if not is_rigid(compose(rotation, np.zeros(3)), 1e-4):
+            said = f"head pose {number} has no proper rotation, R R^T = 1 and det R = 1"
+            raise ReflectanceError(f"{said}: {rotation.tolist()}")
+    seen_by = checked_array(view, ("J",), "view", ReflectanceError, kind=int)
+    numbers = [seen_by, checked_array(flash, seen_by.shape, "flash", ReflectanceError, kind=int)]
     for name, index in zip(("view", "flash"), numbers, strict=True):
-        if index.ndim != 1 or not np.issubdtype(index.dtype, np.integer) or len(index) != len(numbers[0]):
-            raise ReflectanceError(f"{name} is {index.dtype} {index.shape}, expected integers (J,)")
         if len(index) and not (index.min() >= 0 and index.max() < len(turn)):
             raise ReflectanceError(f"{name} reaches {index.min()} to {index.max()} of {len(turn)} poses")
     inner = np.broadcast_to(np.asarray(intrinsics, np.float64), turn.shape)
@@ -127,29 +117,26 @@ class VertexSamples:
     """(V, V): of light from the mesh onto itself; None: none does, as in renderings of direct light alone."""
 
     def __post_init__(self) -> None:
-        shape = np.shape(self.observed_linear)
-        if len(shape) != 3 or shape[2] != 3:
-            raise ReflectanceError(f"observed_linear is {shape}, expected (J, V, 3)")
-        numbers, lobed = np.float64, (*shape[:2], 4)
-        for name, kind, expected in (
-            ("observed_linear", numbers, shape),
-            ("sigma", numbers, shape),
-            ("valid", None, shape),
-            ("lobes", numbers, lobed),
-            ("light", None, shape[:1]),
-            ("slopes", numbers, lobed),
-            ("normal_spread", numbers, shape[1:2]),
+        shape = checked_array(self.observed_linear, ("J", "V", 3), "observed_linear", ReflectanceError).shape
+        lobed = (*shape[:2], 4)
+        for name, expected in (
+            ("observed_linear", shape),
+            ("sigma", shape),
+            ("valid", shape),
+            ("lobes", lobed),
+            ("light", shape[:1]),
+            ("slopes", lobed),
+            ("normal_spread", shape[1:2]),
         ):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name), kind))
-                if getattr(self, name).shape != expected:
-                    found = getattr(self, name).shape
-                    raise ReflectanceError(f"{name} is {found}, expected {expected} as observed_linear says")
+            if (given := getattr(self, name)) is not None:
+                kind = {"valid": bool, "light": int}.get(name, float)
+                array = checked_array(given, expected, name, ReflectanceError, kind=kind)
+                object.__setattr__(self, name, np.ascontiguousarray(array))
         if self.form_factors is not None and self.form_factors.shape != 2 * shape[1:2]:
             raise ReflectanceError(f"form_factors is {self.form_factors.shape}, expected {2 * shape[1:2]}")
         observed, sigma, valid, light = self.observed_linear, self.sigma, self.valid, self.light
-        if valid.dtype != np.bool_ or not np.issubdtype(light.dtype, np.integer) or (light < 0).any():
-            raise ReflectanceError(f"valid, light: {valid.dtype}, {light.dtype}; expected bool, ints >= 0")
+        if (light < 0).any():
+            raise ReflectanceError(f"light is {light.min()} at least, expected 0 or more")
         bad = valid & ~(np.isfinite(observed) & np.isfinite(sigma) & (sigma > _LEAST_SIGMA))
         bad |= valid & ~np.isfinite(self.lobes).all(-1, keepdims=True)
         if not all(one is None or np.isfinite(one).all() for one in (self.slopes, self.normal_spread)):
@@ -162,7 +149,6 @@ class VertexSamples:
                 f"{observed[pair, vertex]}, {sigma[pair, vertex]}"
             )
         object.__setattr__(self, "observed_linear", np.where(valid, observed, 0.0))
-        object.__setattr__(self, "light", light.astype(np.int64))
 
     @property
     def pair_count(self) -> IntArray:
@@ -214,8 +200,8 @@ def sample_vertices(
     Pixels are interpolated bilinearly, a channel only where all four are valid. Sigma is that of independent
     pixels and, where the four differ by more than their noise, of not knowing the position better. Hidden
     vertices and cast shadows are found by rays against the mesh. Vertices nearer than 1.5 pixels to an edge
-    of the surface are left out. Raises `ValueError` for other shapes or distances, `ReflectanceError` when
-    there are not as many cameras as pictures, or vertices or normals are not finite or not unit.
+    of the surface are left out. Raises `ValueError` for other normals or distances, `ReflectanceError` when
+    there are not as many cameras as pictures, the mesh is none, or it or normals are not finite or unit.
 
     Parameters
     ----------
@@ -236,7 +222,7 @@ def sample_vertices(
         raise ReflectanceError(f"there are {len(olat)} pictures but {len(rig)} cameras in the rig")
     xyz, index, normal = checked_surface(vertices, faces, normals)
     views = xyz, normal, rig.camera_positions, rig.light_positions
-    lobes = point_light_lobes(*views, reference_distance_mm=reference_distance_mm)
+    lobes, lobe_slopes = lobes_and_slopes(*views, reference_distance_mm)
     shape = (len(olat), len(xyz), 3)
     observed, variance, valid = np.zeros(shape), np.zeros(shape), np.zeros(shape, bool)
     visibility = VertexVisibility(xyz, index, normal)
@@ -264,6 +250,6 @@ def sample_vertices(
     square = np.bincount(corners, weight * angle.ravel() ** 2, len(xyz))
     normal_spread = np.sqrt(square / np.maximum(np.bincount(corners, weight, len(xyz)), np.finfo(float).tiny))
     return VertexSamples(
-        *(observed, np.sqrt(variance), valid, lobes, rig.light, lobe_slopes(*views), normal_spread),
+        *(observed, np.sqrt(variance), valid, lobes, rig.light, lobe_slopes, normal_spread),
         visibility.form_factors(),
     )

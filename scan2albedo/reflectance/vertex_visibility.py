@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array, checked_mesh
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import edges_with_faces, face_cross_products, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, project
@@ -24,21 +24,15 @@ def checked_surface(
 ) -> tuple[FloatArray, IntArray, FloatArray]:
     """Return vertices, faces, and the normals given or the mesh's (V, 3), 0 where there are none.
 
-    Raises `ValueError` for other shapes than (V, 3) and (F, 3), `ReflectanceError` for what is not finite or
-    not unit, and for faces of other vertices.
+    Raises `ReflectanceError` for a mesh that is none, or not finite, and normals that are not unit;
+    `ValueError` for another shape of these.
     """
-    xyz, index = np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int64)
-    if xyz.ndim != 2 or xyz.shape[1] != 3 or index.ndim != 2 or index.shape[1] != 3:
-        raise ValueError(f"vertices is {xyz.shape} and faces {index.shape}, expected (V, 3) and (F, 3)")
-    if not np.isfinite(xyz).all():
-        raise ReflectanceError("vertices are not all finite")
-    if len(index) == 0 or index.min() < 0 or index.max() >= len(xyz):
-        raise ReflectanceError(f"faces hold no triangles, or others than of the {len(xyz)} vertices")
+    xyz, index = checked_mesh(vertices, faces, "the mesh", ReflectanceError)
+    if len(index) == 0:
+        raise ReflectanceError("the mesh has no triangles")
     if normals is None:
         return xyz, index, vertex_normals(xyz, index)
-    given = np.ascontiguousarray(normals, np.float64)
-    if given.shape != xyz.shape:
-        raise ValueError(f"normals is {given.shape}, expected {xyz.shape} as vertices")
+    given = np.ascontiguousarray(checked_array(normals, xyz.shape, "normals"))
     unit_vectors(np.where(given.any(1, keepdims=True), given, (0.0, 0.0, 1.0)), "normals")
     return xyz, index, given
 

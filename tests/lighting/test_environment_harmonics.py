@@ -48,7 +48,11 @@ def test_a_bright_texel_is_a_distant_light():
 
 @pytest.mark.parametrize(
     ("image", "message"),
-    [(np.ones((4, 8)), "shape"), (np.ones((0, 8, 3)), "shape"), (np.full((2, 4, 3), np.nan), "finite")],
+    [
+        (np.ones((4, 8)), "is"),
+        (np.ones((0, 8, 3)), "no texel"),
+        (np.full((2, 4, 3), np.nan), "24 values are NaN"),
+    ],
 )
 def test_what_is_no_map_is_refused(image, message):
     with pytest.raises(ValueError, match=message):

@@ -87,15 +87,15 @@ def test_what_is_no_light_is_refused():
         distant_directions(0)
     with pytest.raises(ValueError, match="not zero"):
         environment_weights(np.ones((2, 4, 3)), [[0, 0, 0]])
-    with pytest.raises(ValueError, match="directions must have"):
+    with pytest.raises(ValueError, match="directions must be one or more"):
         environment_weights(np.ones((2, 4, 3)), np.zeros((0, 3)))
-    with pytest.raises(ValueError, match="finite"):
+    with pytest.raises(ValueError, match="environment_linear: 24 values are NaN or infinite"):
         environment_weights(np.full((2, 4, 3), np.inf), [[0, 0, 1]])
-    with pytest.raises(ValueError, match="shape"):
+    with pytest.raises(ValueError, match="environment_linear is"):
         environment_weights(np.ones((2, 4)), [[0, 0, 1]])
-    with pytest.raises(ValueError, match="irradiance_linear must be"):
+    with pytest.raises(ValueError, match="irradiance_linear is"):
         DistantLights([[0, 0, 1]], np.ones((2, 3)))
-    with pytest.raises(ValueError, match="finite"):
+    with pytest.raises(ValueError, match="irradiance_linear: 3 values are NaN"):
         DistantLights([[0, 0, 1]], [np.nan])
     grey = DistantLights([[0, 0, 2.0]], [3.0])
     assert grey.irradiance_linear.tolist() == [[3, 3, 3]]

@@ -1,13 +1,13 @@
 """Details of the albedo: what is shared with the light, and what is not said."""
 
 import numpy as np
+from benchmarks.everyday_light import generated_environment
 
 from scan2albedo.lighting.harmonics import project_environment
 from scan2albedo.reflectance import (
     ImageObservation,
     MorphableReflectanceModel,
     VertexReflectance,
-    generated_environment,
     shade_environment,
 )
 from scan2albedo.reflectance.face_fit import ShadingDivided, detail_field

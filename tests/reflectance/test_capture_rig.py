@@ -48,11 +48,11 @@ def test_intrinsics_may_differ_from_camera_to_camera(poses):
         ({"rotations": np.stack([np.diag([1.0, 1, -1])] * 3)}, "head pose 0 has no proper rotation"),
         ({"rotations": np.stack([2 * np.eye(3)] * 3)}, "head pose 0"),
         ({"rotations": np.full((3, 3, 3), np.nan)}, "head pose 0"),
-        ({"translations": np.zeros((2, 3))}, r"not \(C, 3, 3\), \(C, 3\)"),
+        ({"translations": np.zeros((2, 3))}, r"translations is \(2, 3\), expected \(3, 3\)"),
         ({"view": [0, 3]}, "view reaches 0 to 3 of 3 poses"),
         ({"flash": [0, -1]}, "flash reaches -1"),
         ({"flash": [0.0, 1.0]}, "flash is float64"),
-        ({"flash": [0]}, r"expected integers \(J,\)"),
+        ({"flash": [0]}, r"expected int \(2,\)"),
     ],
 )
 def test_poses_that_do_not_fit_are_refused(poses, change, message):

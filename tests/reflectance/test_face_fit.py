@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from benchmarks.everyday_light import generated_environment
 from scipy.spatial import Delaunay
 
 from scan2albedo.errors import ReflectanceError
@@ -15,7 +16,6 @@ from scan2albedo.reflectance import (
     VertexReflectance,
     fit_face,
     fit_image,
-    generated_environment,
     shade_environment,
 )
 from scan2albedo.reflectance.face_fit import ShadingDivided, detail_field, skin_hue

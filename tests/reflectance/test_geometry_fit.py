@@ -7,6 +7,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from benchmarks.everyday_light import generated_environment
 
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core import Budget, Meter
@@ -16,17 +17,14 @@ from scan2albedo.geometry.pinhole import camera_centers, look_at, project
 from scan2albedo.geometry.rasterization import interpolate, rasterize
 from scan2albedo.geometry.rigid import compose, procrustes, rotation_from_vector, transform_points
 from scan2albedo.lighting.harmonics import project_environment
-from scan2albedo.optimization.least_squares import MapPoint
 from scan2albedo.reflectance import (
     MorphableShapeModel,
     VertexReflectance,
-    generated_environment,
     refine_geometry,
     shade_environment,
 )
 from scan2albedo.reflectance.geometry_terms import (
-    GeometryObjective,
-    GeometryState,
+    GeometryPoint,
     LandmarkTerm,
     PhotometricTerm,
     SmoothImage,
@@ -113,9 +111,10 @@ def refine(face, model, **given):
         return refine_geometry(face.image, CAMERA, given.pop("landmarks_px", face.landmarks), model, **given)
 
 
-def states(model, face):
+def states(model, face, given=()):
     rng = np.random.default_rng(3)
-    return GeometryState(model, face.pose, 0.3 * rng.normal(size=model.components))
+    coefficients = 0.3 * rng.normal(size=model.components)
+    return GeometryPoint(model, face.pose, coefficients, Meter("test", "objective"), given)
 
 
 def terms(model, face):
@@ -140,8 +139,7 @@ def test_colours_differ_by_the_derivative_when_vertices_move(model, face):
 
 
 def test_the_gradient_is_that_of_the_objective_by_pose_and_coefficients(model, face):
-    objective = GeometryObjective(model, terms(model, face))
-    point = MapPoint.evaluate(objective, states(model, face), Meter("test", "objective"))
+    point = states(model, face, terms(model, face))
     gradient = point.normal_equations().gradient
     assert len(gradient) == 6 + model.components
 

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from benchmarks.everyday_light import generated_environment
 from scipy.spatial import ConvexHull
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics, project_environment
-from scan2albedo.reflectance import EXPONENTS, generated_environment, light_transfer
+from scan2albedo.reflectance import EXPONENTS, light_transfer
 from scan2albedo.reflectance.environment_shading import light_response
 
 BALL = distant_directions(1500)

@@ -133,7 +133,7 @@ def test_shapes_and_options_are_checked(image):
         observe_photograph(image, CAMERA[:, :3], VERTICES, FACES)
     with pytest.raises(ReflectanceError, match="camera cannot be used"):
         observe_photograph(image, CAMERA * np.nan, VERTICES, FACES)
-    with pytest.raises(ValueError, match="vertices"):
+    with pytest.raises(ReflectanceError, match="its vertices have shape"):
         observe_photograph(image, CAMERA, VERTICES[:, :2], FACES)
     for name in ("gamma", "saturation"):
         with pytest.raises(ValueError, match=rf"{name} (is )?0,?"):

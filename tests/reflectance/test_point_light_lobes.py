@@ -42,9 +42,9 @@ def test_what_is_not_known_sends_nan():
 
 def test_shapes_that_disagree_are_refused():
     one, two = np.zeros((1, 3)), np.zeros((2, 3))
-    with pytest.raises(ValueError, match="shapes are"):
+    with pytest.raises(ValueError, match="normals is"):
         point_light_lobes(one, two, one, one)
-    with pytest.raises(ValueError, match="shapes are"):
+    with pytest.raises(ValueError, match="light_positions is"):
         point_light_lobes(one, one, one, two)
     with pytest.raises(ValueError, match="expected \\(J, 1, 4\\)"):
         point_light_radiance(VertexReflectance(one, one, np.ones(1, bool)), np.ones((1, 2, 4)))

@@ -22,7 +22,7 @@ def test_what_is_not_known_has_no_number():
 @pytest.mark.parametrize(
     ("diffuse", "weights", "known", "message"),
     [
-        (np.ones((3, 3)), np.ones((2, 3)), np.ones(3, bool), r"not \(V, 3\)"),
+        (np.ones((3, 3)), np.ones((2, 3)), np.ones(3, bool), r"weights is \(2, 3\), expected \(3, 3\)"),
         (np.ones((3, 3)), np.ones((3, 3)), np.ones(2, bool), "expected bool"),
         (np.ones((3, 3)), np.ones((3, 3)), np.ones(3), "expected bool"),
         (-np.ones((3, 3)), np.ones((3, 3)), np.ones(3, bool), "vertex 0"),

@@ -201,8 +201,8 @@ def test_pictures_of_the_flash_at_the_head_itself_leave_no_nan(scene, olat):
         ({"normals": np.zeros((3, 3))}, ValueError, "normals is"),
         ({"normals": 2.0}, ReflectanceError, "of length 2"),
         ({"faces": np.zeros((0, 3), int)}, ReflectanceError, "no triangles"),
-        ({"faces": np.full((1, 3), 10**6)}, ReflectanceError, "no triangles"),
-        ({"faces": np.zeros((4,), int)}, ValueError, "expected \\(V, 3\\) and \\(F, 3\\)"),
+        ({"faces": np.full((1, 3), 10**6)}, ReflectanceError, "refer to vertices"),
+        ({"faces": np.zeros((4,), int)}, ReflectanceError, "its faces have shape"),
     ],
 )
 def test_meshes_that_do_not_fit_are_refused(scene, olat, change, error, message):
@@ -236,7 +236,7 @@ def test_a_picture_of_one_pixel_has_no_corner_to_spare(scene, olat):
         ("sigma", np.ones((2, 3)), "sigma is \\(2, 3\\)"),
         ("observed_linear", np.ones((2, 3)), "expected \\(J, V, 3\\)"),
         ("valid", np.ones((2, 3, 3)), "expected bool"),
-        ("light", np.array([0, -1]), "expected bool, ints >= 0"),
+        ("light", np.array([0, -1]), "light is -1 at least"),
     ],
 )
 def test_samples_that_do_not_fit_are_refused(name, value, message):

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from benchmarks.everyday_light import generated_environment
 
 from scan2albedo.geometry.pinhole import project
 from scan2albedo.lighting.harmonics import project_environment
 from scan2albedo.reflectance import (
     VertexReflectance,
-    generated_environment,
     observe_photograph,
 )
 from scan2albedo.synthetic import Portrait, face_photograph

@@ -9,6 +9,7 @@ from typing import get_args
 import numpy as np
 
 import scan2albedo as s2a
+from benchmarks.everyday_light import generated_environment
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.lighting.harmonics import harmonics, project_environment
@@ -17,7 +18,6 @@ from scan2albedo.reflectance import (
     MorphableReflectanceModel,
     MorphableShapeModel,
     VertexReflectance,
-    generated_environment,
     shade_environment,
 )
 from scan2albedo.synthetic import Portrait, face_photograph, face_shape

@@ -11,11 +11,11 @@ from functools import cache
 
 import numpy as np
 
+from benchmarks.everyday_light import SHAPE
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment import map_directions
 from scan2albedo.lighting.shadow_map import ShadowMap
 from scan2albedo.reflectance import EXPONENTS, VertexReflectance
-from scan2albedo.reflectance.lighting_model import SHAPE
 
 ROWS, COLUMNS = 2 * SHAPE[0], 2 * SHAPE[1]
 _BLOCK = 128

@@ -12,11 +12,13 @@ from scan2albedo import reflectance
 from scan2albedo.albedo import albedo_error
 from scan2albedo.core import ProgressCallback
 from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.io.atomic import write_text
 from scan2albedo.io.images import write_png
 from scan2albedo.io.records import Record, write_record
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
+from scan2albedo.lighting.environment import texel_directions
 from scan2albedo.reflectance import OlatOptions, VertexReflectance
 from scan2albedo.reflectance.capture_files import FacePhotographFile, FlashCaptureFile, PairEntry, PoseEntry
 from scan2albedo.runs.reflectance import model_run
@@ -137,8 +139,13 @@ def run_reflectance_demo(
 
 
 def _photograph(seed: int, number: int) -> FacePhotograph:
-    azimuth, environment = (0.0, 20.0, -20.0)[number % 3], reflectance.generated_environment(seed)
-    return face_photograph(seed, environment, azimuth_deg=azimuth, lights=128, hair=False, portrait=_PORTRAIT)
+    """Photograph a person in a grey room with three soft lamps, from a warm one to a cool one."""
+    rng, toward = np.random.default_rng(seed), texel_directions((32, 64))
+    lamps = normalized(rng.normal(size=(3, 3)) + [0.0, 1.0, 1.0])
+    tints = rng.uniform(4, 16, (3, 1)) * [[1.2, 1.0, 0.8], [1.0, 1.0, 1.0], [0.8, 1.0, 1.2]]
+    room = 1 + np.exp(20 * (toward @ lamps.T - 1)) @ tints
+    azimuth = (0.0, 20.0, -20.0)[number % 3]
+    return face_photograph(seed, room, azimuth_deg=azimuth, lights=128, hair=False, portrait=_PORTRAIT)
 
 
 class SyntheticRecord(Record):

@@ -11,13 +11,12 @@ import numpy as np
 
 from scan2albedo import reflectance
 from scan2albedo.core.arrays import FloatArray
-from scan2albedo.errors import ReflectanceError, one_line
+from scan2albedo.errors import ReflectanceError, errors_of, one_line
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.io.npz import read_npz
 from scan2albedo.reflectance import MeshReflectance, VertexReflectance, read_reflectance, write_reflectance
 from scan2albedo.reflectance.morphable_model import held_out_components, reliability
 from scan2albedo.reflectance.reflectance_files import RESULT_FILE
-from scan2albedo.reflectance.shape_model import LANDMARKS
 from scan2albedo.report.overview import Panel, overview_figure
 from scan2albedo.report.reflectance_views import albedo_colors, albedo_white, face_picture
 from scan2albedo.runs.reflectance import MEAN_FILE, MODEL_FILE, SHAPE_FILE, publishing
@@ -75,10 +74,9 @@ def build_model(
     `ValueError` for options out of range.
     """
     samples = [read_sample(path) for path in sources]
+    first, faces = samples[0].vertices, samples[0].faces
     for path, sample in zip(sources, samples, strict=True):
-        if not np.array_equal(sample.faces, samples[0].faces) or len(sample.vertices) != len(
-            samples[0].vertices
-        ):
+        if len(sample.vertices) != len(first) or not np.array_equal(sample.faces, faces):
             raise ReflectanceError(
                 f"{path} has other triangles than {sources[0]}; a model needs one topology: fit captures of "
                 "meshes that correspond, or process scans with one model"
@@ -89,7 +87,6 @@ def build_model(
         least_support=least_support,
         weights=[reliability(sample.reflectance, sample.std) for sample in samples],
     )
-    first = samples[0].vertices
     shapes = np.stack([transform_points(procrustes(one.vertices, first), one.vertices) for one in samples])
     mean = model.reconstruct(np.zeros(model.components)).reflectance
     shape = None
@@ -99,14 +96,11 @@ def build_model(
             numbers = np.asarray(json.loads(landmark_vertices.read_text(encoding="utf-8")))
         except (OSError, ValueError) as error:
             raise ReflectanceError(f"{what} cannot be read ({one_line(error)}); give a JSON list") from error
-        if numbers.shape != (LANDMARKS,) or not np.issubdtype(numbers.dtype, np.integer):
-            raise ReflectanceError(f"{what}: expected a list of {LANDMARKS} integers")
+        with errors_of(what, ReflectanceError):
+            shape = reflectance.MorphableShapeModel.from_samples(shapes, None, faces, numbers)
         if len(np.unique(numbers)) < len(numbers):
             raise ReflectanceError(f"{what}: two landmarks have one vertex; give 68 different ones")
-        if numbers.min() < 0 or numbers.max() >= len(first):
-            raise ReflectanceError(f"{what} are {numbers.min()} to {numbers.max()}, it has {len(first)}")
-        shape = reflectance.MorphableShapeModel.from_samples(shapes, None, samples[0].faces, numbers)
-    return FaceModels(model, MeshReflectance(shapes.mean(0), samples[0].faces, mean), shape, tuple(sources))
+    return FaceModels(model, MeshReflectance(shapes.mean(0), faces, mean), shape, tuple(sources))
 
 
 def synthetic_model(count: int, *, components: int | None = None) -> FaceModels:
@@ -153,20 +147,15 @@ def default_model() -> FaceModels:
         np.concatenate([two, whole - two.sum(-1, keepdims=True)], axis=-1)
         for two, whole in zip(part("share"), (1, 0), strict=True)
     ]
-    people, count = int(arrays["people"]), len(shares[0])
-    model = reflectance.MorphableReflectanceModel(
-        known=np.ones(count, bool),
-        support=np.full(count, people),
-        diffuse=reflectance.LinearModel(*part("diffuse")),
-        total=reflectance.LinearModel(*part("total")),
-        share=reflectance.LinearModel(*shares),
-        total_variance=float(arrays["total_variance"]),
-        samples=people,
-    )
-    mean, basis = part("shape")
+    people, count, variance = int(arrays["people"]), len(shares[0]), float(arrays["total_variance"])
+    columns = zip(part("diffuse"), (total[..., None] for total in part("total")), shares, strict=True)
+    mean, basis = (np.concatenate(three, axis=-1) for three in columns)
+    known, support = np.ones(count, bool), np.full(count, people)
+    model = reflectance.MorphableReflectanceModel(mean, basis, known, support, variance, people)
+    shape_mean, shape_basis = part("shape")
     shape = reflectance.MorphableShapeModel(
-        to_surface @ mean,
-        np.stack([to_surface @ direction for direction in basis]),
+        to_surface @ shape_mean,
+        np.stack([to_surface @ direction for direction in shape_basis]),
         int(arrays["identity_components"]),
         faces,
         arrays["landmark_vertices"],
