@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import Similarity, rotation_from_vector
 from scan2albedo.optimization.least_squares import SMALLEST_DIAGONAL, NormalEquations, damped_step
@@ -139,13 +139,6 @@ class NearestGrid:
         nearest[tuple(inside[order].T)] = order
         cells = distance_transform_edt(nearest < 0, return_distances=False, return_indices=True)
         return cls(samples, nearest[tuple(cells)], low, cell)
-
-    def nearest_samples(self, points: FloatArray) -> IntArray:
-        """Return the index of (nearly) the nearest sample of each (N, 3) point, -1 outside the grid."""
-        cell = np.floor((points - self.origin) / self.cell).astype(np.int64)
-        inside = np.all((cell >= 0) & (cell < np.array(self.nearest.shape)), axis=1)
-        x, y, z = np.where(inside[:, None], cell, 0).T
-        return np.where(inside, self.nearest[x, y, z], -1)
 
 
 def align_on_grid(

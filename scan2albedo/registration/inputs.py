@@ -19,7 +19,6 @@ from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import RegistrationError
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.variation import shape_modes
-from scan2albedo.geometry.alignment import NearestGrid
 from scan2albedo.geometry.mesh import far_faces, turned_against_neighbours
 from scan2albedo.geometry.operators import vertex_average
 from scan2albedo.geometry.oriented_points import OrientedPoints, SurfaceNoise, anchors, oriented_points
@@ -76,11 +75,6 @@ class PreparedScan:
     def turned_faces(self) -> int:
         """How many faces of the scan as read are wound against their neighbours."""
         return int(turned_against_neighbours(self.raw.faces).sum())
-
-    @cached_property
-    def grid(self) -> NearestGrid:
-        """The voxel grid over the samples."""
-        return NearestGrid.of(self.samples, cell=6, margin=40)
 
     @cached_property
     def noise(self) -> SurfaceNoise:

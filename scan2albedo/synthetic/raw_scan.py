@@ -191,6 +191,7 @@ def flash_pictures(
     """
     scene, radiances, faces_shown = RayScene(sitter.vertices, sitter.faces), [], []
     soft = None if ambient is None else ambient(sitter, scene, rng)
+    tints = np.ones((1 + len(lights), 3)) if colors is None else colors
     for camera, place in zip(pods, pinhole.camera_centers(pods), strict=True):
         rays = pinhole.pixel_directions(camera, texel_coordinates(size))
         hits = scene.first_hit(np.broadcast_to(place, rays.shape), rays)
@@ -208,15 +209,11 @@ def flash_pictures(
             specular_scale=sitter.specular_scale_at(face),
         )
         radiance, on_face = np.tile(_BACKDROP, (size * size, 1)), np.zeros(size * size, bool)
-        if colors is None and soft is None:
-            radiance[hit] = under(lights).radiance_linear
-        else:
-            tints = np.ones((1 + len(lights), 3)) if colors is None else colors
-            around = np.ones(3) if soft is None else np.einsum("nk,nkc->nc", barycentric, soft[corners])
-            unlit = under(()).radiance_linear
-            lamps = [under((light,)).radiance_linear - unlit for light in lights]
-            parts = zip([tints[0] * around, *tints[1:]], (unlit, *lamps), strict=True)
-            radiance[hit] = np.asarray(sum(color * part for color, part in parts))
+        around = np.ones(3) if soft is None else np.einsum("nk,nkc->nc", barycentric, soft[corners])
+        unlit = under(()).radiance_linear
+        lamps = [under((light,)).radiance_linear - unlit for light in lights]
+        parts = zip([tints[0] * around, *tints[1:]], (unlit, *lamps), strict=True)
+        radiance[hit] = np.asarray(sum(color * part for color, part in parts))
         on_face[hit] = sitter.part[face] == seated.BodyPart.FACE
         radiances.append(radiance.reshape(size, size, 3))
         faces_shown.append(radiance[on_face])
