@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import chain, repeat
 
 import numpy as np
@@ -106,11 +107,11 @@ def ranked_candidates(
     closely (`Evidence`), and the scan's colours scored when none is clearly a face. Without landmarks the
     search ends after two batches of which nothing resembles a face at all.
     """
-    candidates = Candidates()
+    candidates, relief = Candidates(), _reliefs(scan, template, poses)
     placed = () if landmarks is None else (landmarks.start(),)
-    batches = chain(placed, _batches(scan, template, poses, options.candidates, 3 * options.candidates))
+    batches = chain(placed, _batches(poses, relief, options.candidates, 3 * options.candidates))
     # Open3D's wide pairs draw half a face round the head, towards its missing half: at last without it.
-    freely = _batches(scan, template, poses, 2 * options.candidates, 0)
+    freely = _batches(poses, relief, 2 * options.candidates, 0)
     every = chain(zip(batches, repeat(True)), zip(freely, repeat(False)))
     for number, (batch, widely) in enumerate(every):
         candidates = _with_refined(scan, template, batch, meter, candidates, widely=widely)
@@ -127,7 +128,7 @@ def every_candidate(
 ) -> Candidates:
     """Refine and rank `options.candidates` poses, faces or not; best first."""
     candidates = Candidates()
-    for batch in _batches(scan, template, poses, options.candidates, 0):
+    for batch in _batches(poses, _reliefs(scan, template, poses), options.candidates, 0):
         candidates = _with_refined(scan, template, batch, meter, candidates, widely=True)
     return _with_evidence(scan, template, candidates, meter, None)
 
@@ -161,27 +162,33 @@ def _with_evidence(
     return _sorted(ranked)
 
 
+def _reliefs(scan: PreparedScan, template: Template, poses: Poses) -> Callable[[int], float]:
+    """Return what ranks a pose by its relief, given its number; each is looked at once."""
+
+    @cache
+    def ranking(number: int) -> float:
+        pose = Similarity(poses.rotations[number], poses.translations[number])
+        relief = template.image.agreement(scan.vertices, scan.faces, pose.inverse())
+        return Candidate(pose, relief, 0.0).ranking
+
+    return ranking
+
+
 def _batches(
-    scan: PreparedScan, template: Template, poses: Poses, candidates: int, more_candidates: int
+    poses: Poses, relief: Callable[[int], float], candidates: int, more_candidates: int
 ) -> Iterator[Poses]:
     """Yield `candidates` poses in two batches, then `more_candidates` in a third.
 
-    First those whose surface is nearest, then those with most relief among the nearer ones, at last among
+    First those whose surface is nearest, then those with most `relief` among the nearer ones, at last among
     all: distance alone prefers the back of a head to half a face.
     """
 
     def by_relief(count: int) -> IntArray:
-        """Return the first `count` poses in the order in which their relief ranks them."""
-        rankings = []
-        for rotation, translation in zip(poses.rotations[:count], poses.translations[:count], strict=True):
-            pose = Similarity(rotation, translation)
-            relief = template.image.agreement(scan.vertices, scan.faces, pose.inverse())
-            rankings.append(Candidate(pose, relief, 0.0).ranking)
-        return np.argsort(-np.array(rankings), kind="stable")
+        return np.argsort([-relief(number) for number in range(min(count, len(poses)))], kind="stable")
 
     first = np.arange(min((candidates + 1) // 2, len(poses)))
     yield poses.subset(first)
-    nearer = by_relief(min(5 * candidates, len(poses)))
+    nearer = by_relief(5 * candidates)
     second = nearer[~np.isin(nearer, first)][: candidates - len(first)]
     yield poses.subset(second)
     if more_candidates:
