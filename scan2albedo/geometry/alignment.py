@@ -243,28 +243,16 @@ def _linearize(grid, model, rotation, translation, sigma, matrix, gradient):  # 
             for b in range(a + 1):
                 matrix[a, b] += rho * row[a] * row[b]
         # The planes of the three axes, rows (x cross e_i, e_i), summed in closed form.
-        w = 0.1 * rho
-        xx, yy, zz = x0 * x0, x1 * x1, x2 * x2
-        matrix[0, 0] += w * (yy + zz)
-        matrix[1, 1] += w * (xx + zz)
-        matrix[2, 2] += w * (xx + yy)
-        matrix[1, 0] -= w * x0 * x1
-        matrix[2, 0] -= w * x0 * x2
-        matrix[2, 1] -= w * x1 * x2
-        matrix[3, 1] += w * x2
-        matrix[3, 2] -= w * x1
-        matrix[4, 0] -= w * x2
-        matrix[4, 2] += w * x0
-        matrix[5, 0] += w * x1
-        matrix[5, 1] -= w * x0
-        for axis in range(3):
-            matrix[3 + axis, 3 + axis] += w
-        gradient[0] -= w * (x1 * e2 - x2 * e1)
-        gradient[1] -= w * (x2 * e0 - x0 * e2)
-        gradient[2] -= w * (x0 * e1 - x1 * e0)
-        gradient[3] -= w * e0
-        gradient[4] -= w * e1
-        gradient[5] -= w * e2
+        w, x, e = 0.1 * rho, (x0, x1, x2), (e0, e1, e2)
+        for a in range(3):
+            b, c = (a + 1) % 3, (a + 2) % 3
+            matrix[a, a] += w * (x[b] * x[b] + x[c] * x[c])
+            matrix[max(a, b), min(a, b)] -= w * x[a] * x[b]
+            matrix[3 + a, b] += w * x[c]
+            matrix[3 + a, c] -= w * x[b]
+            matrix[3 + a, 3 + a] += w
+            gradient[a] -= w * (x[b] * e[c] - x[c] * e[b])
+            gradient[3 + a] -= w * e[a]
     for a in range(6):
         for b in range(a):
             matrix[b, a] = matrix[a, b]
