@@ -223,7 +223,9 @@ def _with_refined(
         relief = template.image.agreement(scan.vertices, scan.faces, pose.inverse())
         candidates.append(Candidate(pose, relief, rms_mm))
         meter.count()
-        meter.record(rigid_distance_mm(scan.samples, template, max(candidates, key=lambda c: c.ranking).pose))
+        # The nearest pose so far.
+        before = (row.error for row in meter.rows if row.stage == meter.stage)
+        meter.record(min([rigid_distance_mm(scan.samples, template, pose), *before]))
     return tuple(sorted(candidates, key=lambda c: -c.ranking))
 
 
