@@ -49,7 +49,7 @@ from scan2albedo.geometry.rigid import (
 )
 from scan2albedo.registration.candidates import ranked_candidates
 from scan2albedo.registration.coarse_search import coarse_poses
-from scan2albedo.registration.evidence import ColourScorer
+from scan2albedo.registration.evidence import colour_scorer
 from scan2albedo.registration.inputs import RegistrationOptions, Template, prepared_scan
 
 SIGNS = {"relief": 1, "distance": -1, "share": 1}
@@ -191,7 +191,7 @@ def rows_of(task: tuple[str, int]) -> list[Row]:
         return []
     poses = coarse_poses(prepared, _template(), options, meter, 0)
     rows = []
-    scorer = cache(lambda: ColourScorer.of(case.scan, AnnotatedFaceModel.default()))
+    scorer = cache(lambda: colour_scorer(case.scan, AnnotatedFaceModel.default()))
     for candidate in ranked_candidates(prepared, _template(), scorer, None, poses, options, meter):
         if candidate.evidence is not None:
             pose = invert_rigid(candidate.pose.rigid(_template().front)) @ prepared.prepared_from_scan

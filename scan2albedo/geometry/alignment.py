@@ -7,8 +7,9 @@ from typing import Self
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import Similarity, rotation_from_vector
 from scan2albedo.optimization.least_squares import SMALLEST_DIAGONAL, NormalEquations, damped_step
@@ -130,16 +131,14 @@ class NearestGrid:
         """Build the grid over the samples' box widened by `margin`; huge boxes get larger cells."""
         low, high = samples.points.min(0) - margin, samples.points.max(0) + margin
         cell = max(cell, float(np.cbrt(np.prod(high - low) / 1_500_000)))
-        shape = np.ceil((high - low) / cell).astype(np.int64) + 1
-        nearest = _nearest_by_sweeps(samples.points, low, cell, shape[0], shape[1], shape[2])
-        return cls(samples, nearest, low, cell)
-
-    def nearest_samples(self, points: FloatArray) -> IntArray:
-        """Return the index of (nearly) the nearest sample of each (N, 3) point, -1 outside the grid."""
-        cell = np.floor((points - self.origin) / self.cell).astype(np.int64)
-        inside = np.all((cell >= 0) & (cell < np.array(self.nearest.shape)), axis=1)
-        x, y, z = np.where(inside[:, None], cell, 0).T
-        return np.where(inside, self.nearest[x, y, z], -1)
+        place = (samples.points - low) / cell
+        inside = place.astype(np.int64)
+        # Of the samples in a cell the one nearest to its centre; in the others that of the nearest such cell.
+        order = np.argsort(-np.sum((place - inside - 0.5) ** 2, axis=1), kind="stable")
+        nearest = np.full(np.ceil((high - low) / cell).astype(np.int64) + 1, -1, np.int32)
+        nearest[tuple(inside[order].T)] = order
+        cells = distance_transform_edt(nearest < 0, return_distances=False, return_indices=True)
+        return cls(samples, nearest[tuple(cells)], low, cell)
 
 
 def align_on_grid(
@@ -244,74 +243,17 @@ def _linearize(grid, model, rotation, translation, sigma, matrix, gradient):  # 
             for b in range(a + 1):
                 matrix[a, b] += rho * row[a] * row[b]
         # The planes of the three axes, rows (x cross e_i, e_i), summed in closed form.
-        w = 0.1 * rho
-        xx, yy, zz = x0 * x0, x1 * x1, x2 * x2
-        matrix[0, 0] += w * (yy + zz)
-        matrix[1, 1] += w * (xx + zz)
-        matrix[2, 2] += w * (xx + yy)
-        matrix[1, 0] -= w * x0 * x1
-        matrix[2, 0] -= w * x0 * x2
-        matrix[2, 1] -= w * x1 * x2
-        matrix[3, 1] += w * x2
-        matrix[3, 2] -= w * x1
-        matrix[4, 0] -= w * x2
-        matrix[4, 2] += w * x0
-        matrix[5, 0] += w * x1
-        matrix[5, 1] -= w * x0
-        for axis in range(3):
-            matrix[3 + axis, 3 + axis] += w
-        gradient[0] -= w * (x1 * e2 - x2 * e1)
-        gradient[1] -= w * (x2 * e0 - x0 * e2)
-        gradient[2] -= w * (x0 * e1 - x1 * e0)
-        gradient[3] -= w * e0
-        gradient[4] -= w * e1
-        gradient[5] -= w * e2
+        w, x, e = 0.1 * rho, (x0, x1, x2), (e0, e1, e2)
+        for a in range(3):
+            b, c = (a + 1) % 3, (a + 2) % 3
+            matrix[a, a] += w * (x[b] * x[b] + x[c] * x[c])
+            matrix[max(a, b), min(a, b)] -= w * x[a] * x[b]
+            matrix[3 + a, b] += w * x[c]
+            matrix[3 + a, c] -= w * x[b]
+            matrix[3 + a, 3 + a] += w
+            gradient[a] -= w * (x[b] * e[c] - x[c] * e[b])
+            gradient[3 + a] -= w * e[a]
     for a in range(6):
         for b in range(a):
             matrix[b, a] = matrix[a, b]
     return score
-
-
-@njit(cache=True, nogil=True)
-def _nearest_by_sweeps(points, origin, cell, nx, ny, nz):  # type: ignore[no-untyped-def]
-    """Vector distance transform: nearest points spread to neighbours in eight ordered sweeps."""
-    nearest = np.full((nx, ny, nz), -1, np.int32)
-    squared = np.full((nx, ny, nz), np.inf)
-    for p in range(points.shape[0]):
-        i = int((points[p, 0] - origin[0]) / cell)
-        j = int((points[p, 1] - origin[1]) / cell)
-        k = int((points[p, 2] - origin[2]) / cell)
-        dx = points[p, 0] - origin[0] - (i + 0.5) * cell
-        dy = points[p, 1] - origin[1] - (j + 0.5) * cell
-        dz = points[p, 2] - origin[2] - (k + 0.5) * cell
-        d = dx * dx + dy * dy + dz * dz
-        if d < squared[i, j, k]:
-            squared[i, j, k] = d
-            nearest[i, j, k] = p
-    for sweep in range(8):
-        si = 1 if sweep & 1 else -1
-        sj = 1 if sweep & 2 else -1
-        sk = 1 if sweep & 4 else -1
-        for a in range(nx):
-            i = a if si > 0 else nx - 1 - a
-            for b in range(ny):
-                j = b if sj > 0 else ny - 1 - b
-                for c in range(nz):
-                    k = c if sk > 0 else nz - 1 - c
-                    for axis in range(3):
-                        u = i - si if axis == 0 else i
-                        v = j - sj if axis == 1 else j
-                        w = k - sk if axis == 2 else k
-                        if u < 0 or v < 0 or w < 0 or u >= nx or v >= ny or w >= nz:
-                            continue
-                        p = nearest[u, v, w]
-                        if p < 0 or p == nearest[i, j, k]:
-                            continue
-                        dx = points[p, 0] - origin[0] - (i + 0.5) * cell
-                        dy = points[p, 1] - origin[1] - (j + 0.5) * cell
-                        dz = points[p, 2] - origin[2] - (k + 0.5) * cell
-                        d = dx * dx + dy * dy + dz * dz
-                        if d < squared[i, j, k]:
-                            squared[i, j, k] = d
-                            nearest[i, j, k] = p
-    return nearest

@@ -19,13 +19,9 @@ MAX_EXACT_FACES = 100_000
 
 @dataclass(frozen=True)
 class ClosestHits(RayHits):
-    """Closest points of a surface: as of a ray that hits it, and the `points` (N, 3) themselves.
-
-    `vertex` (N,) is the nearest one to walk on from, where `NearestSurface` was asked.
-    """
+    """Closest points of a surface: as of a ray that hits it, and the `points` (N, 3) themselves."""
 
     points: FloatArray
-    vertex: IntArray | None = None
 
     def interpolated(self, values: NDArray, faces: IntArray) -> FloatArray:
         """Return values (V, ...) of the vertices of faces (F, 3) at the hits, (N, ...)."""
@@ -147,28 +143,23 @@ class NearestSurface:
         """Return the index (N,) of the vertex nearest to each of the (N, 3) points."""
         return np.asarray(self._used[self._tree.query(points)[1]], np.int64)
 
-    def query(self, points: FloatArray, start: IntArray | None = None) -> ClosestHits:
-        """Return the closest surface points of points (N, 3).
-
-        The search walks from `start` (N,), the `vertex` of an earlier answer for nearby points, if given.
-        """
+    def query(self, points: FloatArray) -> ClosestHits:
+        """Return the closest surface points of points (N, 3)."""
         targets = checked_points(points)
-        vertex = self.nearest_vertices(targets) if start is None else np.array(start, np.int64)
         count = len(targets)
         closest, face = np.empty((count, 3)), np.empty(count, np.int64)
         weights, distance = np.empty((count, 3)), np.empty(count)
-        _closest_around(targets, vertex, *self.arrays, closest, face, weights, distance)
-        return ClosestHits(face, weights, distance, closest, vertex)
+        nearest = self.nearest_vertices(targets), *self.arrays[:4]
+        _closest_around(targets, *nearest, closest, face, weights, distance)
+        return ClosestHits(face, weights, distance, closest)
 
 
 @njit(cache=True, nogil=True)
-def _closest_around(p, vertex, xyz, faces, ring, ring_start, near, near_start, closest, face, weights, gap):  # type: ignore[no-untyped-def]
-    """Walk each point p's `vertex` downhill, then take the best of the triangles around it."""
+def _closest_around(p, vertex, xyz, faces, ring, ring_start, closest, face, weights, gap):  # type: ignore[no-untyped-def]
+    """Take for each point p the best of the triangles around its nearest `vertex`."""
     for i in range(len(p)):
         x, y, z = p[i, 0], p[i, 1], p[i, 2]
-        v = walk_downhill(x, y, z, vertex[i], xyz, near, near_start)
-        vertex[i] = v
-        best, f, w0, w1, w2, px, py, pz = nearest_around(x, y, z, v, xyz, faces, ring, ring_start)
+        best, f, w0, w1, w2, px, py, pz = nearest_around(x, y, z, vertex[i], xyz, faces, ring, ring_start)
         face[i] = f
         weights[i, 0], weights[i, 1], weights[i, 2] = w0, w1, w2
         closest[i, 0], closest[i, 1], closest[i, 2] = x + px, y + py, z + pz

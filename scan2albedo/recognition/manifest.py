@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import RecognitionError, Scan2AlbedoError, needs_extra, one_line
 from scan2albedo.io.csv_tables import cells_by_column, read_text, table_rows
 from scan2albedo.io.geometry_image_files import read_geometry_image, read_image_and_albedo
@@ -168,11 +168,6 @@ class StoredFace:
     """(H, W): how certain they are (see `templates.certainty`), 0 where the scanner saw nothing."""
     chart: Chart
     """On which it lies."""
-
-    @property
-    def seen(self) -> BoolArray:
-        """(H, W): texels that the scanner saw; others were filled in."""
-        return self.certainty > 0
 
 
 def read_face(path: str | Path, kind: Kind = "albedo") -> StoredFace:

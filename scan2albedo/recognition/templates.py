@@ -148,24 +148,6 @@ class Templates:
         """`coefficients`, `mask` and `weight`, by name."""
         return {name: getattr(self, name) for name in ("coefficients", "mask", "weight")}
 
-    @classmethod
-    def joined(cls, parts: Sequence[Templates]) -> Templates:
-        """Return the templates of several sets; RecognitionError for none, or for unlike ones."""
-        if not parts:
-            raise RecognitionError("no set of templates was given; give one or more")
-        first, *others = [(part.kind, part.mask.shape[1:], part.options) for part in parts]
-        for k, (kind, size, options) in enumerate(others, 1):
-            if (kind, size, options) != first:
-                raise RecognitionError(
-                    f"set {k} has templates of the {kind} of {size} made with {options}, set 0 of the "
-                    f"{first[0]} of {first[1]} with {first[2]}; make them alike"
-                )
-        names = tuple(name for part in parts for name in part.names)
-        arrays: dict[str, Any] = {
-            key: np.concatenate([part.arrays[key] for part in parts]) for key in parts[0].arrays
-        }
-        return replace(parts[0], names=names, chart=None, **arrays)
-
     def select(self, indices: Sequence[int]) -> Templates:
         """Return the templates of the given indices, in their order."""
         chosen = np.asarray(indices, np.int64).reshape(-1)

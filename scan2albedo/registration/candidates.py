@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import chain, repeat
 
 import numpy as np
@@ -19,7 +20,7 @@ from scan2albedo.registration.coarse_search import PlacedPose, Poses
 from scan2albedo.registration.evidence import ColourScorer, Evidence, evidence
 from scan2albedo.registration.icp import FEW, icp, residuals, rigid_distance_mm
 from scan2albedo.registration.inputs import PreparedScan, RegistrationOptions, Template
-from scan2albedo.registration.relief import ReliefAgreement, normal_relief
+from scan2albedo.registration.relief import ReliefAgreement
 
 CONVINCING = 4.0
 """Log odds of a face (98 %) beyond which no other pose is refined."""
@@ -87,7 +88,7 @@ def rescored(
         if candidate.evidence is not None and candidate.color_log_odds is None:
             pose = candidate.pose
             model_from_scan = invert_rigid(pose.rigid(front)) @ scan.prepared_from_scan
-            scored[place] = replace(candidate, color_log_odds=colors.log_odds(model_from_scan, pose.scale))
+            scored[place] = replace(candidate, color_log_odds=colors(model_from_scan, pose.scale))
     return _sorted(scored)
 
 
@@ -106,13 +107,14 @@ def ranked_candidates(
     closely (`Evidence`), and the scan's colours scored when none is clearly a face. Without landmarks the
     search ends after two batches of which nothing resembles a face at all.
     """
-    target, candidates = ScanTarget(scan.samples), Candidates()
+    candidates, relief = Candidates(), _reliefs(scan, template, poses)
     placed = () if landmarks is None else (landmarks.start(),)
-    batches = chain(placed, _batches(scan, template, poses, options.candidates, 3 * options.candidates))
+    batches = chain(placed, _batches(poses, relief, options.candidates, 3 * options.candidates))
     # Open3D's wide pairs draw half a face round the head, towards its missing half: at last without it.
-    freely = _batches(scan, template, poses, 2 * options.candidates, 0)
-    for number, (batch, cloud) in enumerate(chain(zip(batches, repeat(target)), zip(freely, repeat(None)))):
-        candidates = _with_refined(scan, cloud, template, batch, meter, candidates)
+    freely = _batches(poses, relief, 2 * options.candidates, 0)
+    every = chain(zip(batches, repeat(True)), zip(freely, repeat(False)))
+    for number, (batch, widely) in enumerate(every):
+        candidates = _with_refined(scan, template, batch, meter, candidates, widely=widely)
         candidates = _with_evidence(scan, template, candidates, meter, landmarks)
         candidates = rescored(candidates, scan, template.front, scorer)
         hopeless = number == 1 and landmarks is None and candidates[0].log_odds <= -_MOST_LOG_ODDS
@@ -125,9 +127,9 @@ def every_candidate(
     scan: PreparedScan, template: Template, poses: Poses, options: RegistrationOptions, meter: Meter
 ) -> Candidates:
     """Refine and rank `options.candidates` poses, faces or not; best first."""
-    target, candidates = ScanTarget(scan.samples), Candidates()
-    for batch in _batches(scan, template, poses, options.candidates, 0):
-        candidates = _with_refined(scan, target, template, batch, meter, candidates)
+    candidates = Candidates()
+    for batch in _batches(poses, _reliefs(scan, template, poses), options.candidates, 0):
+        candidates = _with_refined(scan, template, batch, meter, candidates, widely=True)
     return _with_evidence(scan, template, candidates, meter, None)
 
 
@@ -160,40 +162,44 @@ def _with_evidence(
     return _sorted(ranked)
 
 
+def _reliefs(scan: PreparedScan, template: Template, poses: Poses) -> Callable[[int], float]:
+    """Return what ranks a pose by its relief, given its number; each is looked at once."""
+
+    @cache
+    def ranking(number: int) -> float:
+        pose = Similarity(poses.rotations[number], poses.translations[number])
+        relief = template.image.agreement(scan.vertices, scan.faces, pose.inverse())
+        return Candidate(pose, relief, 0.0).ranking
+
+    return ranking
+
+
 def _batches(
-    scan: PreparedScan, template: Template, poses: Poses, candidates: int, more_candidates: int
+    poses: Poses, relief: Callable[[int], float], candidates: int, more_candidates: int
 ) -> Iterator[Poses]:
     """Yield `candidates` poses in two batches, then `more_candidates` in a third.
 
-    First those whose surface is nearest, then those with most relief among the nearer ones, at last among
+    First those whose surface is nearest, then those with most `relief` among the nearer ones, at last among
     all: distance alone prefers the back of a head to half a face.
     """
-    model = template.first(FEW).samples
 
     def by_relief(count: int) -> IntArray:
-        """Return the first `count` poses in the order of the relief that the scan's normals show there."""
-        first = zip(poses.rotations[:count], poses.translations[:count], strict=True)
-        relief = [normal_relief(scan.grid, model, *pose) for pose in first]
-        return np.argsort(-np.array(relief), kind="stable")
+        return np.argsort([-relief(number) for number in range(min(count, len(poses)))], kind="stable")
 
     first = np.arange(min((candidates + 1) // 2, len(poses)))
     yield poses.subset(first)
-    nearer = by_relief(min(5 * candidates, len(poses)))
+    nearer = by_relief(5 * candidates)
     second = nearer[~np.isin(nearer, first)][: candidates - len(first)]
     yield poses.subset(second)
-    every = by_relief(len(poses))
-    yield poses.subset(every[~np.isin(every, np.concatenate([first, second]))][:more_candidates])
+    if more_candidates:
+        every = by_relief(len(poses))
+        yield poses.subset(every[~np.isin(every, np.concatenate([first, second]))][:more_candidates])
 
 
 def _with_refined(
-    scan: PreparedScan,
-    target: ScanTarget | None,
-    template: Template,
-    starts: Poses,
-    meter: Meter,
-    known: Candidates,
+    scan: PreparedScan, template: Template, starts: Poses, meter: Meter, known: Candidates, *, widely: bool
 ) -> Candidates:
-    """Refine every start by Open3D's ICP (where there is a `target`), then with scale, and rank all.
+    """Refine every start, `widely` by Open3D's ICP first, then with scale, and rank all.
 
     A start that ends at a known candidate is dropped; one is refined however small the budget is.
     """
@@ -204,8 +210,8 @@ def _with_refined(
         if candidates and meter.exhausted:
             break
         pose = Similarity(rotation, translation)
-        if target is not None:
-            matrix = target.refine(few.samples, pose.rigid())
+        if widely:
+            matrix = refined_by_open3d(scan.samples, few.samples, pose.rigid())
             pose = Similarity(matrix[:3, :3], matrix[:3, 3])
             meter.count()
         if any(pose.is_near(other, np.deg2rad(3), 3) for other in refined):
@@ -217,42 +223,34 @@ def _with_refined(
         relief = template.image.agreement(scan.vertices, scan.faces, pose.inverse())
         candidates.append(Candidate(pose, relief, rms_mm))
         meter.count()
-        meter.record(rigid_distance_mm(scan.samples, template, max(candidates, key=lambda c: c.ranking).pose))
+        # The nearest pose so far.
+        before = (row.error for row in meter.rows if row.stage == meter.stage)
+        meter.record(min([rigid_distance_mm(scan.samples, template, pose), *before]))
     return tuple(sorted(candidates, key=lambda c: -c.ranking))
 
 
-class ScanTarget:
-    """Scan samples (mm) prepared for many ICP runs of Open3D."""
+def refined_by_open3d(scan: OrientedPoints, model: OrientedPoints, scan_from_model: FloatArray) -> FloatArray:
+    """Return the (4, 4) `scan_from_model` after point-to-plane ICP of the model's samples with Tukey's loss.
 
-    def __init__(self, samples: OrientedPoints) -> None:
-        self._open3d = import_open3d()
-        self._cloud = self._cloud_of(samples)
-
-    def _cloud_of(self, samples: OrientedPoints):  # type: ignore[no-untyped-def]
-        geometry, utility = self._open3d.geometry, self._open3d.utility
-        cloud = geometry.PointCloud(utility.Vector3dVector(samples.points))
-        cloud.normals = utility.Vector3dVector(samples.normals)
-        return cloud
-
-    def refine(self, model: OrientedPoints, scan_from_model: FloatArray) -> FloatArray:
-        """Return the (4, 4) `scan_from_model` after point-to-plane ICP of the model with Tukey's loss.
-
-        On one thread: Open3D adds up its equations as threads finish, which would give other bits each time.
-        """
-        registration, utility = self._open3d.pipelines.registration, self._open3d.utility
-        with ExitStack() as afterwards:
-            # From 0.20 on by its own setting (TBB), before that by OpenMP's.
-            if hasattr(utility, "set_max_threads"):
-                afterwards.callback(utility.set_max_threads, utility.get_max_threads())
-                utility.set_max_threads(1)
-            else:
-                afterwards.enter_context(threadpool_limits(1, "openmp"))
-            result = registration.registration_icp(
-                self._cloud_of(model),
-                self._cloud,
-                20.0,  # mm
-                scan_from_model,
-                registration.TransformationEstimationPointToPlane(registration.TukeyLoss(k=8.0)),
-                registration.ICPConvergenceCriteria(1e-6, 1e-6, 20),
-            )
-        return np.array(result.transformation)
+    On one thread: Open3D adds up its equations as threads finish, which would give other bits each time.
+    """
+    open3d = import_open3d()
+    registration, utility, clouds = open3d.pipelines.registration, open3d.utility, []
+    for samples in (model, scan):
+        clouds.append(open3d.geometry.PointCloud(utility.Vector3dVector(samples.points)))
+        clouds[-1].normals = utility.Vector3dVector(samples.normals)
+    with ExitStack() as afterwards:
+        # From 0.20 on by its own setting (TBB), before that by OpenMP's.
+        if hasattr(utility, "set_max_threads"):
+            afterwards.callback(utility.set_max_threads, utility.get_max_threads())
+            utility.set_max_threads(1)
+        else:
+            afterwards.enter_context(threadpool_limits(1, "openmp"))
+        result = registration.registration_icp(
+            *clouds,
+            20.0,  # mm
+            scan_from_model,
+            registration.TransformationEstimationPointToPlane(registration.TukeyLoss(k=8.0)),
+            registration.ICPConvergenceCriteria(1e-6, 1e-6, 20),
+        )
+    return np.array(result.transformation)

@@ -10,7 +10,7 @@ import numpy as np
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.face_model import AnnotatedSurface
-from scan2albedo.geometry.alignment import align_on_grid
+from scan2albedo.geometry.alignment import NearestGrid, align_on_grid
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import Similarity, procrustes, super_fibonacci_rotations, transform_points
 from scan2albedo.registration.inputs import PreparedScan, RegistrationOptions, Template
@@ -41,6 +41,7 @@ def coarse_poses(
     poses = anchored_starts(scan.anchors, template.front, 200)
     # In random order a budget that ends early has still seen starts from all over the scan.
     poses = poses.subset(np.random.default_rng(seed).permutation(len(poses)))
+    grid = NearestGrid.of(scan.samples, cell=6, margin=40)
     # Samples, steps, and first and last scale: of the search from every start, and from the best.
     for count, steps, sigma_mm in ((60, 4, (20.0, 10.0)), (200, 8, (12.0, 5.0))):
         model, scores = template.first(count).samples, list[FloatArray]()
@@ -50,7 +51,7 @@ def coarse_poses(
                 break
             block = slice(begin, begin + 128)
             moving = rotations[block], translations[block]
-            scores.append(align_on_grid(scan.grid, model, *moving, steps=steps, sigma=sigma_mm))
+            scores.append(align_on_grid(grid, model, *moving, steps=steps, sigma=sigma_mm))
             meter.count(len(scores[-1]))
         order = np.argsort(-np.concatenate(scores), kind="stable")[: options.kept_starts]
         poses = Poses(rotations[order], translations[order])

@@ -1,6 +1,6 @@
 """Simulated annealing of the pose on the derivatives of depth images (Toderici et al., section 3.1.1)."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,21 +13,20 @@ from scan2albedo.registration.icp import rigid_distance_mm, shaped_icp, tightene
 from scan2albedo.registration.inputs import PreparedScan, RegistrationOptions, Template
 from scan2albedo.registration.relief import LOOK_THROUGH_MM, DepthFrame, depth_image
 
-_REACH = np.array([np.deg2rad(8.0)] * 3 + [8.0] * 2)
+REACH = np.array([np.deg2rad(8.0)] * 3 + [8.0] * 2)
 """Half widths of the box: turns in radians, and mm."""
 
 
 @dataclass(frozen=True)
 class AnnealedPose:
-    """What annealing found: the pose, the objective before and at it, and whether the schedule ended.
+    """The pose that annealing found, or its start, with the objective there, and the plan's row about it.
 
-    The objective is None where it did not run.
+    The objective is None where annealing did not run.
     """
 
     pose: Similarity
-    start_error: float | None = None
+    step: PlanStep
     error: float | None = None
-    converged: bool = False
 
 
 class DepthDerivativeObjective:
@@ -41,19 +40,21 @@ class DepthDerivativeObjective:
     def __init__(
         self, vertices: FloatArray, faces: IntArray, template: Template, start: Similarity, size: int
     ) -> None:
+        self._start = start
         self._frame = DepthFrame(template.image.frame.center, template.image.frame.width, size)
-        self._vertices, self._faces = template.coarse_vertices, template.coarse_faces
+        self._vertices, self._faces = template.surface, template.image.faces
         limit = float(self._vertices[:, 2].max()) + LOOK_THROUGH_MM
         self._scan = depth_image(vertices, faces, self._frame, start.inverse(), z_limit=limit)
         # Weights of the model at rest, 0 outside.
         places, shape = self._frame.pixels(self._vertices), (size, size)
         raster = rasterize(places, self._vertices[:, 2], self._faces, shape)
-        self._weights = interpolate(raster, self._faces, template.coarse_stiffness)
+        stiffness = template.surface_from_control @ template.stiffness
+        self._weights = interpolate(raster, self._faces, stiffness)
         self._slopes = _slopes(self._scan)
         self._pixel_weights = np.where(np.isfinite(self._slopes).all(0), self._weights[:-1, :-1], 0.0)
 
     def _draw(self, parameters: FloatArray) -> FloatArray:
-        return depth_image(self._vertices, self._faces, self._frame, _moved(parameters, 0.0))
+        return depth_image(self._vertices, self._faces, self._frame, _moved(parameters))
 
     def __call__(self, parameters: FloatArray) -> float:
         """Return the cost at (rx, ry, rz, tx, ty)."""
@@ -65,14 +66,21 @@ class DepthDerivativeObjective:
             off = np.abs(_slopes(self._draw(parameters)) - self._slopes)
         return float(np.vdot(self._pixel_weights, np.fmin(off, limit).sum(0))) / (2 * limit * total)
 
-    def depth_shift_mm(self, parameters: FloatArray) -> float:
-        """Return the weighted median of scan depth minus model depth: the z that derivatives cannot see."""
-        image = self._draw(parameters)
+    def pose(self, parameters: FloatArray) -> Similarity:
+        """Return the start moved so, and in depth by the weighted median of scan minus model."""
+        image, start, z_mm = self._draw(parameters), self._start, 0.0
         common = np.isfinite(image) & np.isfinite(self._scan) & (self._weights > 0)
-        if not common.any():
-            return 0.0
-        difference, weights = self._scan[common] - image[common], self._weights[common]
-        return float(np.quantile(difference, 0.5, weights=weights, method="inverted_cdf"))
+        if common.any():
+            difference, weights = self._scan[common] - image[common], self._weights[common]
+            z_mm = float(np.quantile(difference, 0.5, weights=weights, method="inverted_cdf"))
+        delta = _moved(parameters, z_mm)
+        translation = start.translation + start.scale * start.rotation @ delta[:3, 3]
+        return Similarity(start.rotation @ delta[:3, :3], translation, start.scale)
+
+
+def _moved(parameters: FloatArray, z_mm: float = 0.0) -> FloatArray:
+    """Return the (4, 4) motion by (rx, ry, rz, tx, ty) and z."""
+    return compose(rotation_from_vector(parameters[:3]), [parameters[3], parameters[4], z_mm])
 
 
 def _slopes(image: FloatArray) -> FloatArray:
@@ -82,47 +90,6 @@ def _slopes(image: FloatArray) -> FloatArray:
         return np.stack([image[:-1, 1:] - here, image[1:, :-1] - here])
 
 
-def anneal_depth_derivatives(
-    scan_vertices: FloatArray,
-    scan_faces: IntArray,
-    template: Template,
-    start: Similarity,
-    *,
-    size: int,
-    evaluations: int,
-    seed: int,
-    meter: Meter,
-) -> AnnealedPose:
-    """Anneal the pose within 8 degrees and 8 mm of the start, then more finely near the result.
-
-    Half of the `evaluations` see images of half the `size` (pixels a side). The scale of `start` is kept.
-    """
-    coarse, fine = (
-        DepthDerivativeObjective(scan_vertices, scan_faces, template, start, pixels)
-        for pixels in (max(size // 2, 1), size)
-    )
-    here, half = np.zeros(5), evaluations // 2
-    start_error = fine(here)
-    meter.count()
-    meter.record(start_error)
-    # The coarse stage measures another objective, so its rows stay out of the trace.
-    unseen = meter.untraced()
-    rough = simulated_annealing(coarse, here, -_REACH, _REACH, seed=seed, evaluations=half, meter=unseen)
-    meter.count(rough.evaluations + 1)
-    here = rough.x if fine(rough.x) < start_error else here
-    box, rest = (here - _REACH / 4, here + _REACH / 4), evaluations - half
-    result = simulated_annealing(fine, here, *box, seed=seed, evaluations=rest, meter=meter)
-    delta = _moved(result.x, fine.depth_shift_mm(result.x))
-    translation = start.translation + start.scale * start.rotation @ delta[:3, 3]
-    pose = Similarity(start.rotation @ delta[:3, :3], translation, start.scale)
-    return AnnealedPose(pose, start_error, result.cost, rough.converged and result.converged)
-
-
-def _moved(parameters: FloatArray, z_mm: float) -> FloatArray:
-    """Return the (4, 4) motion by (rx, ry, rz, tx, ty) and z."""
-    return compose(rotation_from_vector(parameters[:3]), [parameters[3], parameters[4], z_mm])
-
-
 def annealed(
     scan: PreparedScan,
     template: Template,
@@ -130,8 +97,8 @@ def annealed(
     options: RegistrationOptions,
     meter: Meter,
     seed: int,
-) -> tuple[AnnealedPose, PlanStep]:
-    """Anneal on depth derivatives when forced, tighten, and keep the answer if the surface is nearer for it.
+) -> AnnealedPose:
+    """Anneal within 8 degrees and 8 mm of the start when forced, tighten, and keep a pose that is nearer.
 
     Left out by default: ICP mostly returns to where it was, and annealing's optimum is as often nearer to the
     truth as not (`tools/bench_registration.py`). The robust distance must fall at two scales.
@@ -144,14 +111,17 @@ def annealed(
     if options.annealing_evaluations == 0:
         reason = "switched off: 0 evaluations"
     if reason:
-        return AnnealedPose(start), PlanStep(stage, False, reason)
-    size, count = template.image.frame.size, options.annealing_evaluations
-    found = anneal_depth_derivatives(
-        scan.vertices, scan.faces, template, start, size=size, evaluations=count, seed=seed, meter=meter
-    )
+        return AnnealedPose(start, PlanStep(stage, False, reason))
+    here, size = np.zeros(5), template.image.frame.size
+    objective = DepthDerivativeObjective(scan.vertices, scan.faces, template, start, size)
+    start_error = objective(here)
+    meter.count()
+    meter.record(start_error)
+    count, box = options.annealing_evaluations, (-REACH, REACH)
+    found = simulated_annealing(objective, here, *box, seed=seed, evaluations=count, meter=meter)
     # ICP measures another distance than the annealing, so its rows stay out of the trace.
     unseen = meter.untraced()
-    near = shaped_icp(scan.samples, template, found.pose, unseen).pose
+    near = shaped_icp(scan.samples, template, objective.pose(found.x), unseen).pose
     polished, _ = tightened(scan.samples, template, near, options.settling_iterations, unseen)
     meter.count(unseen.evaluations)
     before_mm, after_mm = (
@@ -162,10 +132,9 @@ def annealed(
     shift_mm = float(np.linalg.norm(polished.translation - start.translation))
     distances = " and ".join(f"{b:.3f} -> {a:.3f}" for b, a in zip(before_mm, after_mm, strict=True))
     evidence = (
-        f"robust distance {distances} mm, objective {found.start_error:.4f} -> {found.error:.4f} in "
+        f"robust distance {distances} mm, objective {start_error:.4f} -> {found.cost:.4f} in "
         f"{meter.evaluations} evaluations, {angle_deg:.2f} degrees and {shift_mm:.2f} mm away"
     )
     verdict = "taken: the surface distance is less" if better else "dropped: the surface is no nearer"
     step = PlanStep(stage, True, f"its pose is {verdict}", evidence)
-    pose, error = (polished, found.error) if better else (start, found.start_error)
-    return replace(found, pose=pose, error=error), step
+    return AnnealedPose(polished, step, found.cost) if better else AnnealedPose(start, step, start_error)

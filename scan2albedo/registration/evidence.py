@@ -1,7 +1,7 @@
 """What speaks for a face at a pose: its shape, once the template has it, and the places of its features."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 
@@ -66,16 +66,17 @@ class Evidence:
 def evidence(scan: PreparedScan, template: Template, start: Similarity, meter: Meter) -> Evidence:
     """Fit pose and shape of the template from a start, and measure how the scan agrees with it."""
     shaped = shaped_icp(scan.samples, template, start, meter)
-    samples = template.in_shape(shaped.coefficients).samples
+    person = template.in_shape(shaped.coefficients)
+    samples = person.samples
     measured = residuals(scan.samples, samples, shaped.pose)
-    moved = np.tensordot(shaped.coefficients, template.control_modes, 1)
-    surface = template.image.vertices + template.surface_from_control @ moved
     return Evidence(
         shaped.pose,
         shaped.coefficients,
         float(samples.areas[measured.inlier].sum() / samples.areas.sum()),
         measured.trimmed_rms_mm(samples.areas),
-        template.image.agreement(scan.vertices, scan.faces, shaped.pose.inverse(), surface, scan.noise),
+        template.image.agreement(
+            scan.vertices, scan.faces, shaped.pose.inverse(), person.surface, scan.noise
+        ),
     )
 
 
@@ -87,45 +88,39 @@ _NEAR_MM, _LEAST_SEEN = 8.0, 0.25
 """How near the scan must be, and of how much of the model."""
 
 
-class ColourScorer:
-    """A coloured scan, prepared to say of many poses how a face's colours speak for them.
+ColourScorer = Callable[[FloatArray, float], float]
+"""Gives the log odds of a right pose against a wrong one; see `colour_scorer`."""
 
-    `of` returns None where there is nothing to say: a scan without colours, a model that is not annotated.
+
+def colour_scorer(scan: RawScan, model: AnnotatedSurface) -> ColourScorer | None:
+    """Return what says of many poses how a face's colours speak for them, of a scan in mm.
+
+    A pose is a rigid `model_from_scan` (4, 4), and the face's size relative to the model's, which keeps the
+    place of its front. The log odds are 0 where the colours say nothing. None for a scan without colours, or
+    a model that is not annotated.
     """
+    if not scan.has_color or model.face_uv is None:
+        return None
+    stride = len(scan.faces) // _MOST_FACES + 1
+    surface = NearestSurface(scan.vertices, scan.faces[::stride])
+    vertices, faces = model.surface(_LEVELS)
+    refined = linear_refinement(len(model.face_uv), model.control_faces, _LEVELS) @ model.face_uv
+    raster = rasterize_uv(model.refined_uv(_LEVELS), faces, _SIZE)
+    covered, points = raster.covered, interpolate(raster, faces, vertices)
+    normals = normalized(interpolate(raster, faces, vertex_normals(vertices, faces)))
+    place = interpolate(raster, faces, np.column_stack([1 - refined[:, 1], refined[:, 0]]))
 
-    def __init__(self, scan: RawScan, model: AnnotatedSurface, face_uv: FloatArray) -> None:
-        self._scan = scan
-        self._stride = len(scan.faces) // _MOST_FACES + 1
-        self._surface = NearestSurface(scan.vertices, scan.faces[:: self._stride])
-        points, faces = model.surface(_LEVELS)
-        refined = linear_refinement(len(face_uv), model.control_faces, _LEVELS) @ face_uv
-        raster = rasterize_uv(model.refined_uv(_LEVELS), faces, _SIZE)
-        self._covered, self._front = raster.covered, model.front
-        self._points = interpolate(raster, faces, points)
-        self._normals = normalized(interpolate(raster, faces, vertex_normals(points, faces)))
-        self._place = interpolate(raster, faces, np.column_stack([1 - refined[:, 1], refined[:, 0]]))
-
-    @classmethod
-    def of(cls, scan: RawScan, model: AnnotatedSurface) -> Self | None:
-        """Prepare a scan (mm)."""
-        if not scan.has_color or model.face_uv is None:
-            return None
-        return cls(scan, model, model.face_uv)
-
-    def log_odds(self, model_from_scan: FloatArray, face_scale: float = 1.0) -> float:
-        """Return the log odds of a right pose against a wrong one by the colours, 0 where they say nothing.
-
-        `model_from_scan` (4, 4) is rigid, and `face_scale` the face's size relative to the model's, which
-        keeps the place of its front.
-        """
-        sized = self._front + face_scale * (self._points[self._covered] - self._front)
-        hits = self._surface.query(transform_points(invert_rigid(model_from_scan), sized))
-        color, shown = scan_colors(self._scan, hits.face * self._stride, hits.barycentric)
+    def log_odds(model_from_scan: FloatArray, face_scale: float) -> float:
+        sized = model.front + face_scale * (points[covered] - model.front)
+        hits = surface.query(transform_points(invert_rigid(model_from_scan), sized))
+        color, shown = scan_colors(scan, hits.face * stride, hits.barycentric)
         near = shown & (hits.distance < _NEAR_MM) & (color.max(1) > 0)
         if near.mean() < _LEAST_SEEN:
             return 0.0
-        texture, seen = np.zeros((*self._covered.shape, 3), np.float32), self._covered.copy()
-        texture[self._covered], seen[self._covered] = color, near
-        looks = appearance(face_scale * self._points, self._normals, seen, texture, place=self._place)
+        texture, seen = np.zeros((*covered.shape, 3), np.float32), covered.copy()
+        texture[covered], seen[covered] = color, near
+        looks = appearance(face_scale * points, normals, seen, texture, place=place)
         # Noise, paint or another's picture look like a wrong pose: they alone must not refuse a face.
         return float(np.clip(looks.log_odds, -2, 3))
+
+    return log_odds

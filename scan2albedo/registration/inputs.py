@@ -19,7 +19,6 @@ from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import RegistrationError
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.variation import shape_modes
-from scan2albedo.geometry.alignment import NearestGrid
 from scan2albedo.geometry.mesh import far_faces, turned_against_neighbours
 from scan2albedo.geometry.operators import vertex_average
 from scan2albedo.geometry.oriented_points import OrientedPoints, SurfaceNoise, anchors, oriented_points
@@ -76,11 +75,6 @@ class PreparedScan:
     def turned_faces(self) -> int:
         """How many faces of the scan as read are wound against their neighbours."""
         return int(turned_against_neighbours(self.raw.faces).sum())
-
-    @cached_property
-    def grid(self) -> NearestGrid:
-        """The voxel grid over the samples."""
-        return NearestGrid.of(self.samples, cell=6, margin=40)
 
     @cached_property
     def noise(self) -> SurfaceNoise:
@@ -145,8 +139,8 @@ class Template:
 
     `rigidity` (M,) is area times stiffness relative to the mean. `modes` (M, 3, K) are how people differ
     there, `control_modes` (K, C, 3) at the control points, which `surface_from_control` (V, C) takes to the
-    vertices of `image`. `front` (3,) is the model's. `coarse_vertices` (C, 3) and `coarse_faces` (F, 3) are
-    the limit surface at the control vertices, `coarse_stiffness` (C,) the clipped relative stiffness there.
+    vertices `surface` (V, 3) of the limit surface; `image` shows it at rest. `front` (3,) is the model's,
+    `stiffness` (C,) the clipped relative one at the control points.
     """
 
     samples: OrientedPoints
@@ -154,12 +148,10 @@ class Template:
     modes: FloatArray
     front: FloatArray
     image: FaceImage
-    coarse_vertices: FloatArray
-    coarse_faces: IntArray
-    coarse_stiffness: FloatArray
+    surface: FloatArray
+    stiffness: FloatArray
     control_modes: FloatArray
     surface_from_control: csr_matrix
-    coarse_from_control: csr_matrix
 
     @classmethod
     def of(cls, model: AnnotatedSurface, seed: int) -> Template:
@@ -190,20 +182,16 @@ class Template:
         _, point = cKDTree(vertices).query(samples.points)
         at_samples = matrix[point] @ modes.transpose(1, 2, 0).reshape(len(coarse_vertices), -1)
         sampled = samples, rigidity, at_samples.reshape(len(samples), 3, len(modes))
-        coarse = coarse_vertices, coarse_faces, stiffness
-        matrices = modes, matrix, model.subdivision(0).matrix
-        _KNOWN[key] = cls(*sampled, model.front, FaceImage(vertices, faces), *coarse, *matrices)
+        image = FaceImage(vertices, faces)
+        _KNOWN[key] = cls(*sampled, model.front, image, vertices, stiffness, modes, matrix)
         weakref.finalize(model, _KNOWN.pop, key, None)
         return _KNOWN[key]
 
     def in_shape(self, coefficients: FloatArray) -> Template:
         """Return the template moved by its modes times coefficients (K,); normals and image stay."""
         moved = np.tensordot(coefficients, self.control_modes, 1)
-        return replace(
-            self,
-            samples=replace(self.samples, points=self.samples.points + self.modes @ coefficients),
-            coarse_vertices=self.coarse_vertices + self.coarse_from_control @ moved,
-        )
+        samples = replace(self.samples, points=self.samples.points + self.modes @ coefficients)
+        return replace(self, samples=samples, surface=self.surface + self.surface_from_control @ moved)
 
     def first(self, count: int) -> Template:
         """Return the template with its first `count` samples."""

@@ -10,16 +10,14 @@ from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedSurface
-from scan2albedo.geometry.mesh import far_faces
-from scan2albedo.geometry.oriented_points import oriented_points
-from scan2albedo.geometry.rigid import Similarity, in_principal_frame, invert_rigid, rotation_angle_rad
+from scan2albedo.geometry.rigid import Similarity, invert_rigid, rotation_angle_rad
 from scan2albedo.registration.acceptance import accepted, probability, proportion_doubts, shape_of
 from scan2albedo.registration.candidates import ranked_candidates
 from scan2albedo.registration.coarse_search import PlacedPose, coarse_poses
 from scan2albedo.registration.depth_annealing import annealed
-from scan2albedo.registration.evidence import ColourScorer
+from scan2albedo.registration.evidence import colour_scorer
 from scan2albedo.registration.icp import rms_mm, tightened
-from scan2albedo.registration.inputs import SPACING_MM, RegistrationOptions, Template, prepared_scan
+from scan2albedo.registration.inputs import RegistrationOptions, Template, prepared_scan
 
 
 @dataclass(frozen=True)
@@ -91,7 +89,7 @@ def register(
     prepared = prepared_scan(scan, options)
     template = Template.of(model, seed)
     poses = coarse_poses(prepared, template, options, meter, seed)
-    scorer, landmarks = cache(lambda: ColourScorer.of(scan, model)), PlacedPose.of(prepared, model)
+    scorer, landmarks = cache(lambda: colour_scorer(scan, model)), PlacedPose.of(prepared, model)
     candidates = ranked_candidates(prepared, template, scorer, landmarks, poses, options, meter)
     plan = accepted(prepared, template, candidates, len(poses), options, meter)
     closing = meter.sub_meter("tight_icp", "mm")
@@ -101,8 +99,8 @@ def register(
     if best.evidence is not None and not step.ran:
         person = template.in_shape(best.evidence.coefficients)
     annealing = closing.sub_meter("depth_annealing", "truncated slope difference")
-    final, annealed_step = annealed(prepared, person, tight, options, annealing, seed)
-    plan += (step, annealed_step)
+    final = annealed(prepared, person, tight, options, annealing, seed)
+    plan += (step, final.step)
     if best.evidence is not None and (shape := shape_of(prepared, model, best.evidence, seed)) is not None:
         plan += tuple(proportion_doubts(shape))
     return Registration(
@@ -125,14 +123,13 @@ def refined_registration(
 
     The plan tells how far that pose is from the one before. All else, `depth_error` too, is the search's.
     """
-    faces = scan.faces[~far_faces(scan.vertices, scan.faces)]
     # In the frame of the search, so that the same pose has the same distance.
-    vertices, prepared_from_scan = in_principal_frame(scan.vertices, faces)
-    samples = oriented_points(vertices, faces, SPACING_MM)
-    pose = Similarity.of_rigid(prepared_from_scan @ invert_rigid(model_from_scan), scale, model.front)
+    prepared = prepared_scan(scan, RegistrationOptions())
+    scan_from_model = prepared.prepared_from_scan @ invert_rigid(model_from_scan)
+    pose = Similarity.of_rigid(scan_from_model, scale, model.front)
     change = model_from_scan @ invert_rigid(searched.model_from_scan)
     turned_deg = np.rad2deg(rotation_angle_rad(change[:3, :3]))
     evidence = f"{turned_deg:.1f} degrees and {np.linalg.norm(change[:3, 3]):.1f} mm from the search's"
     step = PlanStep("register.refined_pose", True, "the pose with which the fit ended", evidence)
-    rmse_mm, plan = rms_mm(samples, Template.of(model, 0), pose), searched.plan + (step,)
+    rmse_mm, plan = rms_mm(prepared.samples, Template.of(model, 0), pose), searched.plan + (step,)
     return replace(searched, model_from_scan=model_from_scan, face_scale=scale, rmse_mm=rmse_mm, plan=plan)

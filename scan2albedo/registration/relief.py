@@ -8,12 +8,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.geometry.alignment import NearestGrid
-from scan2albedo.geometry.oriented_points import OrientedPoints, SurfaceNoise
+from scan2albedo.geometry.oriented_points import SurfaceNoise
 from scan2albedo.geometry.rasterization import nearest_depths
 from scan2albedo.geometry.rigid import transform_points
 
-_LEAST_NORMAL_Z = 0.3
 _FEWEST_SAMPLES = 60
 _SIZE = 72
 LOOK_THROUGH_MM = 30.0
@@ -97,7 +95,7 @@ class FaceImage:
     """The model's depth image, to score posed scans by: of its vertices (V, 3) mm and faces (F, 3)."""
 
     def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
-        self.vertices, self._faces = vertices, faces
+        self.faces = faces
         low, high = vertices.min(0), vertices.max(0)
         center = (low + high) / 2
         self.frame = DepthFrame((float(center[0]), float(center[1])), 1.02 * float(np.max(high - low)), _SIZE)
@@ -121,7 +119,7 @@ class FaceImage:
         it lies at the model, when given.
         """
         seen = depth_image(vertices, faces, self.frame, model_from_scan, z_limit=self._highest_mm)
-        depth = self._depth if surface is None else depth_image(surface, self._faces, self.frame)
+        depth = self._depth if surface is None else depth_image(surface, self.faces, self.frame)
         inside = (self._weights > 0) & np.isfinite(depth)
         depth = np.where(inside, depth, 0.0)
         common = np.abs(np.where(inside, seen, np.inf) - depth) < _SAME_SURFACE_MM
@@ -179,31 +177,6 @@ class FaceImage:
         return relief, used
 
 
-def normal_relief(
-    grid: NearestGrid, model: OrientedPoints, rotation: FloatArray, translation: FloatArray
-) -> float:
-    """Return the correlation of model and scan slopes without their quadratic trend, -1 ... 1.
-
-    Slopes come from the normals of the model samples, placed by rotation (3, 3) and translation (3,), and of
-    the scan's nearest; times the square root of the part of the model that has one near.
-    """
-    placed = model.points @ rotation.T + translation
-    index = grid.nearest_samples(placed)
-    normals = grid.samples.normals[index] @ rotation
-    offset = grid.samples.points[index] - placed
-    near = np.einsum("ij,ij->i", offset, offset) < _SAME_SURFACE_MM**2
-    front = model.normals[:, 2] > _LEAST_NORMAL_Z
-    used = front & near & (index >= 0) & (normals[:, 2] > 0)
-    if used.sum() < _FEWEST_SAMPLES:
-        return 0.0
-    position = model.points[used, :2] / np.abs(model.points[:, :2]).max()
-    weights = model.areas[used]
-    slopes = [n[:, :2] / np.maximum(n[:, 2:], _LEAST_NORMAL_Z) for n in (model.normals[used], normals[used])]
-    relief = without_quadratic_trend(np.concatenate(slopes, 1), position, weights)
-    alike = correlation(relief[:, :2].ravel(), relief[:, 2:].ravel(), np.repeat(weights, 2))
-    return alike * float(np.sqrt(used.sum() / front.sum()))
-
-
 def without_quadratic_trend(values: FloatArray, position: FloatArray, weights: FloatArray) -> FloatArray:
     """Return values (N,) or (N, K) minus their weighted quadratic fit in position (N, 2) of order 1."""
     x, y = position.T
@@ -211,13 +184,3 @@ def without_quadratic_trend(values: FloatArray, position: FloatArray, weights: F
     weighted = basis * weights[:, None]
     ridge = 1e-9 * (weights.sum() + 1e-300) * np.eye(6)
     return values - basis @ np.linalg.solve(weighted.T @ basis + ridge, weighted.T @ values)
-
-
-def correlation(a: FloatArray, b: FloatArray, weights: FloatArray) -> float:
-    """Return sum w a b / sqrt(sum w a^2 sum w b^2), 0 when either vanishes.
-
-    >>> correlation(np.array([1.0, -1.0]), np.array([3.0, -3.0]), np.ones(2))
-    1.0
-    """
-    norm = float(np.sqrt((weights @ (a * a)) * (weights @ (b * b))))
-    return float(weights @ (a * b)) / norm if norm > 0 else 0.0

@@ -1,19 +1,17 @@
 """The files of an identification, all of them or none: table, similarities, record, and curves as figures."""
 
 import csv
-from collections.abc import Mapping
 from dataclasses import asdict
 from io import StringIO
 from pathlib import Path
 from textwrap import fill
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from pydantic import Field
 
-from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.version import VERSION
 from scan2albedo.io.atomic import write_text
 from scan2albedo.io.npz import write_npz
@@ -157,78 +155,41 @@ def write_identification(
         }
         write_npz(staging.folder / "similarities.npz", similarities, what="similarities")
         if cmc is not None:
-            staging.figure("cmc.png", cmc_figure({name: cmc}))
+            staging.figure("cmc.png", curve_figure(name, cmc))
         if roc is not None:
-            staging.figure("roc.png", roc_figure({name: roc}))
+            staging.figure("roc.png", curve_figure(name, roc))
         return staging.write_record(**dict(record))
 
 
-def cmc_figure(curves: Mapping[str, CmcCurve]) -> Figure:
-    """Return identification rate against the first 20 ranks; ValueError for no curve or mixed confidences.
+def curve_figure(name: str, curve: CmcCurve | RocCurve) -> Figure:
+    """Return identification rate against the first 20 ranks, or true over logarithmic false accept rate.
 
-    Names whose curves are the same have one together.
+    The intervals are bars. False accept rates of less than one impostor's claim are left out.
     """
-    drawn = {}
-    for name, curve in curves.items():
-        first = f"{curve.rate[0]:.1%} ({curve.low[0]:.1%} to {curve.high[0]:.1%})"
-        rows = np.stack([curve.rank, curve.rate, curve.low, curve.high])[:, :20]
-        drawn[name] = f"{curve.probes} probes: rank 1 {first}", rows
-    figure = _figure(curves, drawn, "CMC", "rank", "probes whose person is among the first", marker="o")
-    figure.axes[0].xaxis.set_major_locator(MaxNLocator(integer=True))
-    return figure
-
-
-def roc_figure(curves: Mapping[str, RocCurve]) -> Figure:
-    """Return true over logarithmic false accept rate; ValueError for no curve or mixed confidences.
-
-    False accept rates of less than one impostor's claim are left out. Names whose curves are the same have
-    one together.
-    """
-    drawn = {}
-    for name, curve in curves.items():
-        least, most = curve.equal_error_interval
-        equal = f"{curve.equal_error_rate:.2%} ({least:.2%} to {most:.2%})"
-        rows = np.stack([curve.false_accept_rate, curve.true_accept_rate, curve.low, curve.high])
-        drawn[name] = f"{curve.genuine} genuine claims: equal error {equal}", rows[:, curve.supported]
-    figure = _figure(curves, drawn, "ROC", "false accept rate", "true accept rate")
-    figure.axes[0].set_xscale("log")
-    return figure
-
-
-def _figure(
-    curves: Mapping[str, CmcCurve] | Mapping[str, RocCurve],
-    drawn: Mapping[str, tuple[str, FloatArray]],
-    title: str,
-    x_label: str,
-    y_label: str,
-    marker: str = "",
-) -> Figure:
-    """Draw curves of their text in the legend and rows x, y, low, high (4, N), the intervals as bars.
-
-    No two curves have bars at the same x, where there is room. Later curves are thinner, so that earlier ones
-    show at both their sides where they meet.
-    """
-    if not curves:
-        raise ValueError("no curve was given, expected one or more")
-    confidences = {curve.confidence for curve in curves.values()}
-    if len(confidences) > 1:
-        raise ValueError(f"the curves' intervals have confidences {sorted(confidences)}, expected one")
     figure = Figure(figsize=(6.5, 5), dpi=110, layout="constrained")
     axis = figure.subplots()
-    axis.set(xlabel=x_label, ylabel=y_label)
-    axis.set_title(f"{title}, {confidences.pop():.0%} intervals", fontsize=11)
+    if isinstance(curve, CmcCurve):
+        title, marker = "CMC", "o"
+        axis.set(xlabel="rank", ylabel="probes whose person is among the first")
+        x, y, low, high = np.stack([curve.rank, curve.rate, curve.low, curve.high])[:, :20]
+        text = f"{name}, {curve.probes} probes: rank 1 {y[0]:.1%} ({low[0]:.1%} to {high[0]:.1%})"
+    else:
+        title, marker = "ROC", ""
+        axis.set(xlabel="false accept rate", ylabel="true accept rate")
+        rows = np.stack([curve.false_accept_rate, curve.true_accept_rate, curve.low, curve.high])
+        x, y, low, high = rows[:, curve.supported]
+        least, most = curve.equal_error_interval
+        equal = f"{curve.equal_error_rate:.2%} ({least:.2%} to {most:.2%})"
+        text = f"{name}, {curve.genuine} genuine claims: equal error {equal}"
+    axis.set_title(f"{title}, {curve.confidence:.0%} intervals", fontsize=11)
     axis.grid(color="lightgray")
-    alike: dict[tuple[str, bytes], list[str]] = {}
-    for name, (text, rows) in drawn.items():
-        alike.setdefault((text, rows.tobytes()), []).append(name)
-    for number, ((text, _), names) in enumerate(alike.items()):
-        x, y, low, high = drawn[names[0]][1]
-        label = f"{'; '.join(names)}{', one curve for all' if len(names) > 1 else ''}, {text}"
-        width = 1 + (len(alike) - number) / 2
-        style: dict[str, Any] = {"linewidth": width, "marker": marker, "markersize": width + 2}
-        (line,) = axis.plot(x, y, label=fill(label, 88, break_on_hyphens=False), **style)
-        bars = np.arange(number % len(x), len(x), len(alike))
-        axis.vlines(x[bars], low[bars], high[bars], color=line.get_color(), linewidth=1)
+    label = fill(text, 88, break_on_hyphens=False)
+    (line,) = axis.plot(x, y, label=label, marker=marker, markersize=3.5)
+    axis.vlines(x, low, high, color=line.get_color(), linewidth=1)
     axis.set_ylim(bottom=0)
+    if title == "CMC":
+        axis.xaxis.set_major_locator(MaxNLocator(integer=True))
+    else:
+        axis.set_xscale("log")
     figure.legend(loc="outside lower center", fontsize=9)
     return figure

@@ -6,10 +6,8 @@ The radiance is computed here without `reflectance`, so that its fits are tested
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.face_model import AnnotatedSurface, default_model
@@ -23,7 +21,6 @@ from scan2albedo.synthetic.renderer import SHADOW_OFFSET_MM, RayScene
 from scan2albedo.synthetic.sitter import BodyPart, Sitter, sit_down
 from scan2albedo.synthetic.textures import PaintedFeatures, paint_face, smooth_noise
 
-Kind = TypeVar("Kind", bound=np.generic)
 EXPONENTS = (1, 8, 64)
 _WEIGHT_MEAN, _WEIGHT_SD = np.array([0.02, 0.03, 0.012]), np.array([0.005, 0.008, 0.003])
 """Sums are about twice what skin reflects at normal incidence (0.028), as oily skin."""
@@ -31,25 +28,18 @@ _WEIGHT_MEAN, _WEIGHT_SD = np.array([0.02, 0.03, 0.012]), np.array([0.005, 0.008
 
 @dataclass(frozen=True)
 class SeenSurface:
-    """N surface points that a picture of S x S pixels shows; arrays are (N, 3), positions in mm.
+    """N surface points that a picture shows; arrays are (N, 3), positions in mm.
 
-    `pixel` (N,) are the numbers of their pixels, row by row; `on_face` (N,) marks the face.
+    `mask` (S, S) are their pixels, `on_face` (N,) marks the face.
     """
 
-    pixel: IntArray
-    size: int
+    mask: BoolArray
     position: FloatArray
     normal: FloatArray
     toward_camera: FloatArray
     diffuse_linear: FloatArray
     weights: FloatArray
     on_face: BoolArray
-
-    def picture(self, values: NDArray[Kind]) -> NDArray[Kind]:
-        """Return values (N, ...) of the points as a picture (S, S, ...), 0 where there is nothing."""
-        picture = np.zeros((self.size**2, *values.shape[1:]), values.dtype)
-        picture[self.pixel] = values
-        return picture.reshape(self.size, self.size, *values.shape[1:])
 
 
 @dataclass(frozen=True)
@@ -80,8 +70,8 @@ class GlossyPerson:
         """Return what a camera (3, 4) at `center` (3,) sees in a picture of `size` x `size` pixels."""
         rays = pixel_directions(camera, pixel_grid((size, size)))
         hits = self.scene.first_hit(np.broadcast_to(center, rays.shape), rays)
-        pixel = np.flatnonzero(hits.face >= 0)
-        face, barycentric = self.shown[hits.face[pixel]], hits.barycentric[pixel]
+        seen = hits.face >= 0
+        face, barycentric = self.shown[hits.face[seen]], hits.barycentric[seen]
         corners, on_face = self.sitter.faces[face], self.sitter.part[face] == BodyPart.FACE
         # On the face albedo and weights are linear between vertices; other parts have one shine each.
         diffuse, weights = np.empty((len(face), 3)), np.empty((len(face), 3))
@@ -93,7 +83,8 @@ class GlossyPerson:
         weights[other] = shine[:, None] * self.weights.mean(0)
         position = np.einsum("nk,nkc->nc", barycentric, self.sitter.vertices[corners])
         normal = normalized(np.einsum("nk,nkc->nc", barycentric, self.sitter.normals[corners]))
-        return SeenSurface(pixel, size, position, normal, -rays[pixel], diffuse, weights, on_face)
+        surface = position, normal, -rays[seen], diffuse, weights, on_face
+        return SeenSurface(seen.reshape(size, size), *surface)
 
     def lit(
         self, seen: SeenSurface, light: FloatArray, *, reference_distance_mm: float | None = None

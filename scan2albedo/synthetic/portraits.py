@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, on_grid
 from scan2albedo.geometry.pinhole import camera_centers, project
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.synthetic.glossy_person import GlossyFace, GlossyPerson
@@ -114,12 +114,12 @@ def flash_capture(
         places_of_lamps = (-35.0, 50.0), (40.0, 35.0), (5.0, 70.0)
         lamps = [person.lit(seen, TARGET_MM + 3000 * toward(*lamp)) / 3 for lamp in places_of_lamps]
         ambient = room * _ROOM_COLOR * (0.5 * sum(lamps) + 0.5 * seen.diffuse_linear / np.pi)
-        rooms.append(seen.picture(ambient.astype(np.float32)))
-        skin.append(seen.picture(seen.on_face))
+        rooms.append(on_grid(seen.mask, ambient.astype(np.float32)))
+        skin.append(on_grid(seen.mask, seen.on_face))
         for strength, position in zip(gain, centers[:flashes], strict=True):
             flash = person.lit(seen, position, reference_distance_mm=portrait.distance_mm)
             radiance = ambient + strength * flash
-            lit.append(seen.picture(radiance.astype(np.float32)))
+            lit.append(on_grid(seen.mask, radiance.astype(np.float32)))
             brightest.append(radiance[seen.on_face].max(1))
     exposure = portrait.exposure(np.concatenate(brightest))
     view = np.repeat(np.arange(views), flashes)
@@ -192,7 +192,7 @@ def face_photograph(
     radiance = person.under(seen, around)
     exposure = portrait.exposure(radiance[seen.on_face].max(1))
     rng = np.random.default_rng([seed, 22])
-    image = portrait.stored(seen.picture((exposure * radiance).astype(np.float32)), rng)
+    image = portrait.stored(on_grid(seen.mask, (exposure * radiance).astype(np.float32)), rng)
     landmarks = person.sitter.face.landmarks
     pixels, _ = project(camera, landmarks)
     # A landmark 3 mm behind the surface that a ray meets first is still seen.
@@ -201,7 +201,7 @@ def face_photograph(
     return FacePhotograph(
         **vars(GlossyFace.from_person(person, levels=1)),
         image=image,
-        skin=seen.picture(seen.on_face),
+        skin=on_grid(seen.mask, seen.on_face),
         camera=camera,
         landmarks_px=np.where(hidden[:, None], np.nan, noisy),
         exposure=exposure,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from scan2albedo.core.arrays import FloatArray, IntArray, on_grid
 from scan2albedo.core.geometry_image import GeometryImage
@@ -50,44 +50,25 @@ class Scanner:
     """Texels of the truth's geometry image."""
 
 
-@dataclass(frozen=True)
-class Pod:
-    """A pinhole camera at `position_mm` (3,) that looks at `target_mm` (3,), +y up in its square picture.
+def pod(
+    center: FloatArray, angles_deg: tuple[float, float], *, reach_mm: float, distance_mm: float = 1000.0
+) -> FloatArray:
+    """Return a camera (3, 4) that looks from an azimuth and elevation at `center` (3,) +- `reach_mm`.
 
-    `half_angle_rad` is half the angle that the picture spans.
+    It projects to texture coordinates of its square picture, 0 to 1.
     """
-
-    position_mm: FloatArray
-    target_mm: FloatArray
-    half_angle_rad: float
-
-    @property
-    def camera(self) -> FloatArray:
-        """(3, 4), whose picture reaches from -1 to 1, its rows downward."""
-        focal = 1 / np.tan(self.half_angle_rad)
-        return pinhole.look_at(self.position_mm, self.target_mm, focal_px=focal, shape=(1, 1))
-
-    def directions(self, plane: ArrayLike) -> FloatArray:
-        """Return (N, 3) unit rays through picture-plane points (N, 2) in [-1, 1], +x right, +y up."""
-        return pinhole.pixel_directions(self.camera, np.asarray(plane) * [1, -1])
-
-    def project(self, points: FloatArray) -> FloatArray:
-        """Return (N, 2) picture-plane coordinates in [-1, 1] of points (N, 3) in front of the pod."""
-        return pinhole.project(self.camera, points)[0] * [1, -1]
+    place, focal = center + distance_mm * toward(*angles_deg), distance_mm / (2 * reach_mm)
+    camera = pinhole.look_at(place, center, focal_px=focal, shape=(1, 1))
+    return np.array([[1, 0, 0.5], [0, -1, 0.5], [0, 0, 1]]) @ camera
 
 
-def two_pods(center: FloatArray, *, reach_mm: float) -> tuple[Pod, Pod]:
-    """Return pods 1 m off, at the subject's left and right; pictures span `center` (3,) +- `reach_mm`."""
-    distance_mm = 1000.0
-    half_angle = float(np.arctan(reach_mm / distance_mm))
-    left, right = (
-        Pod(center + distance_mm * toward(yaw_deg, 5.0), center, half_angle) for yaw_deg in (35.0, -35.0)
-    )
-    return left, right
+def two_pods(center: FloatArray, *, reach_mm: float) -> FloatArray:
+    """Return pods (2, 3, 4) 1 m off, at the subject's left and right; see `pod`."""
+    return np.stack([pod(center, (yaw_deg, 5.0), reach_mm=reach_mm) for yaw_deg in (35.0, -35.0)])
 
 
-def portrait_pods(nose_tip: FloatArray) -> tuple[Pod, Pod]:
-    """Return the pods before a person, whose pictures hold hair and shoulders."""
+def portrait_pods(nose_tip: FloatArray) -> FloatArray:
+    """Return the pods (2, 3, 4) before a person, whose pictures hold hair and shoulders."""
     return two_pods(nose_tip + [0.0, -15.0, -70.0], reach_mm=205.0)
 
 
@@ -106,13 +87,13 @@ class RangeMesh:
 def capture(
     vertices: FloatArray,
     faces: IntArray,
-    pods: Sequence[Pod],
+    pods: FloatArray,
     *,
     spacing_mm: float,
     rng: np.random.Generator,
     axis_mm: FloatArray,
 ) -> RangeMesh:
-    """Sample a scene irregularly and keep what at least one pod sees.
+    """Sample a scene irregularly and keep what at least one of the `pods` (P, 3, 4) sees.
 
     Jittered horizontal rays toward a vertical axis through `axis_mm` (3,), about `spacing_mm` apart where
     they pass a head's surface, are triangulated in the unrolled cylinder. Triangles that bridge a jump in
@@ -146,9 +127,9 @@ def capture(
     leaning = -np.einsum("ij,ij->i", normals, rays[seen][triangles[:, 0]])
     # The cosine between each triangle's normal and each pod, -1 where the pod cannot see it.
     facing = np.empty((len(triangles), len(pods)))
-    for k, pod in enumerate(pods):
-        toward_pod = normalized(pod.position_mm - points)
-        hidden = np.asarray((np.abs(pod.project(points)) > 0.995).any(1))
+    for k, (camera, place) in enumerate(zip(pods, pinhole.camera_centers(pods), strict=True)):
+        toward_pod = normalized(place - points)
+        hidden = np.asarray((np.abs(pinhole.project(camera, points)[0] - 0.5) > 0.4975).any(1))
         hidden[~hidden] = scene.occluded((points + 0.5 * toward_pod)[~hidden], toward_pod[~hidden])
         cosine = np.einsum("ij,ij->i", normals, toward_pod[triangles[:, 0]])
         facing[:, k] = np.where(hidden[triangles].any(1), -1.0, cosine)
@@ -192,7 +173,7 @@ def random_pose(
 
 def flash_pictures(
     sitter: seated.Sitter,
-    pods: tuple[Pod, Pod],
+    pods: FloatArray,
     lights: tuple[PointLight, ...],
     material: Material,
     *,
@@ -210,9 +191,10 @@ def flash_pictures(
     """
     scene, radiances, faces_shown = RayScene(sitter.vertices, sitter.faces), [], []
     soft = None if ambient is None else ambient(sitter, scene, rng)
-    for pod in pods:
-        rays = pod.directions(2 * texel_coordinates(size) - 1)
-        hits = scene.first_hit(np.broadcast_to(pod.position_mm, rays.shape), rays)
+    tints = np.ones((1 + len(lights), 3)) if colors is None else colors
+    for camera, place in zip(pods, pinhole.camera_centers(pods), strict=True):
+        rays = pinhole.pixel_directions(camera, texel_coordinates(size))
+        hits = scene.first_hit(np.broadcast_to(place, rays.shape), rays)
         hit = hits.face >= 0
         face, barycentric = hits.face[hit], hits.barycentric[hit]
         corners = sitter.faces[face]
@@ -227,15 +209,11 @@ def flash_pictures(
             specular_scale=sitter.specular_scale_at(face),
         )
         radiance, on_face = np.tile(_BACKDROP, (size * size, 1)), np.zeros(size * size, bool)
-        if colors is None and soft is None:
-            radiance[hit] = under(lights).radiance_linear
-        else:
-            tints = np.ones((1 + len(lights), 3)) if colors is None else colors
-            around = np.ones(3) if soft is None else np.einsum("nk,nkc->nc", barycentric, soft[corners])
-            unlit = under(()).radiance_linear
-            lamps = [under((light,)).radiance_linear - unlit for light in lights]
-            parts = zip([tints[0] * around, *tints[1:]], (unlit, *lamps), strict=True)
-            radiance[hit] = np.asarray(sum(color * part for color, part in parts))
+        around = np.ones(3) if soft is None else np.einsum("nk,nkc->nc", barycentric, soft[corners])
+        unlit = under(()).radiance_linear
+        lamps = [under((light,)).radiance_linear - unlit for light in lights]
+        parts = zip([tints[0] * around, *tints[1:]], (unlit, *lamps), strict=True)
+        radiance[hit] = np.asarray(sum(color * part for color, part in parts))
         on_face[hit] = sitter.part[face] == seated.BodyPart.FACE
         radiances.append(radiance.reshape(size, size, 3))
         faces_shown.append(radiance[on_face])
@@ -336,7 +314,7 @@ def scan_of(
 
 def assembled(
     measured: RangeMesh,
-    pods: Sequence[Pod],
+    pods: FloatArray,
     texture: NDArray[np.float32],
     scan_from_model: FloatArray,
     scanner: Scanner,
@@ -352,17 +330,16 @@ def assembled(
     vertices, faces = seated.join(
         [(points, measured.faces[kept]), *seated.crumb_meshes(points, rng, scanner.crumbs)]
     )
-    pod = np.zeros(len(faces), np.int64)
-    pod[: kept.sum()] = measured.face_pod[kept]
-    plane = np.stack([camera.project(vertices) for camera in pods])[pod[:, None], faces]
-    pictured = (np.abs(plane) < 1).all((1, 2))
-    faces, pod, plane = faces[pictured], pod[pictured], plane[pictured]
-    uv = beside(plane, pod[:, None], len(pods))
+    number = np.zeros(len(faces), np.int64)
+    number[: kept.sum()] = measured.face_pod[kept]
+    uv = np.stack([pinhole.project(camera, vertices)[0] for camera in pods])[number[:, None], faces]
+    pictured = (np.abs(uv - 0.5) < 0.5).all((1, 2))
+    faces, uv = faces[pictured], beside(uv, number[:, None], len(pods))[pictured]
     used, renumbered = np.unique(faces, return_inverse=True)
     posed = rigid.transform_points(scan_from_model, vertices[used])
     return RawScan(posed, renumbered.reshape(-1, 3), uv=uv, texture_linear=texture, name=name)
 
 
-def beside(plane: FloatArray, pod: IntArray, pods: int) -> FloatArray:
-    """Return texture coordinates (..., 2) of picture-plane points (..., 2) when all pictures lie in a row."""
-    return np.stack([((plane[..., 0] + 1) / 2 + pod) / pods, (plane[..., 1] + 1) / 2], -1)
+def beside(uv: FloatArray, number: IntArray, pods: int) -> FloatArray:
+    """Return texture coordinates (..., 2) of the pictures with a `number` (...) when all lie in a row."""
+    return np.stack([(uv[..., 0] + number) / pods, uv[..., 1]], -1)

@@ -89,7 +89,7 @@ def test_nothing_is_cold_where_nothing_can_be_kept(kernel, monkeypatch):
 
 def test_every_recorded_kernel_is_one_of_the_package():
     kernels = first_run.recorded_kernels()
-    assert len(kernels) > 20
+    assert len(kernels) >= 20
     for kernel in kernels:
         assert callable(kernel.dispatcher().py_func)
         assert kernel.argument_types()

@@ -2,7 +2,12 @@ import igl
 import numpy as np
 import pytest
 
-from scan2albedo.geometry.closest_points import ClosestPointQuery, NearestSurface, weights_nearest_origin
+from scan2albedo.geometry.closest_points import (
+    ClosestPointQuery,
+    NearestSurface,
+    walk_downhill,
+    weights_nearest_origin,
+)
 from scan2albedo.geometry.mesh import vertex_normals
 
 
@@ -53,14 +58,17 @@ def test_nearest_surface_is_exact_near_a_well_shaped_mesh():
     assert np.mean(near - exact < 1e-9) > 0.95
 
 
-def test_a_warm_start_walks_to_the_answer_of_a_full_search():
+def test_a_walk_downhill_ends_at_the_vertex_of_a_full_search():
     vertices, faces = bumpy_grid()
     vertices = vertices * [1, 1, 0.2]
     surface = NearestSurface(vertices, faces)
     points = vertices[faces].mean(1)
-    moved = points + [0.2, -0.1, 0.05]
-    warm = surface.query(moved, surface.query(points).vertex)
-    np.testing.assert_allclose(warm.distance, surface.query(moved).distance, atol=0.05)
+    moved, before = points + [0.2, -0.1, 0.05], surface.nearest_vertices(points)
+    xyz, _, _, _, near, near_start = surface.arrays
+    found = [walk_downhill(*place, v, xyz, near, near_start) for place, v in zip(moved, before, strict=True)]
+    nearest = surface.nearest_vertices(moved)
+    assert (nearest != before).any()
+    np.testing.assert_array_equal(found, nearest)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from scipy.stats import binomtest, mannwhitneyu
 
 from scan2albedo.recognition import cmc_curve, identify_by_similarity, roc_curve
 from scan2albedo.recognition.curves import _rates_of_draw
-from scan2albedo.runs.recognition import cmc_figure, roc_figure
+from scan2albedo.runs.recognition import curve_figure
 
 
 def build_identification(seed=0, persons=20, each=2, separation=1.5, decimals=9):
@@ -111,47 +111,23 @@ def test_choices_out_of_range_are_refused():
         roc_curve(found, false_accept_rates=[0.5, 0.1])
 
 
-def test_figures_show_every_curve_with_its_interval():
-    found = {"albedo": build_identification(separation=3.0), "texture": build_identification()}
-    curves = {name: cmc_curve(one) for name, one in found.items()}
-    axis = cmc_figure(curves).axes[0]
-    assert [len(line.get_xdata()) for line in axis.lines] == [20, 20]
-    assert len(axis.collections) == 2
-    assert axis.figure.legends[0].get_texts()[1].get_text().startswith("texture, 40 probes: rank 1")
-    rocs = {name: roc_curve(one, resamples=20) for name, one in found.items()}
-    axis = roc_figure(rocs).axes[0]
+def test_figures_show_the_curve_with_its_interval():
+    found = build_identification()
+    curve, roc = cmc_curve(found), roc_curve(found, resamples=20)
+    axis = curve_figure("texture", curve).axes[0]
+    np.testing.assert_array_equal(axis.lines[0].get_xydata(), np.stack([curve.rank, curve.rate], 1))
+    bars = np.stack(axis.collections[0].get_segments())
+    np.testing.assert_array_equal(bars[..., 1], np.stack([curve.low, curve.high], 1))
+    assert axis.figure.legends[0].get_texts()[0].get_text().startswith("texture, 40 probes: rank 1")
+    axis = curve_figure("texture", roc).axes[0]
     assert axis.get_xscale() == "log"
-    texture = rocs["texture"]
-    np.testing.assert_array_equal(axis.lines[1].get_ydata(), texture.true_accept_rate[texture.supported])
-    assert axis.lines[1].get_xdata().min() >= 1 / texture.impostors
-    with pytest.raises(ValueError, match="no curve"):
-        cmc_figure({})
-    with pytest.raises(ValueError, match=r"confidences \[0\.9, 0\.95\]"):
-        cmc_figure(curves | {"other": cmc_curve(found["albedo"], confidence=0.9)})
+    np.testing.assert_array_equal(axis.lines[0].get_ydata(), roc.true_accept_rate[roc.supported])
+    assert axis.lines[0].get_xdata().min() >= 1 / roc.impostors
+    assert len(axis.collections[0].get_segments()) == roc.supported.sum()
+    text = axis.figure.legends[0].get_texts()[0].get_text()
+    assert text.startswith("texture, 40 genuine claims: equal error ")
 
 
-def test_figures_of_many_methods_have_bars_apart_and_name_the_claims():
-    found = {str(k): build_identification(k, persons=8, each=2) for k in range(5)}
-    cmc = cmc_figure({name: cmc_curve(one) for name, one in found.items()}).axes[0]
-    roc = roc_figure({name: roc_curve(one, resamples=5) for name, one in found.items()}).axes[0]
-    for axis in (cmc, roc):
-        places = [{segment[0, 0] for segment in lines.get_segments()} for lines in axis.collections]
-        assert len(places) == 5
-        assert all(places)
-        assert len(set.union(*places)) == sum(len(one) for one in places)
-    legends = [axis.figure.legends[0].get_texts()[0].get_text() for axis in (cmc, roc)]
-    assert legends[0].startswith("0, 16 probes: rank 1 ")
-    assert legends[1].startswith("0, 16 genuine claims: equal error ")
-
-
-def test_equal_curves_are_drawn_once_with_all_their_names():
-    perfect, worse = build_identification(separation=99.0), build_identification()
-    found = {"albedo": perfect, "texture": worse, "shape": perfect, "shape and albedo": perfect}
-    cmc = cmc_figure({name: cmc_curve(one) for name, one in found.items()}).axes[0]
-    roc = roc_figure({name: roc_curve(one, resamples=20) for name, one in found.items()}).axes[0]
-    for axis in (cmc, roc):
-        assert len(axis.lines) == len(axis.collections) == 2
-        first, second = (text.get_text() for text in axis.figure.legends[0].get_texts())
-        assert first.startswith("albedo; shape; shape and albedo, one curve for all, 40 ")
-        assert second.startswith("texture, 40 ")
-        assert axis.lines[0].get_linewidth() > axis.lines[1].get_linewidth()
+def test_figures_show_twenty_ranks_at_most():
+    axis = curve_figure("shape", cmc_curve(build_identification(persons=30))).axes[0]
+    assert axis.lines[0].get_xdata().tolist() == list(range(1, 21))

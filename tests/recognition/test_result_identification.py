@@ -161,16 +161,18 @@ def test_errors_of_the_albedo_are_weights(people, tmp_path):
     write_exr(folder / "expected_error.exr", error)
     for kind in ("albedo", "texture", "shading"):
         face_of = read_face(folder, kind)
-        np.testing.assert_array_equal(face_of.seen, plain.seen)
-        low, high = (face_of.certainty[half][face_of.seen[half]] for half in (slice(32), slice(32, 64)))
+        np.testing.assert_array_equal(face_of.certainty > 0, plain.certainty > 0)
+        low, high = (
+            face_of.certainty[half][face_of.certainty[half] > 0] for half in (slice(32), slice(32, 64))
+        )
         assert 0 < low.max() < 0.3 < 0.7 < high.min() < 1
     spoilt = read_image_linear(folder / "albedo.exr")
     spoilt[:32] *= 1 + 0.5 * np.random.default_rng(0).standard_normal((32, 64, 1))
     write_exr(folder / "albedo.exr", np.abs(spoilt))
     shown, known = read_face(folder), read_face(people / "bob")
-    options = {"options": OPTIONS, "mask_b": known.seen}
+    options = {"options": OPTIONS, "mask_b": known.certainty > 0}
     weighed = cw_ssim(shown.values, known.values, shown.certainty, **options)
-    assert weighed > cw_ssim(shown.values, known.values, shown.seen, **options) + 0.03
+    assert weighed > cw_ssim(shown.values, known.values, shown.certainty > 0, **options) + 0.03
 
 
 def test_images_without_a_record_are_a_result(people, gallery, tmp_path):
@@ -196,12 +198,12 @@ def test_command_and_function_give_one_number(people, stored, tmp_path):
     stored(tmp_path / "ann", 0, hidden=hidden)
     gallery, probes = listed(tmp_path, [("ann", "ann")]), listed(tmp_path, [("ann", people / "ann")], "p.csv")
     shown, known = read_face(people / "ann"), read_face(tmp_path / "ann")
-    expected = cw_ssim(shown.values, known.values, shown.seen, mask_b=known.seen)
+    expected = cw_ssim(shown.values, known.values, shown.certainty > 0, mask_b=known.certainty > 0)
     by_albedo = identify_results(gallery, probes, use=["albedo"])
     assert by_albedo.by_kind["albedo"][0, 0] == pytest.approx(expected, abs=1e-5)
     together = identify_results(gallery, probes)
     assert together.by_kind["albedo"][0, 0] == pytest.approx(expected, abs=1e-5)
-    templates = [albedo_templates([one.values], ["ann"], masks=[one.seen]) for one in (shown, known)]
+    templates = [albedo_templates([one.values], ["ann"], masks=[one.certainty > 0]) for one in (shown, known)]
     assert similarity_matrix(*templates)[0, 0] == pytest.approx(expected, abs=1e-5)
 
 

@@ -23,10 +23,10 @@ def test_a_folder_gives_albedo_seen_texels_and_chart(stored, tmp_path):
     folder = stored(tmp_path / "ann", 0, hidden=hidden, model="mine")
     scene, read = face(0, size=64), read_face(folder)
     np.testing.assert_array_equal(read.values, scene.albedo_linear)
-    np.testing.assert_array_equal(read.seen, scene.image.mask & ~hidden)
+    np.testing.assert_array_equal(read.certainty > 0, scene.image.mask & ~hidden)
     assert (read.chart.model, read.chart.shape) == ("mine", (64, 64))
     of_file = read_face(folder / "albedo.exr")
-    np.testing.assert_array_equal(of_file.seen, read.seen)
+    np.testing.assert_array_equal(of_file.certainty > 0, read.certainty > 0)
 
 
 def test_processed_scans_are_read_too(folder):
@@ -84,7 +84,7 @@ def test_images_count_where_they_are_opaque_or_not_black(tmp_path):
     )
     for name in ("black.exr", "alpha.exr", "alpha.png"):
         read = read_face(tmp_path / name)
-        np.testing.assert_array_equal(read.seen, mask, err_msg=name)
+        np.testing.assert_array_equal(read.certainty > 0, mask, err_msg=name)
         assert (read.chart.model, read.chart.shape) == (None, (64, 64))
 
 

@@ -133,18 +133,9 @@ def test_a_mask_that_reaches_the_edge_is_not_widened_beyond_it():
     np.testing.assert_array_equal(without_holes(mask, 0.1), mask)
 
 
-def test_sets_are_joined_in_order(albedo):
-    a, b = (albedo_templates([albedo(k)], [name]) for k, name in enumerate(("ann", "bob")))
-    both = Templates.joined([a, b, a])
-    assert both.names == ("ann", "bob", "ann")
-    np.testing.assert_array_equal(both.coefficients[1], b.coefficients[0])
-    np.testing.assert_array_equal(both.select([2]).mask, a.mask)
-
-
-def test_sets_made_otherwise_are_not_joined(albedo):
-    a = albedo_templates([albedo(0)], ["ann"])
-    b = albedo_templates([albedo(0)], ["ann"], options=TemplateOptions(size=64))
-    with pytest.raises(RecognitionError, match="set 1"):
-        Templates.joined([a, b])
-    with pytest.raises(RecognitionError, match="no set"):
-        Templates.joined([])
+def test_templates_are_selected_in_order(albedo):
+    both = albedo_templates([albedo(0), albedo(1)], ["ann", "bob"])
+    chosen = both.select([1, 0, 1])
+    assert chosen.names == ("bob", "ann", "bob")
+    for name, array in chosen.arrays.items():
+        np.testing.assert_array_equal(array, both.arrays[name][[1, 0, 1]])

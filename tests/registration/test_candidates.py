@@ -17,17 +17,16 @@ from scan2albedo.geometry.rigid import (
     rotation_from_vector,
 )
 from scan2albedo.registration import register
-from scan2albedo.registration.candidates import Candidate, ScanTarget, rescored
-from scan2albedo.registration.evidence import ColourScorer, Evidence
+from scan2albedo.registration.candidates import Candidate, refined_by_open3d, rescored
+from scan2albedo.registration.evidence import Evidence, colour_scorer
 from scan2albedo.registration.inputs import RegistrationOptions, prepared_scan
 from scan2albedo.registration.relief import ReliefAgreement
 
 
 def test_it_refines_and_repeats_its_bits(model):
     samples = oriented_points(*model.surface(1), 4.0)
-    target = ScanTarget(samples)
     start = compose(rotation_from_vector([0.1, -0.05, 0.08]), [6.0, -4.0, 5.0])
-    poses = [target.refine(samples, start) for _ in range(4)]
+    poses = [refined_by_open3d(samples, samples, start) for _ in range(4)]
     assert np.degrees(rotation_angle_rad(poses[0][:3, :3])) < 0.1
     assert np.linalg.norm(poses[0][:3, 3]) < 0.1
     assert all(np.array_equal(poses[0], pose) for pose in poses[1:])
@@ -62,7 +61,7 @@ def looked_at(pose, relief):
 def test_colours_are_asked_only_in_doubt_and_then_tell_upside_down_from_upright(model):
     scan, known = synthetic.raw_scan(3, scanner=synthetic.Scanner(size=128, picture_size=500, spacing_mm=3.0))
     prepared = prepared_scan(scan, RegistrationOptions())
-    colors = prepared, model.front, lambda: ColourScorer.of(scan, model)
+    colors = prepared, model.front, lambda: colour_scorer(scan, model)
     truth = prepared.prepared_from_scan @ invert_rigid(known.model_from_scan)
     upright = Similarity(truth[:3, :3], truth[:3, 3])
     flipped = Similarity(truth[:3, :3] @ np.diag([-1.0, -1.0, 1.0]), truth[:3, 3])
@@ -80,7 +79,7 @@ def test_a_scan_without_colours_says_nothing(synthetic_scan, model):
     bare = prepared_scan(RawScan(scan.vertices, scan.faces), RegistrationOptions())
     rest = Similarity(np.eye(3), np.zeros(3))
     doubtful = (looked_at(rest, 0.3),)
-    assert rescored(doubtful, bare, model.front, lambda: ColourScorer.of(bare.raw, model)) is doubtful
+    assert rescored(doubtful, bare, model.front, lambda: colour_scorer(bare.raw, model)) is doubtful
 
 
 def test_a_search_without_anything_like_a_face_ends_early(model):

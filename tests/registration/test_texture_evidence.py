@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.geometry.rigid import compose, rotation_from_vector
-from scan2albedo.registration.evidence import ColourScorer
+from scan2albedo.registration.evidence import colour_scorer
 from scan2albedo.synthetic import Scanner, raw_scan
 
 UPSIDE_DOWN = compose(rotation_from_vector([0, 0, np.pi]), np.zeros(3))
@@ -17,22 +17,22 @@ def case(request, model):
     """A coloured scan, its right pose, and what is asked of its colours."""
     scanner = Scanner(size=32, picture_size=300, spacing_mm=4.0)
     scan, truth = raw_scan(request.param, scanner=scanner)
-    return scan, truth.model_from_scan, ColourScorer.of(scan, model)
+    return scan, truth.model_from_scan, colour_scorer(scan, model)
 
 
 def test_the_right_pose_is_likely_and_others_are_not(case):
     _, pose, witness = case
-    right = witness.log_odds(pose)
+    right = witness(pose, 1.0)
     assert right > 0.5
-    assert witness.log_odds(UPSIDE_DOWN @ pose) < right - 1
+    assert witness(UPSIDE_DOWN @ pose, 1.0) < right - 1
     for shift in ([0, 20, 0], [0, -20, 0]):
-        assert witness.log_odds(compose(np.eye(3), shift) @ pose) <= right
+        assert witness(compose(np.eye(3), shift) @ pose, 1.0) <= right
 
 
 def test_the_strength_of_the_light_does_not_matter(case, model):
     scan, pose, witness = case
     dark = replace(scan, texture_linear=scan.texture_linear * 0.1)
-    assert ColourScorer.of(dark, model).log_odds(pose) == pytest.approx(witness.log_odds(pose), abs=0.1)
+    assert colour_scorer(dark, model)(pose, 1.0) == pytest.approx(witness(pose, 1.0), abs=0.1)
 
 
 def test_colours_of_vertices_say_the_same(case, model):
@@ -43,35 +43,35 @@ def test_colours_of_vertices_say_the_same(case, model):
     color = np.zeros((len(scan.vertices), 3), np.float32)
     color[scan.faces.ravel()] = scan.texture_linear[place]
     plain = replace(scan, uv=None, texture_linear=None, vertex_color_linear=color)
-    assert ColourScorer.of(plain, model).log_odds(pose) > 0
+    assert colour_scorer(plain, model)(pose, 1.0) > 0
 
 
 def test_neither_winding_nor_fine_triangles_matter(case, model, monkeypatch):
     scan, pose, witness = case
-    right = witness.log_odds(pose)
-    assert ColourScorer.of(scan.inside_out(), model).log_odds(pose) == pytest.approx(right, abs=0.3)
+    right = witness(pose, 1.0)
+    assert colour_scorer(scan.inside_out(), model)(pose, 1.0) == pytest.approx(right, abs=0.3)
     monkeypatch.setattr("scan2albedo.registration.evidence._MOST_FACES", len(scan.faces) // 2)
-    assert ColourScorer.of(scan, model).log_odds(pose) == pytest.approx(right, abs=1.0)
+    assert colour_scorer(scan, model)(pose, 1.0) == pytest.approx(right, abs=1.0)
 
 
 def test_an_even_texture_says_hardly_anything(case, model):
     scan, pose, _ = case
     even = replace(scan, texture_linear=np.full_like(scan.texture_linear, 0.4))
-    witness = ColourScorer.of(even, model)
-    assert abs(witness.log_odds(pose)) < 1
-    assert witness.log_odds(UPSIDE_DOWN @ pose) == pytest.approx(witness.log_odds(pose), abs=0.5)
+    witness = colour_scorer(even, model)
+    assert abs(witness(pose, 1.0)) < 1
+    assert witness(UPSIDE_DOWN @ pose, 1.0) == pytest.approx(witness(pose, 1.0), abs=0.5)
 
 
 def test_where_there_is_no_colour_there_is_no_evidence(case, model):
     scan, pose, witness = case
-    assert ColourScorer.of(replace(scan, uv=None, texture_linear=None), model) is None
+    assert colour_scorer(replace(scan, uv=None, texture_linear=None), model) is None
     black = replace(scan, texture_linear=np.zeros_like(scan.texture_linear))
-    assert ColourScorer.of(black, model).log_odds(pose) == 0
-    assert witness.log_odds(compose(np.eye(3), [0, 0, 500]) @ pose) == 0
-    assert ColourScorer.of(scan, replace(model, face_uv=None)) is None
+    assert colour_scorer(black, model)(pose, 1.0) == 0
+    assert witness(compose(np.eye(3), [0, 0, 500]) @ pose, 1.0) == 0
+    assert colour_scorer(scan, replace(model, face_uv=None)) is None
 
 
 def test_a_strange_texture_cannot_refuse_a_face(case, model):
     scan, pose, _ = case
     noise = np.random.default_rng(0).uniform(size=scan.texture_linear.shape).astype(np.float32)
-    assert -3 <= ColourScorer.of(replace(scan, texture_linear=noise), model).log_odds(pose) <= 3
+    assert -3 <= colour_scorer(replace(scan, texture_linear=noise), model)(pose, 1.0) <= 3

@@ -6,8 +6,9 @@ from scipy.spatial import cKDTree
 
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.geometry.closest_points import ClosestPointQuery
-from scan2albedo.geometry.mesh import boundary_vertex_mask, vertex_components
+from scan2albedo.geometry.mesh import boundary_vertex_mask, normalized, vertex_components
 from scan2albedo.geometry.parametrization import boundary_loop
+from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, project
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.synthetic import Material, Scanner, light_at, raw_scan
 from scan2albedo.synthetic.raw_scan import flash_pictures, two_pods
@@ -27,11 +28,15 @@ def made():
 
 
 def test_pods_project_their_own_rays_back():
-    for pod in two_pods(np.array([1.0, 2.0, 3.0]), reach_mm=200.0):
-        plane = np.random.default_rng(0).uniform(-1, 1, (50, 2))
-        assert np.allclose(pod.project(pod.position_mm + 800 * pod.directions(plane)), plane)
-        assert np.allclose(pod.project(np.array([[1.0, 2.0, 3.0]])), 0)
-        assert pod.project(np.array([[1.0, 50.0, 3.0]]))[0, 1] > 0
+    pods = two_pods(np.array([1.0, 2.0, 3.0]), reach_mm=200.0)
+    for pod, place in zip(pods, camera_centers(pods), strict=True):
+        shown = np.random.default_rng(0).uniform(0, 1, (20, 2))
+        assert np.allclose(project(pod, place + 800 * pixel_directions(pod, shown))[0], shown)
+        assert np.allclose(project(pod, np.array([[1.0, 2.0, 3.0]]))[0], 0.5)
+        assert project(pod, np.array([[1.0, 50.0, 3.0]]))[0][0, 1] > 0.5
+        # The picture spans 200 mm to either side.
+        edge = [1.0, 2.0, 3.0] + 200 * normalized(np.cross([0, 1, 0], place - [1.0, 2.0, 3.0]))
+        assert np.allclose(np.abs(project(pod, edge[None])[0][0, 0] - 0.5), 0.5)
 
 
 def test_the_head_continues_the_face_without_a_crack(sitter):

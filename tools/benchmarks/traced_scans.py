@@ -19,10 +19,10 @@ from benchmarks.traced_lights import Rig, rigs
 from benchmarks.traced_people import Person, face_part, other_parts, painted, seated
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.mesh import face_normals, normalized
+from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, project
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.io.color import encode_srgb_bytes
-from scan2albedo.synthetic.raw_scan import Pod, RangeMesh, Scanner, assembled, beside, capture, random_pose
-from scan2albedo.synthetic.renderer import toward
+from scan2albedo.synthetic.raw_scan import RangeMesh, Scanner, assembled, beside, capture, pod, random_pose
 from scan2albedo.synthetic.scenes import texel_coordinates
 from scan2albedo.synthetic.sitter import HEAD_AXIS_FROM_NOSE_MM, BodyPart, Sitter, nose_tip
 
@@ -114,10 +114,10 @@ def pairs(heads: Path) -> tuple[ScanRecipe, ...]:
     return tuple(made)
 
 
-def pods_around(center: FloatArray, count: int) -> list[Pod]:
-    """Return `count` cameras whose pictures span REACH_MM to each side of `center` (3,)."""
-    half = float(np.arctan(REACH_MM / CAMERA_MM))
-    return [Pod(center + CAMERA_MM * toward(*angles), center, half) for angles in CAMERAS_DEG[count]]
+def pods_around(center: FloatArray, count: int) -> FloatArray:
+    """Return `count` cameras (count, 3, 4) whose pictures span REACH_MM to each side of `center` (3,)."""
+    span = {"reach_mm": REACH_MM, "distance_mm": CAMERA_MM}
+    return np.stack([pod(center, angles, **span) for angles in CAMERAS_DEG[count]])
 
 
 @dataclass(frozen=True)
@@ -133,11 +133,10 @@ class Pictured:
     position: FloatArray
 
 
-def pictured(sitter: Sitter, person: Person, pods: list[Pod], size: int) -> Pictured:
+def pictured(sitter: Sitter, person: Person, pods: FloatArray, size: int) -> Pictured:
     """Return what the cameras see through the centres of their pixels."""
-    plane = 2 * texel_coordinates(size) - 1
-    direction = np.concatenate([pod.directions(plane) for pod in pods])
-    origin = np.repeat([pod.position_mm for pod in pods], size * size, axis=0)
+    direction = np.concatenate([pixel_directions(camera, texel_coordinates(size)) for camera in pods])
+    origin = np.repeat(camera_centers(pods), size * size, axis=0)
     hits = RayCaster(sitter.vertices, sitter.faces).first_hit(origin, direction)
     hit = hits.face >= 0
     albedo, position = np.zeros((len(hit), 3)), np.zeros((len(hit), 3))
@@ -157,12 +156,12 @@ def albedo_at(sitter: Sitter, person: Person, face: IntArray, barycentric: Float
     return albedo
 
 
-def used_pixels(measured: RangeMesh, pods: list[Pod], size: int) -> BoolArray:
+def used_pixels(measured: RangeMesh, pods: FloatArray, size: int) -> BoolArray:
     """Return (K S S,) which pixels colour the scan, two more around them."""
     marks = []
-    for k, pod in enumerate(pods):
-        plane = pod.project(measured.vertices)
-        pixel = np.stack([(plane[:, 0] + 1) / 2 * size, (1 - plane[:, 1]) / 2 * size], 1) - 0.5
+    for k, camera in enumerate(pods):
+        u, v = project(camera, measured.vertices)[0].T
+        pixel = size * np.stack([u, 1 - v], 1) - 0.5
         picture = np.zeros((size, size), np.uint8)
         for triangle in np.round(pixel[measured.faces[measured.face_pod == k]] * 16).astype(np.int32):
             cv2.fillConvexPoly(picture, triangle, 1, shift=4)
@@ -193,7 +192,7 @@ class Photographs:
 def photographs(
     recipe: ScanRecipe,
     sitter: Sitter,
-    pods: list[Pod],
+    pods: FloatArray,
     used: BoolArray,
     *,
     size: int,
@@ -234,7 +233,7 @@ def rig_named(name: str) -> Rig:
     return next(rig for rig in rigs() if rig.name == name)
 
 
-def truth_uv(sitter: Sitter, pods: list[Pod]) -> FloatArray:
+def truth_uv(sitter: Sitter, pods: FloatArray) -> FloatArray:
     """Return (F, 3, 2) where the pictures show each of the sitter's faces best.
 
     What no camera shows lies in a corner of the first picture, which is black: its albedo is not compared.
@@ -243,16 +242,16 @@ def truth_uv(sitter: Sitter, pods: list[Pod]) -> FloatArray:
     corners = sitter.vertices[sitter.faces]
     normals = face_normals(sitter.vertices, sitter.faces)
     best, uv = np.full(len(corners), _LEAST_COSINE), np.tile([0.0, 1.0], (len(corners), 3, 1))
-    for k, pod in enumerate(pods):
-        cosine = np.einsum("ij,ij->i", normals, normalized(pod.position_mm - corners.mean(1)))
-        plane = pod.project(corners.reshape(-1, 3)).reshape(-1, 3, 2)
-        better = (cosine > best) & (np.abs(plane) < 0.99).all((1, 2))
+    for k, (camera, place) in enumerate(zip(pods, camera_centers(pods), strict=True)):
+        cosine = np.einsum("ij,ij->i", normals, normalized(place - corners.mean(1)))
+        shown = project(camera, corners.reshape(-1, 3))[0].reshape(-1, 3, 2)
+        better = (cosine > best) & (np.abs(shown - 0.5) < 0.495).all((1, 2))
         points = np.concatenate([corners[better], corners[better].mean(1, keepdims=True)], 1).reshape(-1, 3)
-        view = normalized(pod.position_mm - points)
+        view = normalized(place - points)
         hidden = caster.occluded(points + _BEFORE_MM * view, view).reshape(-1, 4).any(1)
         better[better] = ~hidden
         best[better] = cosine[better]
-        uv[better] = beside(plane[better], np.full((int(better.sum()), 3), k), len(pods))
+        uv[better] = beside(shown[better], np.full((int(better.sum()), 3), k), len(pods))
     return uv
 
 
@@ -286,7 +285,7 @@ def build_scan(recipe: ScanRecipe, folder: Path, *, size: int, paths: int, threa
 def write_truth(
     recipe: ScanRecipe,
     sitter: Sitter,
-    pods: list[Pod],
+    pods: FloatArray,
     scan_from_truth: FloatArray,
     exposure: float,
     file: Path,
@@ -304,7 +303,7 @@ def write_truth(
         light_directions=np.array([lamp["direction"] for lamp in lamps]).reshape(-1, 3),
         lights=np.array(json.dumps(lamps)),
         unit_mm=np.array(recipe.unit_mm),
-        camera_positions_mm=np.array([pod.position_mm for pod in pods]),
+        camera_positions_mm=camera_centers(pods),
         exposure=np.array(exposure),
         description=np.array(rig_named(recipe.rig).description),
         bsdf=np.array(recipe.person.gloss),

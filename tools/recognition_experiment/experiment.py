@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 
-from recognition_experiment.methods import albedo_method, method_names, session_templates
+from recognition_experiment.methods import albedo_method, joined, method_names, session_templates
 from recognition_experiment.options import RecognitionExperimentOptions
 from recognition_experiment.report import MethodResult, RecognitionReport
 from recognition_experiment.sessions import Session, cached_session, session_of
@@ -131,7 +131,7 @@ class _Run:
             for scan in range(1, 1 + self.options.probes)
             if (person, scan) in self.templates
         ]
-        return identify(Templates.joined(gallery), Templates.joined(probes), window=self.options.window)
+        return identify(joined(gallery), joined(probes), window=self.options.window)
 
     def report(self) -> RecognitionReport:
         persons, failures = self.persons(), tuple(self.failures.values())

@@ -8,12 +8,12 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from recognition_experiment.curve_figures import cmc_figure, roc_figure
 from recognition_experiment.people import people_figure
 from recognition_experiment.report import RecognitionReport
 from recognition_experiment.sessions import TEXTURE, cached_session
 from scan2albedo.io.atomic import atomic_path, make_folder, write_text
 from scan2albedo.io.records import plain_json
-from scan2albedo.runs.recognition import cmc_figure, roc_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 from benchmarks.light_normalization import histogram_equalized, multi_scale_retinex
 
@@ -72,3 +76,12 @@ def session_templates(
         )
         for method in method_names(options)
     }
+
+
+def joined(parts: Sequence[Templates]) -> Templates:
+    """Return the templates of several sets, made alike, in order."""
+    names = tuple(name for part in parts for name in part.names)
+    held: dict[str, Any] = {
+        key: np.concatenate([part.arrays[key] for part in parts]) for key in parts[0].arrays
+    }
+    return replace(parts[0], names=names, chart=None, **held)

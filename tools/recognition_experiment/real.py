@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recognition_experiment.calibration import calibrated
-from recognition_experiment.methods import method_names, session_templates
+from recognition_experiment.methods import joined, method_names, session_templates
 from recognition_experiment.options import RecognitionExperimentOptions
 from recognition_experiment.report import MethodResult
 from recognition_experiment.sessions import TEXTURE, Session
@@ -223,8 +223,7 @@ def compared(data: DataSet, scans: Path, cache: Path, options: RecognitionExperi
     found = {}
     for method in methods:
         probes, gallery = (
-            Templates.joined([made[scan.name][method] for scan in scans_])
-            for scans_ in (data.probes, data.gallery)
+            joined([made[scan.name][method] for scan in scans_]) for scans_ in (data.probes, data.gallery)
         )
         found[method] = similarity_matrix(probes, gallery, window=options.window)
     if coloured:

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from recognition_experiment.curve_figures import cmc_figure, roc_figure
 from recognition_experiment.real import ALL, DataSet, people_counted
 from recognition_experiment.report import MethodResult
 from scan2albedo.io.atomic import atomic_path, make_folder, write_text
 from scan2albedo.io.records import plain_json
-from scan2albedo.runs.recognition import cmc_figure, roc_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

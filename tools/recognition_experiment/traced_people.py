@@ -23,8 +23,9 @@ from scipy.ndimage import map_coordinates
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.mesh import vertex_normals
+from scan2albedo.geometry.pinhole import camera_centers, pixel_directions
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.synthetic.raw_scan import Pod, RangeMesh, Scanner, assembled, capture, random_pose
+from scan2albedo.synthetic.raw_scan import RangeMesh, Scanner, assembled, capture, random_pose
 from scan2albedo.synthetic.scenes import texel_coordinates
 from scan2albedo.synthetic.sitter import HEAD_AXIS_FROM_NOSE_MM, nose_tip
 from scan2albedo.synthetic.textures import HEMOGLOBIN, PaintedFeatures, paint_face, smooth_noise
@@ -199,7 +200,7 @@ def _texture(
     heads: Heads,
     vertices: FloatArray,
     albedo: FloatArray,
-    pods: list[Pod],
+    pods: FloatArray,
     measured: RangeMesh,
     rig: Rig,
     seed: int,
@@ -226,12 +227,11 @@ def _texture(
 
 
 def _seen(
-    heads: Heads, vertices: FloatArray, albedo: FloatArray, pods: list[Pod], size: int
+    heads: Heads, vertices: FloatArray, albedo: FloatArray, pods: FloatArray, size: int
 ) -> tuple[FloatArray, FloatArray, BoolArray, FloatArray]:
     """Return points, ray directions, which pixels show the head, and its albedo, of K pictures row by row."""
-    plane = 2 * texel_coordinates(size) - 1
-    direction = np.concatenate([pod.directions(plane) for pod in pods])
-    origin = np.repeat([pod.position_mm for pod in pods], size**2, axis=0)
+    direction = np.concatenate([pixel_directions(camera, texel_coordinates(size)) for camera in pods])
+    origin = np.repeat(camera_centers(pods), size**2, axis=0)
     hits = RayCaster(vertices, heads.faces).first_hit(origin, direction)
     hit = hits.face >= 0
     corners = heads.faces[hits.face[hit]]

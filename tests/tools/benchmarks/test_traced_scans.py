@@ -15,6 +15,7 @@ from benchmarks.traced_scans import (
 )
 
 import scan2albedo as s2a
+from scan2albedo.geometry.pinhole import project
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.synthetic.raw_scan import capture
 from scan2albedo.synthetic.sitter import sit_down
@@ -70,9 +71,9 @@ def test_the_truth_of_a_face_lies_where_a_camera_shows_it(sitter):
     assert 0.2 < shown.mean() < 0.95
     pod = (uv[shown, 0, 0] > 0.5).astype(int)
     corner = sitter.vertices[sitter.faces[shown, 0]]
-    plane = np.where(pod[:, None] == 0, pods[0].project(corner), pods[1].project(corner))
-    np.testing.assert_allclose(uv[shown, 0, 0], (plane[:, 0] + 1) / 4 + pod / 2)
-    np.testing.assert_allclose(uv[shown, 0, 1], (plane[:, 1] + 1) / 2)
+    place = np.where(pod[:, None] == 0, *(project(camera, corner)[0] for camera in pods))
+    np.testing.assert_allclose(uv[shown, 0, 0], (place[:, 0] + pod) / 2)
+    np.testing.assert_allclose(uv[shown, 0, 1], place[:, 1])
 
 
 def test_the_best_free_view_is_taken_and_hidden_points_have_none():
