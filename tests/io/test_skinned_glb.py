@@ -316,8 +316,8 @@ def test_what_cannot_be_written_is_refused(tmp_path):
     refused("sum to 1", weights=weights * 0.5)
     refused("0 for missing", keypoints=[[np.nan] * 3])
     refused("circle", parents=[0])
-    refused("faces must hold 0 to 3", faces=SQUARE_FACES + 1)
-    refused("finite", vertices=SQUARE_MM * np.nan)
+    refused("faces refer to vertices 1 to 4 of 4", faces=SQUARE_FACES + 1)
+    refused("4 of 4 vertices are NaN", vertices=SQUARE_MM * np.nan)
     refused("influences must be 1", influences=0)
     refused(
         "circle",
