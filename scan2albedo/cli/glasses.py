@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from scan2albedo.cli import common
-from scan2albedo.errors import EyeglassesError, OutputError, Scan2AlbedoError, one_line
+from scan2albedo.errors import EyeglassesError, Scan2AlbedoError, one_line
 
 if TYPE_CHECKING:
     from scan2albedo.cli.progress import ProgressLines
@@ -65,22 +65,18 @@ def key_points(
     from scan2albedo.io.atomic import atomic_path, check_writable
     from scan2albedo.report.eyeglasses_views import key_point_chart, key_point_table
 
-    try:
-        if frame is not None:
-            from scan2albedo.runs.eyeglasses.inputs import write_proposed
+    if frame is not None:
+        from scan2albedo.runs.eyeglasses.inputs import write_proposed
 
-            with _one_frame(frame, "glasses") as progress:
-                write_proposed(frame, out, keypoints, unit, progress.say)
-            return
-        if out is not None:
-            check_writable(out.parent)
-        typer.echo(key_point_table())
-        if out is not None:
-            with atomic_path(out) as staging:
-                key_point_chart().savefig(staging, format="png")
-    except OutputError as error:
-        typer.echo(f"scan2albedo: error: {one_line(error)}", err=True)
-        raise typer.Exit(common.USAGE_ERROR) from None
+        with _one_frame(frame, "glasses") as progress:
+            write_proposed(frame, out, keypoints, unit, progress.say)
+        return
+    if out is not None:
+        check_writable(out.parent)
+    typer.echo(key_point_table())
+    if out is not None:
+        with atomic_path(out) as staging:
+            key_point_chart().savefig(staging, format="png")
 
 
 @app.command()

@@ -124,15 +124,11 @@ class GlbFile:
             "bufferViews": self.views,
             "buffers": [{"byteLength": len(self.data)}],
         }
-        write_bytes(path, glb_bytes(tree, struct.pack("<I4s", len(self.data), b"BIN\0") + self.data))
-
-
-def glb_bytes(tree: dict[str, Any], chunks: bytes) -> bytes:
-    """Return a GLB file: its JSON, filled up with blanks, and further chunks."""
-    text = json.dumps(tree, separators=(",", ":"), allow_nan=False).encode()
-    text += b" " * (-len(text) % 4)
-    body = struct.pack("<I4s", len(text), b"JSON") + text + chunks
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
+        text = json.dumps(tree, separators=(",", ":"), allow_nan=False).encode()
+        text += b" " * (-len(text) % 4)
+        body = struct.pack("<I4s", len(text), b"JSON") + text
+        body += struct.pack("<I4s", len(self.data), b"BIN\0") + self.data
+        write_bytes(path, struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body)
 
 
 def write_glb(
