@@ -255,9 +255,9 @@ def _joined(file: GltfFile) -> ParsedMesh:
             if id(primitive) not in surfaces:
                 surfaces[id(primitive)] = _surface(file, primitive, materials[key], [*materials].index(key))
             part, joints, weights = surfaces[id(primitive)]
-            if "skin" in node and len(joints) and len(weights):
-                matrix = _by_joints(file, world, node["skin"], joints, weights)
-            linear, shift = matrix[..., :3, :3], matrix[..., :3, 3]
+            skinned = "skin" in node and joints.size
+            moved = _by_joints(file, world, node["skin"], joints, weights) if skinned else matrix
+            linear, shift = moved[..., :3, :3], moved[..., :3, 3]
             part = replace(part, vertices=(linear @ part.vertices[:, :, None])[:, :, 0] + shift)
             if np.median(np.linalg.det(linear)) < 0 and part.uv is not None:
                 part = replace(part, faces=part.faces[:, ::-1], uv=part.uv[:, ::-1])
