@@ -207,9 +207,9 @@ def write_parts_glb(path: str | Path, parts: Sequence[GlbPart]) -> None:
         raise ValueError("a GLB file needs a mesh")
     file, materials = GlbFile(), []
     for number, part in enumerate(parts):
-        vertices, faces = checked_mesh(part.vertices, part.faces, repr(part.name))
-        if len(faces) == 0:
-            raise ValueError(f"{part.name!r} needs faces")
+        vertices, faces = np.asarray(part.vertices, np.float64), np.asarray(part.faces, np.int64)
+        if len(faces) == 0 or not np.isfinite(vertices).all():
+            raise ValueError(f"{part.name!r} needs faces and finite vertices")
         kept, renumbered = without_unreferenced(vertices, faces)
         file.add_mesh(part.name, vertices[kept], renumbered, number)
         color = np.clip([*part.color_linear, part.opacity], 0, 1).tolist()

@@ -28,10 +28,9 @@ def test_parts_come_back_with_their_colours(tmp_path):
 def test_what_is_no_mesh_is_refused(tmp_path):
     with pytest.raises(ValueError, match="needs a mesh"):
         write_parts_glb(tmp_path / "a.glb", [])
-    unknown = np.eye(3) * np.nan
-    for part in (("part", np.eye(3), np.zeros((0, 3), int)), ("part", unknown, [[0, 1, 2]])):
-        with pytest.raises(ValueError, match=r"'part'(: 3 of 3 vertices are NaN| needs faces)"):
-            write_parts_glb(tmp_path / "a.glb", [GlbPart(*part, (1, 1, 1))])
+    for vertices, faces in ((np.eye(3), np.zeros((0, 3), int)), (np.eye(3) * np.nan, [[0, 1, 2]])):
+        with pytest.raises(ValueError, match="'part' needs faces"):
+            write_parts_glb(tmp_path / "a.glb", [GlbPart("part", vertices, faces, (1, 1, 1))])
     assert list(tmp_path.iterdir()) == []
 
 
