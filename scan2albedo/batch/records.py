@@ -284,11 +284,7 @@ class Layout:
         """Keep other batches out of the folder during the block; BatchError when one works there already."""
         import fcntl
 
-        lock = make_folder(self.kept) / "lock"
-        try:
-            descriptor = os.open(lock, os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW, 0o666)
-        except OSError as error:
-            raise BatchError(f"{lock}: cannot be opened: {error.strerror}; remove it") from error
+        descriptor = os.open(make_folder(self.kept), os.O_RDONLY)
         try:
             with suppress(OSError):  # a file system without locks
                 try:

@@ -278,7 +278,8 @@ class _Run:
                     finished = None if scan.name in self.rows else self.layout.row(scan.name)
                     if finished is not None and finished.run == self.run:
                         self.rows[scan.name] = finished
-                remove_leftovers(*self.layout.folders)
+                failed = (self.layout.out / row.name for row in self.rows.values() if row.status == "failed")
+                remove_leftovers(*self.layout.folders, *failed)
                 self.write(status)
         return self.outcome()
 

@@ -148,12 +148,9 @@ def process(
 ) -> None:
     """Process raw scans: register, fit, sample, find the light, remove it."""
     options = _process_options(context, scans)
-    from scan2albedo.cli.progress import ProgressLines
-    from scan2albedo.io.atomic import removed_if_empty
     from scan2albedo.pipeline.process import process as run
     from scan2albedo.templates import chosen_model
 
-    common.stop_cleanly_on_interrupt(out)
     template = chosen_model(options.model)
     for note in template.notes if template is not None else ():
         common.say(f"{options.model}: {note}")
@@ -162,7 +159,7 @@ def process(
     failures, lost = 0, False
     for path in scans:
         name = scan_name(path)
-        with removed_if_empty(out), ProgressLines(name) as progress:
+        with common.working(name, out) as progress:
             progress.say(f"{name}: reading {path}")
             try:
                 result = run(path, out=out, on_progress=progress.update, **chosen)
@@ -202,13 +199,10 @@ def person(
 ) -> None:
     """Process several scans of one person into one shape and one albedo, or a take into a mesh that moves."""
     options = _process_options(context, () if sequence else scans).arguments()
-    from scan2albedo.cli.progress import ProgressLines
-    from scan2albedo.io.atomic import removed_if_empty
     from scan2albedo.pipeline.person import process_person
     from scan2albedo.pipeline.sequence import process_sequence
 
-    common.stop_cleanly_on_interrupt(out)
-    with removed_if_empty(out), ProgressLines(name) as progress:
+    with common.working(name, out) as progress:
         progress.say(f"{name}: {len(scans)} {'frames' if sequence else 'scans'}")
         run = partial(process_sequence, fps=fps) if sequence else process_person
         result = run(scans, out, name=name, on_progress=progress.update, **options)
@@ -257,9 +251,9 @@ def batch(
     from scan2albedo.cli.progress import BatchLines
     from scan2albedo.io.atomic import removed_if_empty
 
+    common.interrupts_raise()  # the stages run in workers, so that signals may unwind here
     try:
-        # The stages run in workers, so that signals may unwind here.
-        with common.interrupts_raise(), removed_if_empty(out), BatchLines("batch") as lines:
+        with removed_if_empty(out), BatchLines("batch") as lines:
             done = run_batch(
                 manifest,
                 out,
@@ -271,10 +265,12 @@ def batch(
                 on_progress=lines.show,
             )
     except KeyboardInterrupt as stopped:
-        terminated = isinstance(stopped, common.Terminated)
-        what = "terminated" if terminated else "interrupted"
+        number = stopped.args[0] if stopped.args else signal.SIGINT
+        what = "terminated" if number == signal.SIGTERM else "interrupted"
         common.say(f"scan2albedo: {what}; nothing half-written was left behind, and --resume goes on")
-        raise typer.Exit(128 + (signal.SIGTERM if terminated else signal.SIGINT)) from None
+        raise typer.Exit(128 + number) from None
+    finally:
+        common.stop_cleanly_on_interrupt(None)
     for line in done.summary().splitlines():
         common.say(line)
     if json_summary:
@@ -295,11 +291,9 @@ def demo(
 ) -> None:
     """Process the built-in raw scan and print the error against its ground truth."""
     _process_options(context)
-    common.stop_cleanly_on_interrupt(out)
-    from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.pipeline.demo import run_demo
 
-    with ProgressLines("demo") as progress:
+    with common.working("demo", out) as progress:
         done = run_demo(out, **flags, on_progress=progress.update)
         progress.say(done.result.summary())
     if json_summary:

@@ -1,5 +1,7 @@
 """What the commands share: exit statuses, flags, one line an error, a clean end on Ctrl-C and SIGTERM."""
 
+from __future__ import annotations
+
 import json
 import os
 import signal
@@ -7,7 +9,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperGroup
@@ -16,6 +18,10 @@ from scan2albedo.core import Budget
 from scan2albedo.core.raw_scan import scan_name
 from scan2albedo.errors import printable
 from scan2albedo.io.leftovers import remove_unfinished
+
+if TYPE_CHECKING:
+    from scan2albedo.cli.progress import ProgressLines
+    from scan2albedo.io.run_folder import OwnFiles
 
 SOME_FAILED, USAGE_ERROR = 1, 2
 """Exit statuses; 128 and the number of the signal where one ended the process."""
@@ -78,25 +84,33 @@ def refuse_shared_folders(scans: Sequence[Path]) -> None:
             )
 
 
-class Terminated(KeyboardInterrupt):
-    """SIGTERM, where Ctrl-C raises KeyboardInterrupt."""
-
-
 @contextmanager
-def interrupts_raise() -> Iterator[None]:
-    """Make Ctrl-C raise KeyboardInterrupt, and SIGTERM `Terminated`, during the block."""
+def working(name: str, out: Path | None, files: OwnFiles[Any] | None = None) -> Iterator[ProgressLines]:
+    """Give progress lines for work that writes into `out`, and end it cleanly on Ctrl-C and SIGTERM.
 
-    def terminated(signum: int, frame: object) -> None:
-        raise Terminated
+    An `out` that is new and stays empty goes again. With `files` it must be writable, and hold no others of
+    their names.
+    """
+    from scan2albedo.cli.progress import ProgressLines
+    from scan2albedo.io.atomic import check_writable, removed_if_empty
+    from scan2albedo.io.run_folder import RunFolder
 
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        signal.signal(signal.SIGTERM, terminated)
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    stop_cleanly_on_interrupt(out)
+    with removed_if_empty(out), ProgressLines(name) as progress:
+        if out is not None and files is not None:
+            RunFolder(out, files).check()
+            check_writable(out)
+        yield progress
+
+
+def interrupts_raise() -> None:
+    """Make Ctrl-C and SIGTERM raise KeyboardInterrupt with the number of the signal."""
+
+    def stop(signum: int, frame: object) -> None:
+        raise KeyboardInterrupt(signum)
+
+    signal.signal(signal.SIGINT, stop)
+    signal.signal(signal.SIGTERM, stop)
 
 
 def stop_cleanly_on_interrupt(out: Path | None) -> None:

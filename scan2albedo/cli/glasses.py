@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from scan2albedo.cli import common
-from scan2albedo.errors import EyeglassesError, OutputError, Scan2AlbedoError, one_line
+from scan2albedo.errors import EyeglassesError, Scan2AlbedoError, one_line
 
 if TYPE_CHECKING:
     from scan2albedo.cli.progress import ProgressLines
@@ -28,18 +28,18 @@ FrameWidthOption = Annotated[
 
 
 @contextmanager
-def _one_frame(frame: Path, stage: str, json_summary: bool) -> Iterator[ProgressLines]:
+def _one_frame(
+    frame: Path, stage: str, json_summary: bool = False, out: Path | None = None, files: Any = None
+) -> Iterator[ProgressLines]:
     """Say progress, and end the command with one line, and JSON if wanted, on an error about the frame."""
-    from scan2albedo.cli.progress import ProgressLines
-
-    with ProgressLines(stage) as progress:
-        try:
+    try:
+        with common.working(stage, out, files) as progress:
             yield progress
-        except Scan2AlbedoError as error:
-            progress.say(f"scan2albedo: error: {one_line(error)}")
-            if json_summary:
-                common.echo_json({"frame": str(frame), "status": "failed", "reason": one_line(error)})
-            raise typer.Exit(common.USAGE_ERROR) from None
+    except Scan2AlbedoError as error:
+        common.say(f"scan2albedo: error: {one_line(error)}")
+        if json_summary:
+            common.echo_json({"frame": str(frame), "status": "failed", "reason": one_line(error)})
+        raise typer.Exit(common.USAGE_ERROR) from None
 
 
 @app.command("key-points")
@@ -65,22 +65,18 @@ def key_points(
     from scan2albedo.io.atomic import atomic_path, check_writable
     from scan2albedo.report.eyeglasses_views import key_point_chart, key_point_table
 
-    try:
-        if frame is not None:
-            from scan2albedo.runs.eyeglasses.inputs import write_proposed
+    if frame is not None:
+        from scan2albedo.runs.eyeglasses.inputs import write_proposed
 
-            with _one_frame(frame, "glasses", False) as progress:
-                write_proposed(frame, out, keypoints, unit, progress.say)
-            return
-        if out is not None:
-            check_writable(out.parent)
-        typer.echo(key_point_table())
-        if out is not None:
-            with atomic_path(out) as staging:
-                key_point_chart().savefig(staging, format="png")
-    except OutputError as error:
-        typer.echo(f"scan2albedo: error: {one_line(error)}", err=True)
-        raise typer.Exit(common.USAGE_ERROR) from None
+        with _one_frame(frame, "glasses") as progress:
+            write_proposed(frame, out, keypoints, unit, progress.say)
+        return
+    if out is not None:
+        check_writable(out.parent)
+    typer.echo(key_point_table())
+    if out is not None:
+        with atomic_path(out) as staging:
+            key_point_chart().savefig(staging, format="png")
 
 
 @app.command()
@@ -129,7 +125,6 @@ def canonicalize(
         raise typer.BadParameter(
             f"--keypoints is given {len(keypoints)} times for {len(meshes)} meshes; give it once for each"
         )
-    from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.eyeglasses import CanonicalizationOptions
     from scan2albedo.io.atomic import check_writable
     from scan2albedo.io.run_folder import RunFolder
@@ -150,11 +145,10 @@ def canonicalize(
     except ValueError as error:
         raise typer.BadParameter(one_line(error)) from None
     spend = common.checked_budget(budget, unit)
-    common.stop_cleanly_on_interrupt(out)
-    check_writable(out)
-    RunFolder(out, FILES).check([mesh.stem for mesh in meshes])
     figures: dict[str, dict[str, Any]] = {}
-    with ProgressLines("glasses") as progress:
+    with common.working("glasses", out) as progress:
+        check_writable(out)
+        RunFolder(out, FILES).check([mesh.stem for mesh in meshes])
         frames: list[GlassesFrame] = []
         failures: list[FailedFrameRecord] = []
         for number, mesh in enumerate(meshes):
@@ -249,8 +243,6 @@ def register(
     calibrated with the scanner come into it by their matrices times the inverse of model_from_scan in the
     registration.json beside it.
     """
-    from scan2albedo.io.atomic import check_writable
-    from scan2albedo.io.run_folder import RunFolder
     from scan2albedo.runs.eyeglasses.inputs import CANONICAL, read_registration
     from scan2albedo.runs.eyeglasses.register_run import FILES, register_frame, write_registration_files
 
@@ -258,13 +250,10 @@ def register(
     own = keypoints is not None or unit not in ("auto", "mm") or frame_width is not None
     if mesh.suffix.lower() == CANONICAL and own:
         raise typer.BadParameter(f"{mesh.name} brings its own key points and is in mm")
-    common.stop_cleanly_on_interrupt(out)
-    RunFolder(out, FILES).check()
-    with _one_frame(mesh, "glasses", json_summary) as progress:
+    with _one_frame(mesh, "glasses", json_summary, out, FILES) as progress:
         progress.say(f"glasses: reading {mesh}")
         more = {"pictures": pictures, "masks": masks, "head": head, "keypoints": keypoints, "start": start}
         given = read_registration(mesh, cameras, labels, **more, unit=unit, frame_width_mm=frame_width)
-        check_writable(out)
         done = register_frame(given, bend=not rigid, budget=spend, on_progress=progress.update)
         figures = write_registration_files(done, out)
         for note in done.notes:
@@ -283,11 +272,9 @@ def demo(
     json_summary: common.JsonOption = False,
 ) -> None:
     """Register a synthetic person's frame on their fitted face, print the error, put lenses in."""
-    common.stop_cleanly_on_interrupt(out)
-    from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.runs.eyeglasses.demo import run_glasses_demo
 
-    with ProgressLines("demo") as progress:
+    with common.working("demo", out) as progress:
         report = run_glasses_demo(out, seed=seed, on_progress=progress.update, say=progress.say)
         progress.say(f"{report.placed.summary()}; files in {out}")
     if json_summary:
@@ -362,8 +349,6 @@ def lenses(
     printed. Photographs keep their own light and exposure. Lenses are clear window glass by default.
     """
     from scan2albedo.eyeglasses import LensPictureOptions
-    from scan2albedo.io.atomic import check_writable
-    from scan2albedo.io.run_folder import RunFolder
     from scan2albedo.io.units import check_unit
     from scan2albedo.runs.eyeglasses.inputs import material_pair, read_lens_scene
     from scan2albedo.runs.eyeglasses.lenses_run import FILES, run_lenses
@@ -376,11 +361,8 @@ def lenses(
         materials = material_pair(dioptres, tint=tint, **shares, sunglasses=sunglasses, fresnel=fresnel)
     except (ValueError, Scan2AlbedoError) as error:
         raise typer.BadParameter(one_line(error)) from None
-    common.stop_cleanly_on_interrupt(out)
-    with _one_frame(frame, "lenses", json_summary) as progress:
-        RunFolder(out, FILES).check()
+    with _one_frame(frame, "lenses", json_summary, out, FILES) as progress:
         source = read_lens_scene(frame, head, cameras, **files, unit=unit)
-        check_writable(out)
         options = LensPictureOptions(supersampling=supersampling, light_count=lights)
         record = run_lenses(source, materials, options, out, progress.say)
     if json_summary:

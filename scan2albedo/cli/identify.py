@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from scan2albedo.cli.common import JsonOption, echo_json, stop_cleanly_on_interrupt
+from scan2albedo.cli.common import JsonOption, echo_json, working
 
 
 def identify(
@@ -60,10 +60,6 @@ def identify(
         checked_use(kinds)
     except ValueError as error:
         raise typer.BadParameter(f"--use is {use!r}, expected some of albedo,texture,shape") from error
-    stop_cleanly_on_interrupt(out)
-    from scan2albedo.cli.progress import ProgressLines
-    from scan2albedo.io.atomic import check_writable, removed_if_empty
-    from scan2albedo.io.run_folder import RunFolder
     from scan2albedo.recognition import (
         TemplateOptions,
         identify_results,
@@ -72,10 +68,7 @@ def identify(
     )
     from scan2albedo.runs.recognition import FILES, write_identification
 
-    with removed_if_empty(out), ProgressLines("identify") as progress:
-        if out is not None:
-            RunFolder(out, FILES).check()
-            check_writable(out)
+    with working("identify", out, FILES) as progress:
         known = read_labelled_templates(
             gallery,
             use=kinds,

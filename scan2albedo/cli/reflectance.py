@@ -262,9 +262,6 @@ def _work(
     name: str, out: Path, json_summary: bool = False
 ) -> Iterator[tuple[ProgressLines, Callable[[str, dict[str, Any]], None]]]:
     """Give progress lines for work that writes into `out`, and what says how it ended: text and figures."""
-    common.stop_cleanly_on_interrupt(out)
-    from scan2albedo.cli.progress import ProgressLines
-    from scan2albedo.io.atomic import check_writable, removed_if_empty
     from scan2albedo.io.run_folder import RunFolder
     from scan2albedo.runs.reflectance import FILES
 
@@ -274,8 +271,6 @@ def _work(
         if json_summary:
             common.echo_json({"out": str(out), **figures})
 
-    with removed_if_empty(out), ProgressLines(name) as progress:
-        check_writable(out)
-        if name != "demo":  # which writes folders of its own
-            RunFolder(out, FILES).check()
+    # The demo writes folders of its own.
+    with common.working(name, out, None if name == "demo" else FILES) as progress:
         yield progress, report

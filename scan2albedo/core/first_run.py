@@ -91,22 +91,19 @@ def _helper_count() -> int:
 
 def _is_cold(kernels: Sequence[Any]) -> bool:
     """Whether many of the kernels are not on disk, and can be kept there once they are compiled."""
-    missing, listed = 0, dict[str, list[os.DirEntry[str]]]()
+    missing = 0
     for kernel in kernels:
         # A plain function where numba is switched off, no path where nothing is kept.
         folder = getattr(getattr(kernel, "stats", None), "cache_path", None)
         if not folder or not os.access(folder, os.W_OK):
             return False
-        if folder not in listed:
-            with os.scandir(folder) as entries:
-                listed[folder] = [entry for entry in entries if entry.name.endswith((".nbi", ".nbc"))]
         source = Path(kernel.py_func.__code__.co_filename)
-        start, changed = f"{source.stem}.{kernel.py_func.__qualname__}-", source.stat().st_mtime
-        kept = [entry for entry in listed[folder] if entry.name.startswith(start)]
+        kept = [*Path(folder).glob(f"{source.stem}.{kernel.py_func.__qualname__}-*.nb[ic]")]
         # Older than the source: where one process writes the index anew, another might read it by that.
+        changed = source.stat().st_mtime
         old = [entry for entry in kept if entry.stat().st_mtime < changed <= time.time()]
         for entry in old:
-            Path(entry.path).unlink(missing_ok=True)
+            entry.unlink(missing_ok=True)
         missing += len(old) == len(kept)
     return missing > _COLD * len(kernels)
 

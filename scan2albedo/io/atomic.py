@@ -1,11 +1,8 @@
 """Files and result folders appear whole or not at all."""
 
-import ctypes
 import json
 import os
-import shutil
 import signal
-import sys
 import threading
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
@@ -21,24 +18,15 @@ from scan2albedo.io.leftovers import JOURNAL, finished, folder_lock, hidden_path
 def staged(target: Path, home: Path | None = None) -> Iterator[Path]:
     """Give a new hidden folder to make the files of `target` in, removed when the block ends.
 
-    It is in `home`, beside `target` when omitted, so that `publish` can exchange both; else in `target`.
+    It is in `target` where there is one, else in `home`, beside `target` when omitted.
     """
     home = target.parent if home is None else home
     with suppress(FileExistsError):
         home.mkdir(parents=True)
     leftovers.remove_leftovers(home, target)
-    staging, there = hidden_path(home / target.name), target.is_dir()
+    staging = hidden_path((target if target.is_dir() else home) / target.name)
     try:
-        if there and target.stat().st_dev != home.stat().st_dev:
-            raise PermissionError
         staging.mkdir()
-    except OSError:
-        finished(staging)
-        if not there:
-            raise
-        staging = hidden_path(target / target.name)
-        staging.mkdir()
-    try:
         yield staging
     finally:
         finished(staging)
@@ -47,12 +35,10 @@ def staged(target: Path, home: Path | None = None) -> Iterator[Path]:
 def publish(staging: Path, target: Path, dropped: Collection[str], last: Collection[str] = ()) -> None:
     """Put the files of the folder `staging` into the folder `target`, all or none.
 
-    Files in `target` of the same names are replaced, those named in `dropped`, by paths in `target`, go, and
-    all others stay. A copy of the folder is completed under its hidden name, with hard links to the files of
-    others, and exchanged with it in one step. Where that is impossible (a mount point, a parent that cannot
-    be written, a file system without exchange or links, the current folder), files are renamed one by one
-    under `JOURNAL`, those named in `last` at the end. The caller holds `folder_lock(target)`. Raises OSError,
-    and OutputError for a link or a file in the place of a folder, with `target` as it was.
+    Where there is no `target` yet, one rename makes it. Else its files of the same names are replaced, those
+    named in `dropped`, by paths in it, go, and others stay: files are renamed one by one under `JOURNAL`,
+    those named in `last` at the end. The caller holds `folder_lock(target)`. Raises OSError, and OutputError
+    for a link or a file in the place of a folder, with `target` as it was.
     """
     made = sorted(_moves(staging, target), key=lambda name: name in last)
     with signals_held():
@@ -60,19 +46,11 @@ def publish(staging: Path, target: Path, dropped: Collection[str], last: Collect
             target.parent.mkdir(parents=True, exist_ok=True)
             os.rename(staging, target)
             return
-        if not os.access(target, os.W_OK | os.X_OK):
-            raise PermissionError(None, f"the folder {target} cannot be written")
-        if _exchanged(staging, target, dropped):
-            return
-        # Files are renamed one by one.
         holder = hidden_path(target / target.name)
         try:
             holder.mkdir(mode=0o700)
             new, old = holder / "new", holder / "old"
-            try:
-                os.rename(staging, new)
-            except OSError:  # a mount point
-                shutil.copytree(staging, new, symlinks=True)
+            os.rename(staging, new)
             older = [name for name in {*made, *dropped} if os.path.lexists(target / name)]
             for name in older:
                 (old / name).parent.mkdir(parents=True, exist_ok=True)
@@ -107,66 +85,6 @@ def _moves(source: Path, target: Path, prefix: str = "") -> list[str]:
         else:
             moves.append(f"{prefix}{path.name}")
     return moves
-
-
-def _exchanged(staging: Path, target: Path, dropped: Collection[str]) -> bool:
-    """Complete `staging` and exchange it with `target`; False where that cannot be done here."""
-    linked: dict[str, int] = {}
-    try:
-        here = Path(os.getcwd())
-        if staging.parent != target.parent or target in (here, *here.parents):
-            return False
-        _link_others(target, staging, dropped, linked)
-        _exchange(staging, target)
-    except OSError:
-        return False
-    # What somebody put into the old folder since it was read goes to the new one.
-    for root, _, files in os.walk(staging):
-        for file in files:
-            old = Path(root, file)
-            name = old.relative_to(staging).as_posix()
-            new = target / name
-            added = name not in linked and name not in dropped and not os.path.lexists(new)
-            with suppress(OSError):
-                if added or linked.get(name, old.lstat().st_ino) != old.lstat().st_ino:
-                    new.parent.mkdir(parents=True, exist_ok=True)
-                    os.rename(old, new)
-    return True
-
-
-def _link_others(
-    old: Path, new: Path, dropped: Collection[str], linked: dict[str, int], prefix: str = ""
-) -> None:
-    for path in old.iterdir():
-        name, place = prefix + path.name, new / path.name
-        if path.is_dir() and not path.is_symlink():
-            if not os.access(path, os.W_OK | os.X_OK):
-                raise PermissionError(None, f"{path} cannot be removed")
-            place.mkdir(exist_ok=True)
-            _link_others(path, place, dropped, linked, f"{name}/")
-        elif name not in dropped and not os.path.lexists(place):
-            if path.is_symlink():
-                os.symlink(os.readlink(path), place)
-            else:
-                os.link(path, place)
-            linked[name] = path.lstat().st_ino
-    there, made = old.stat(), new.stat()
-    if (there.st_uid, there.st_gid) != (made.st_uid, made.st_gid):
-        os.chown(new, there.st_uid, there.st_gid)
-    shutil.copystat(old, new)
-    os.utime(new)
-
-
-def _exchange(a: Path, b: Path) -> None:
-    """Exchange two paths in one step. Raises OSError where the system or file system cannot."""
-    name = "renamex_np" if sys.platform == "darwin" else "renameat2"
-    exchange = getattr(ctypes.CDLL(None, use_errno=True), name, None) if os.name == "posix" else None
-    if exchange is None:
-        raise OSError(None, "this system exchanges no paths")
-    here = () if sys.platform == "darwin" else (-100,)  # AT_FDCWD
-    # 2 is RENAME_SWAP of macOS and RENAME_EXCHANGE of Linux.
-    if exchange(*here, os.fsencode(a), *here, os.fsencode(b), 2):
-        raise OSError(ctypes.get_errno(), "paths cannot be exchanged")
 
 
 @contextmanager
@@ -237,9 +155,9 @@ def result_folder(
 
     Whatever ends the block or the process, `out` is as it was or has all new files, see `publish`. Files of
     the same names are replaced, whoever made them, and those named in `obsolete` removed: a `RunFolder` knows
-    whose they are. The hidden folder is made in `staged_in`, beside `out` when omitted. `records` come last
-    where files are renamed one by one. Raises OutputError, naming `out` and the cause, when it cannot be
-    written, or a folder in it is a link.
+    whose they are. Of an `out` that is new the hidden folder is made in `staged_in`, beside `out` when
+    omitted. `records` come last. Raises OutputError, naming `out` and the cause, when it cannot be written,
+    or a folder in it is a link.
     """
     target = Path(os.path.realpath(out))
     with cannot_write(out), staged(target, staged_in and Path(os.path.realpath(staged_in))) as staging:

@@ -1,4 +1,4 @@
-"""Lists and CSV tables that people write, read so that every fault is named with its place."""
+"""Texts, lists and CSV tables that people write, read so that every fault is named with its place."""
 
 import csv
 from io import StringIO
@@ -20,12 +20,12 @@ def read_text(
             reason = reason.removeprefix(f"{name}: ")
         raise error(f"{what} cannot be read ({reason}); {advice}") from cause
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        raise error(f"{what} is UTF-16 text; save it as CSV in UTF-8")
+        raise error(f"{what} is UTF-16 text; save it in UTF-8, a table as CSV")
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as cause:
         byte = f"byte {cause.start} is {data[cause.start]:#04x}"
-        raise error(f"{what} is no UTF-8 text ({byte}); save it as CSV in UTF-8") from cause
+        raise error(f"{what} is no UTF-8 text ({byte}); save it in UTF-8, a table as CSV") from cause
     if "\0" in text:
         raise error(f"{what} is not a text file; {advice}")
     return text

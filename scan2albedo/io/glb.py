@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray, checked_mesh
 from scan2albedo.geometry.mesh import vertex_normals, without_unreferenced
 from scan2albedo.io.atomic import write_bytes
 from scan2albedo.io.images import encode_image
@@ -124,15 +124,11 @@ class GlbFile:
             "bufferViews": self.views,
             "buffers": [{"byteLength": len(self.data)}],
         }
-        write_bytes(path, glb_bytes(tree, struct.pack("<I4s", len(self.data), b"BIN\0") + self.data))
-
-
-def glb_bytes(tree: dict[str, Any], chunks: bytes) -> bytes:
-    """Return a GLB file: its JSON, filled up with blanks, and further chunks."""
-    text = json.dumps(tree, separators=(",", ":"), allow_nan=False).encode()
-    text += b" " * (-len(text) % 4)
-    body = struct.pack("<I4s", len(text), b"JSON") + text + chunks
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
+        text = json.dumps(tree, separators=(",", ":"), allow_nan=False).encode()
+        text += b" " * (-len(text) % 4)
+        body = struct.pack("<I4s", len(text), b"JSON") + text
+        body += struct.pack("<I4s", len(self.data), b"BIN\0") + self.data
+        write_bytes(path, struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body)
 
 
 def write_glb(
@@ -155,9 +151,7 @@ def write_glb(
     The mesh of a `take` moves: at `time_s` (T,) the vertices V are R_t (V + sum_k w_tk D_k) + t_t, linear in
     between, with `targets` D (K, V, 3), `weights` (T, K) and `pose` (T, 4, 4), mm.
     """
-    points, triangles = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
-    if points.ndim != 2 or points.shape[1] != 3 or triangles.ndim != 2 or triangles.shape[1] != 3:
-        raise ValueError(f"vertices {points.shape} and faces {triangles.shape}, expected (V, 3) and (F, 3)")
+    points, triangles = checked_mesh(vertices, faces, str(path))
     if texture_srgb is not None and uv is None:
         raise ValueError("a texture needs uv coordinates")
     if uv is not None and np.shape(uv) != (len(points), 2):
@@ -264,22 +258,18 @@ def write_skinned_glb(
     Raises OutputError when the folder cannot be written; ValueError for wrong shapes, numbers that are not
     finite, negative weights, weights of missing joints or parents that form a cycle.
     """
-    xyz, joints, shares = (np.asarray(given, np.float64) for given in (vertices, keypoints, weights))
-    index, parent = np.asarray(faces, np.int64), np.asarray(parents, np.int64)
+    xyz, index = checked_mesh(vertices, faces, "the skinned mesh")
+    joints, shares, parent = np.array(keypoints, float), np.array(weights, float), np.array(parents, np.int64)
     count, joint_count = len(xyz), len(names)
     for name, (array, shape) in {
-        "vertices": (xyz, (count, 3)),
-        "faces": (index, (len(index), 3)),
         "keypoints": (joints, (joint_count, 3)),
         "weights": (shares, (count, joint_count)),
         "parents": (parent, (joint_count,)),
     }.items():
         if array.shape != shape:
             raise ValueError(f"{name} has shape {array.shape}, expected {shape}")
-    if not (np.isfinite(xyz).all() and np.isfinite(shares).all() and len(index)):
-        raise ValueError("vertices and weights must be finite, and there must be faces")
-    if index.min() < 0 or index.max() >= count:
-        raise ValueError(f"faces must hold 0 to {count - 1}, got {index.min()} to {index.max()}")
+    if not (np.isfinite(shares).all() and len(index)):
+        raise ValueError("weights must be finite, and there must be faces")
     if influences is not None and influences < 1:
         raise ValueError(f"influences must be 1 or more, or None, got {influences}")
     there = np.isfinite(joints).all(1)

@@ -1,88 +1,75 @@
-"""GLB and glTF files as bytes and JSON, read through trimesh; skinned meshes as their joints hold them."""
+"""GLB and glTF files: the meshes of a scene in one, skinned ones as their joints hold them."""
 
 from __future__ import annotations
 
 import base64
-import io
-import json
-import logging
+from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
+from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import unquote, unquote_to_bytes
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import require_valid_indices
-from scan2albedo.errors import MissingDependencyError, ScanError, one_line
+from scan2albedo.errors import MissingDependencyError, ScanError, errors_of, one_line
 from scan2albedo.io import limits
 from scan2albedo.io.color import decode_picture
-from scan2albedo.io.glb import glb_bytes
 from scan2albedo.io.images import picture_pixels
-from scan2albedo.io.parsed_mesh import Material, ParsedMesh, ScanFolder
+from scan2albedo.io.parsed_mesh import Material, ParsedMesh, ScanFolder, strip_triangles
 
-if TYPE_CHECKING:
-    import trimesh
-
-MARK = "_"
-"""Before the names of attributes that trimesh would drop; it keeps those of an application's own."""
 _DTYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5124: "<i4", 5125: "<u4", 5126: "<f4"}
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
-_DRACO, _OF_ARRAYS = "KHR_draco_mesh_compression", "bytes of arrays"
+_DRACO = "KHR_draco_mesh_compression"
 _NOT_DECODED = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 
 
 @dataclass
 class GltfFile:
-    """A file: the JSON `tree` in it, and the bytes `rest` that follow that in a GLB."""
+    """A file: the JSON `tree` in it, the `binary` chunk of a GLB, and what was read of what its URIs name."""
 
     path: Path
     folder: ScanFolder
     tree: dict[str, Any]
-    rest: bytes = b""
-    binary: bool = False
-    bytes_referred: int = 0
+    binary: bytes = b""
+    contents: dict[str, bytes] = field(default_factory=dict)
 
     @classmethod
     def read(cls, path: Path, folder: ScanFolder) -> GltfFile:
         """Read a GLB or glTF file."""
         data = limits.read_bytes(path, advice="decimate it")
         start, end = 0, len(data)
-        if binary := data[:4] == b"glTF":
+        if data[:4] == b"glTF":
             start = 20  # behind the headers of the file and of its first chunk
             end = start + int.from_bytes(data[12:16], "little")
         tree = limits.parse_json(path.name, data[start:end])
         for material in tree.get("materials", ()):
             base = material.setdefault("pbrMetallicRoughness", {})
+            gloss = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness", {})
+            found = {f"baseColor{end}": gloss.get(f"diffuse{end}") for end in ("Factor", "Texture")}
+            base.update((name, value) for name, value in found.items() if value is not None)
             if "emissiveTexture" in material and "baseColorTexture" not in base:
                 # Shadeless exports have the colour in the slot of what glows.
                 base["baseColorTexture"] = material["emissiveTexture"]
                 base["baseColorFactor"] = [*material.get("emissiveFactor", (0, 0, 0)), 1]
-        return cls(path, folder, tree, data[end:], binary)
-
-    def __getitem__(self, uri: str) -> bytes:
-        """Return the content of a file that the scan may refer to; FileNotFoundError for any other."""
-        name = unquote(uri)
-        file = self.folder.find(name)
-        if file is None:
-            raise FileNotFoundError(f"{name} {self.folder.why_missing(name)}")
-        content = limits.read_bytes(file)
-        self.bytes_referred += len(content)
-        place = f"what {self.path.name} refers to"
-        limits.require_at_most(place, "bytes", self.bytes_referred, 4 * limits.FILE_BYTES, "decimate it")
-        return content
+        return cls(path, folder, tree, data[end + 8 :])  # behind the second chunk's header
 
     def require_readable(self) -> None:
         """Raise TooLargeError for a file that declares more than is read, ScanError for unknown compression.
 
-        Arrays, pictures and the scene are judged before they are made. Raises MissingDependencyError when the
-        library that decodes the file's compression is missing; LookupError, TypeError, ValueError for damage.
+        Arrays are judged before they are made. Raises MissingDependencyError when the library that decodes
+        the file's compression is missing; LookupError, TypeError, ValueError for damage.
         """
         tree, name = self.tree, self.path.name
+        version = str(tree.get("asset", {}).get("version", "2.0"))
+        if not self.binary and version < "2":
+            raise ValueError(f"it is of version {version}, expected 2.0")
         used, required = tree.get("extensionsUsed", ()), tree.get("extensionsRequired", ())
         advice = "export it again without compression"
         for extension in _NOT_DECODED:
@@ -101,134 +88,122 @@ class GltfFile:
                 raise ValueError(f"an accessor has {accessor['count']} elements")
             dtype = np.dtype(_DTYPES[accessor["componentType"]])
             total += dtype.itemsize * _COMPONENTS[accessor["type"]] * accessor["count"]
-        limits.require_at_most(name, _OF_ARRAYS, total, limits.FILE_BYTES, "decimate it")
-        # Vertices, triangles and primitives of all meshes, in the file and as often as its scene shows them.
-        meshes = []
-        for mesh in tree.get("meshes", ()):
-            vertices = triangles = 0
-            for primitive in mesh["primitives"]:
-                corners = count = tree["accessors"][primitive["attributes"]["POSITION"]]["count"]
-                if "indices" in primitive:
-                    corners = tree["accessors"][primitive["indices"]]["count"]
-                vertices += count
-                triangles += corners if primitive.get("mode") == 5 else corners // 3  # 5 is a strip
-            meshes.append((vertices, triangles, len(mesh["primitives"])))
-        most = {"vertices": limits.VERTICES, "triangles": limits.TRIANGLES, "primitives": limits.NODES}
-        # Nodes of the scene, each as often as it is reached; a circle has too many.
-        shown, nodes, scenes, reached = [], tree.get("nodes", []), tree.get("scenes"), 0
-        left = list(range(len(nodes)) if scenes is None else scenes[tree.get("scene", 0)].get("nodes", []))
-        advice = "export the scan alone, without its scene"
-        limits.require_at_most(name, "nodes", len(nodes), limits.NODES, advice)
-        while left:
-            limits.require_at_most(name, "nodes in its scene", reached + len(left), limits.NODES, advice)
-            node = nodes[left.pop()]
-            reached += 1
-            shown += [meshes[node["mesh"]]] if "mesh" in node else []
-            left += node.get("children", ())
-        for sizes in (meshes, shown):
-            totals = [sum(column) for column in zip(*sizes, strict=True)] or [0, 0, 0]
-            for (what, limit), count in zip(most.items(), totals, strict=True):
-                limits.require_at_most(name, f"{what} of its meshes", count, limit, "decimate or join them")
-        # Every picture by its header, and all base colours together.
-        colors = set()
-        for material in tree.get("materials", ()):
-            texture = material.get("pbrMetallicRoughness", {}).get("baseColorTexture", {}).get("index")
-            entry = {} if texture is None else tree["textures"][texture]
-            webp = entry.get("extensions", {}).get("EXT_texture_webp", {})
-            colors.add(webp.get("source", entry.get("source")))
-        # Pictures of this extension are converted in floats of 64 bits, several at a time.
-        copies, total = 8 if "KHR_materials_pbrSpecularGlossiness" in used else 1, 0
-        for number, entry in enumerate(tree.get("images", ())):
-            try:
-                if "bufferView" in entry:
-                    view = tree["bufferViews"][entry["bufferView"]]
-                    start = view.get("byteOffset", 0)
-                    data = self._buffer(view["buffer"])[start : start + view["byteLength"]]
-                else:
-                    data = self._content(entry["uri"])
-            except (KeyError, OSError, ValueError):
-                if "bufferView" in entry:
-                    raise
-                continue  # it is missing
-            pixels = picture_pixels(data, f"{number} of {name}")
-            if pixels is not None and (number in colors or copies > 1):
-                total += copies * pixels
-        what, advice = f"the textures of {name}", "save its textures with fewer pixels"
-        limits.require_at_most(what, "pixels", total, limits.PIXELS, advice)
+        limits.require_at_most(name, "bytes of arrays", total, limits.FILE_BYTES, "decimate it")
 
-    def for_trimesh(self) -> bytes:
-        """Return the file's bytes with what trimesh leaves out or misreads changed.
+    def sizes(self, primitive: dict[str, Any]) -> tuple[int, int, int]:
+        """Return how many vertices, triangles and primitives a primitive declares."""
+        corners = count = self.tree["accessors"][primitive["attributes"]["POSITION"]]["count"]
+        if "indices" in primitive:
+            corners = self.tree["accessors"][primitive["indices"]]["count"]
+        return count, corners if primitive.get("mode") == 5 else corners // 3, 1  # 5 is a strip
 
-        Positions and coordinates, whole numbers or sparse, become floats, as the base colour's `texCoord` and
-        KHR_texture_transform choose and move them. For skins nodes are numbered, attributes marked.
+    def scene(self) -> Iterator[tuple[int, FloatArray]]:
+        """Yield the nodes of the scene, each as often as it is reached, with their transforms (4, 4)."""
+        nodes, scenes, reached = self.tree.get("nodes", []), self.tree.get("scenes"), 0
+        roots = scenes[self.tree.get("scene", 0)].get("nodes", ()) if scenes else ()
+        left = [(root, np.eye(4)) for root in roots]
+        while left:  # a circle has too many
+            many, advice = reached + len(left), "export the scan alone, without its scene"
+            limits.require_at_most(self.path.name, "nodes in its scene", many, limits.NODES, advice)
+            reached, (number, transform) = reached + 1, left.pop()
+            node, own = nodes[number], np.eye(4)
+            if "matrix" in node:
+                own = np.array(node["matrix"], np.float64).reshape(4, 4).T
+            else:  # glTF 2.0, 3.5.3
+                turn = Rotation.from_quat(node.get("rotation", (0, 0, 0, 1))).as_matrix()
+                own[:3, :3], own[:3, 3] = turn * node.get("scale", 1), node.get("translation", 0)
+            transform = transform @ own
+            yield number, transform
+            left += [(child, transform) for child in node.get("children", ())]
+
+    def color_number(self, material: dict[str, Any]) -> int | None:
+        """Return the number of the picture of a material's base colour."""
+        texture = material["pbrMetallicRoughness"].get("baseColorTexture", {}).get("index")
+        entry = {} if texture is None else self.tree["textures"][texture]
+        number: int | None = entry.get("extensions", {}).get("EXT_texture_webp", entry).get("source")
+        return number
+
+    def colors(self) -> dict[int | None, NDArray[np.float32]]:
+        """Return the pictures (H, W, 3 or 4) of base colours that can be read, linear, by their numbers.
+
+        Each picture is judged by its header, and these together, before it is decoded.
         """
-        tree, made, size = json.loads(json.dumps(self.tree)), dict[str, int](), 0
-        for primitive in (primitive for mesh in tree.get("meshes", ()) for primitive in mesh["primitives"]):
-            attributes = dict(primitive["attributes"])
-            material = tree["materials"][primitive["material"]] if "material" in primitive else {}
-            picture = material.get("pbrMetallicRoughness", {}).get("baseColorTexture", {})
-            moved = picture.get("extensions", {}).get("KHR_texture_transform", {})
-            chosen = f"TEXCOORD_{moved.get('texCoord', picture.get('texCoord', 0))}"
-            changes: dict[str, Any] = {"POSITION": {}, chosen: moved}
-            for source in changes.keys() & attributes.keys():
-                number, change = attributes[source], changes[source]
-                entry, key = self.tree["accessors"][number], json.dumps([number, change])
-                whole = "bufferView" in entry and entry["componentType"] != 5126
-                if key not in made and ("sparse" in entry or whole or change):
-                    values = self._numbers(entry) * change.get("scale", 1)
-                    cos, sin = np.cos(turn := change.get("rotation", 0)), np.sin(turn)
-                    turned = values @ np.array([[cos, -sin], [sin, cos]]) if turn else values  # v points down
-                    data = (turned + change.get("offset", 0)).astype("<f4").tobytes()
-                    size += len(data)
-                    limits.require_at_most(self.path.name, _OF_ARRAYS, size, limits.FILE_BYTES, "decimate it")
-                    made[key] = len(tree["accessors"])
-                    views, buffers = (tree.setdefault(name, []) for name in ("bufferViews", "buffers"))
-                    plain = {"bufferView": len(views), "componentType": 5126, "count": len(values)}
-                    tree["accessors"].append({**plain, "type": entry["type"]})
-                    views.append({"buffer": len(buffers), "byteLength": len(data)})
-                    uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
-                    buffers.append({"byteLength": len(data), "uri": uri})
-                attributes["TEXCOORD_0" if source == chosen else source] = made.get(key, number)
-            marked = ("JOINTS_", "WEIGHTS_") if tree.get("skins") else ()
-            primitive["attributes"] = {MARK * n.startswith(marked) + n: k for n, k in attributes.items()}
-        for number, node in enumerate(tree.get("nodes", []) if tree.get("skins") else ()):
-            node["name"] = str(number)
-        return glb_bytes(tree, self.rest) if self.binary else json.dumps(tree).encode()
+        from PIL import Image
 
-    def _numbers(self, accessor: dict[str, Any]) -> FloatArray:
-        """Return (count, components) of an accessor, whole numbers as parts of their range (glTF 3.6.2)."""
-        if "bufferView" not in accessor and "sparse" not in accessor:
-            raise ValueError("compressed coordinates are moved (KHR_texture_transform)")
+        name, total = self.path.name, 0
+        found, wanted = dict[int | None, NDArray[np.float32]](), set[int | None]()
+        wanted.update(self.color_number(material) for material in self.tree.get("materials", ()))
+        for number, entry in enumerate(self.tree.get("images", ())):
+            data: bytes | memoryview = b""
+            if "bufferView" in entry:
+                data = self.view(entry["bufferView"])
+            else:
+                with suppress(KeyError, OSError, ValueError):  # it is missing
+                    data = self._content(entry["uri"])
+            pixels = picture_pixels(bytes(data), f"{number} of {name}")
+            if pixels is not None and number in wanted:
+                total, advice = total + pixels, "save its textures with fewer pixels"
+                limits.require_at_most(f"the textures of {name}", "pixels", total, limits.PIXELS, advice)
+                with suppress(OSError, SyntaxError, ValueError), Image.open(BytesIO(data)) as image:
+                    found[number] = decode_picture(np.asarray(image.convert("RGBA"), np.uint8))
+        return found
+
+    def decoded(self, primitive: dict[str, Any]) -> dict[str, NDArray[Any]]:
+        """Return the arrays of a primitive that Draco compressed, by their names and as "indices"."""
+        if (packed := primitive.get("extensions", {}).get(_DRACO)) is None:
+            return {}
+        import DracoPy
+
+        said, advice = f"{self.path.name}: is no whole Draco mesh", "export it again without compression"
+        with errors_of(said, ScanError, DracoPy.FileTypeException, advice=advice):
+            mesh = DracoPy.decode(bytes(self.view(packed["bufferView"])))
+        stored = {attribute["unique_id"]: attribute["data"] for attribute in mesh.attributes}
+        return {"indices": mesh.faces, **{name: stored[k] for name, k in packed["attributes"].items()}}
+
+    def array(self, number: int) -> NDArray[Any]:
+        """Return (count, components) what an accessor holds; zeros where it has no bytes."""
+        accessor = self.tree["accessors"][number]
         shape = accessor["count"], _COMPONENTS[accessor["type"]]
-        stored = np.zeros(shape, _DTYPES[accessor["componentType"]])
+        found = np.zeros(shape, _DTYPES[accessor["componentType"]])
         if "bufferView" in accessor:
-            stored[:] = self.array(accessor)
-        if "sparse" in accessor:
-            few = accessor["sparse"]
-            at = self.array({"type": "SCALAR", "count": few["count"], **few["indices"]})[:, 0]
-            stored[at] = self.array({**accessor, "byteOffset": 0, "count": few["count"], **few["values"]})
-        quantized = "KHR_mesh_quantization" in self.tree.get("extensionsUsed", ())
-        if stored.dtype.kind == "f" or not accessor.get("normalized", not quantized):
-            return stored.astype(np.float64)
-        return np.maximum(stored / np.iinfo(stored.dtype).max, -1)
+            found[:] = self._stored(accessor)
+        if few := accessor.get("sparse"):
+            at = self._stored({"type": "SCALAR", "count": few["count"], **few["indices"]})[:, 0]
+            found[at] = self._stored({**accessor, "byteOffset": 0, "count": few["count"], **few["values"]})
+        return found
 
-    def array(self, accessor: dict[str, Any]) -> NDArray[Any]:
-        """Return (count, components) what an accessor of a buffer view holds."""
+    def _stored(self, accessor: dict[str, Any]) -> NDArray[Any]:
         dtype, width = np.dtype(_DTYPES[accessor["componentType"]]), _COMPONENTS[accessor["type"]]
         view = self.tree["bufferViews"][accessor["bufferView"]]
-        start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+        start, data = accessor.get("byteOffset", 0), self.view(accessor["bufferView"])
         steps = (view.get("byteStride", width * dtype.itemsize), dtype.itemsize)
-        return np.ndarray((accessor["count"], width), dtype, self._buffer(view["buffer"]), start, steps)
+        return np.ndarray((accessor["count"], width), dtype, data, start, steps)
 
-    def _buffer(self, number: int) -> bytes:
-        uri = self.tree["buffers"][number].get("uri")
-        return self.rest[8:] if uri is None else self._content(uri)  # behind the second chunk's header
+    def view(self, number: int) -> memoryview:
+        """Return the bytes of a view of a buffer."""
+        view = self.tree["bufferViews"][number]
+        buffer = self.tree["buffers"][view["buffer"]]
+        own = view["buffer"] == 0 and "uri" not in buffer
+        whole = memoryview(self.binary if own else self._content(buffer["uri"]))
+        found = whole[(start := view.get("byteOffset", 0)) : start + view["byteLength"]]
+        if start < 0 or len(found) != view["byteLength"]:
+            raise ValueError(f"view {number} reaches beyond its buffer")
+        return found
 
     def _content(self, uri: str) -> bytes:
-        if uri.startswith("data:"):
-            head, _, body = uri.partition(",")
-            return base64.b64decode(body) if head.endswith(";base64") else unquote_to_bytes(body)
-        return self[uri]
+        """Return what a URI refers to; FileNotFoundError for a file that the scan may not refer to."""
+        if uri not in self.contents:
+            if uri.startswith("data:"):
+                head, _, body = uri.partition(",")
+                content = base64.b64decode(body) if head.endswith(";base64") else unquote_to_bytes(body)
+            elif (file := self.folder.find(name := unquote(uri))) is not None:
+                content = limits.read_bytes(file)
+            else:
+                raise FileNotFoundError(f"{name} {self.folder.why_missing(name)}")
+            self.contents[uri] = content
+            total, place = sum(map(len, self.contents.values())), f"what {self.path.name} refers to"
+            limits.require_at_most(place, "bytes", total, 4 * limits.FILE_BYTES, "decimate it")
+        return self.contents[uri]
 
 
 def read_gltf(path: Path, folder: ScanFolder) -> ParsedMesh:
@@ -238,7 +213,7 @@ def read_gltf(path: Path, folder: ScanFolder) -> ParsedMesh:
     and vertex colours linear (glTF 2.0, 3.7.2 and 3.9.2). Raises ScanError when the file is damaged.
     """
     try:
-        return _read_parts(GltfFile.read(path, folder))
+        return _joined(GltfFile.read(path, folder))
     except limits.DAMAGE as error:
         kind, cause = path.suffix[1:].upper(), one_line(error)
         cause = f"there is no {cause}" if isinstance(error, KeyError) else cause
@@ -257,52 +232,38 @@ def files_of_gltf(path: Path, folder: ScanFolder) -> list[str]:
     return [unquote(uri) for uri in uris if uri and not uri.startswith("data:")]
 
 
-def _read_parts(file: GltfFile) -> ParsedMesh:
-    import trimesh
-
+def _joined(file: GltfFile) -> ParsedMesh:
+    """Return the meshes of the scene in one; lines and points are left out."""
     file.require_readable()
-    # trimesh only warns of a compression that it cannot decode, and goes on with zeros.
-    warned: list[str] = []
-
-    def collect(record: logging.LogRecord) -> bool:
-        if record.levelno >= logging.WARNING:
-            warned.append(record.getMessage())
-        return True
-
-    logging.getLogger("trimesh").addFilter(collect)
-    try:
-        stream, kind = io.BytesIO(file.for_trimesh()), "glb" if file.binary else "gltf"
-        scene = trimesh.load_scene(stream, file_type=kind, resolver=file, process=False)  # type: ignore[arg-type]
-    finally:
-        logging.getLogger("trimesh").removeFilter(collect)
-    if warned:
-        raise ScanError(f"{file.path.name}: {warned[0]}; export it again without compression")
-    # trimesh drops base colour textures that it cannot read without a word.
-    reasons = {}
-    for declared in file.tree.get("materials", []):
-        if (wanted := declared.get("pbrMetallicRoughness", {}).get("baseColorTexture")) is not None:
-            texture = file.tree["textures"][wanted["index"]]
-            basis = "KHR_texture_basisu" in texture.get("extensions", {}) and "source" not in texture
-            reasons[declared.get("name", "material")] = (
-                "is KTX2 (KHR_texture_basisu), which is not read; export the scan again with PNG or JPEG"
-                if basis
-                else "is missing, damaged or of an unknown kind"
-            )
-    materials: dict[int, Material] = {}
-    pictures: dict[int, NDArray[np.float32]] = {}
-    parts = []
-    for node in scene.graph.nodes_geometry:
-        transform, geometry = scene.graph[node]
-        mesh = scene.geometry[geometry]
-        if isinstance(mesh, trimesh.Trimesh):
-            by_joints = _skinning_transforms(file, scene, node, mesh) if file.tree.get("skins") else None
-            moved = np.asarray(transform, np.float64) if by_joints is None else by_joints
-            parts.append(_part(mesh, moved, materials, pictures, file.path.name))
-    lost = [m.name for m in materials.values() if m.texture_linear is None and m.name in reasons]
-    without = {name: f"the texture of {name} {reasons[name]}: went on without it" for name in lost}
-    notes = tuple(without.values())
+    placed, pictures, name = [*file.scene()], file.colors(), file.path.name
+    materials, surfaces, world = dict[int | None, Material](), dict[int, _Surface](), dict(placed)
+    most = {"vertices": limits.VERTICES, "triangles": limits.TRIANGLES, "primitives": limits.NODES}
+    notes, parts, totals = dict[str, None](), list[ParsedMesh](), [0, 0, 0]
+    for index, matrix in placed:
+        node = file.tree["nodes"][index]
+        for primitive in file.tree["meshes"][node["mesh"]]["primitives"] if "mesh" in node else ():
+            totals = [a + b for a, b in zip(totals, file.sizes(primitive), strict=True)]
+            for (what, limit), count in zip(most.items(), totals, strict=True):
+                limits.require_at_most(name, f"{what} of its meshes", count, limit, "decimate or join them")
+            if primitive.get("mode", 4) not in (4, 5):
+                continue
+            if (key := primitive.get("material")) not in materials:
+                count = 1 + len(materials)
+                limits.require_at_most(name, "materials", count, limits.MATERIALS, "join its materials")
+                materials[key], note = _material(file, key, pictures)
+                notes |= {note: None} if note else {}
+            if id(primitive) not in surfaces:
+                surfaces[id(primitive)] = _surface(file, primitive, materials[key], [*materials].index(key))
+            part, joints, weights = surfaces[id(primitive)]
+            skinned = "skin" in node and joints.size
+            moved = _by_joints(file, world, node["skin"], joints, weights) if skinned else matrix
+            linear, shift = moved[..., :3, :3], moved[..., :3, 3]
+            part = replace(part, vertices=(linear @ part.vertices[:, :, None])[:, :, 0] + shift)
+            if np.median(np.linalg.det(linear)) < 0 and part.uv is not None:
+                part = replace(part, faces=part.faces[:, ::-1], uv=part.uv[:, ::-1])
+            parts.append(part)
     if not parts:
-        return ParsedMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64), notes=notes)
+        return ParsedMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64), notes=tuple(notes))
     offsets = np.cumsum([0] + [len(p.vertices) for p in parts])
     names = ("vertices", "uv", "material", "vertex_color_linear")
     vertices, uv, material, colors = (np.concatenate([getattr(p, name) for p in parts]) for name in names)
@@ -314,96 +275,96 @@ def _read_parts(file: GltfFile) -> ParsedMesh:
         material=material,
         materials=tuple(materials.values()),
         vertex_color_linear=colors if colors[:, 3].any() else None,
-        notes=notes,
+        notes=tuple(notes),
     )
 
 
-def _part(
-    mesh: trimesh.Trimesh,
-    transform: FloatArray,
-    materials: dict[int, Material],
-    pictures: dict[int, NDArray[np.float32]],
-    name: str,
-) -> ParsedMesh:
-    """Return a mesh moved by (4, 4) or (V, 4, 4); its material and pictures are added to those known."""
-    visual: Any = mesh.visual
-    source = getattr(visual, "material", None)
-    if id(source) not in materials:
-        limits.require_at_most(name, "materials", 1 + len(materials), limits.MATERIALS, "join its materials")
-        factor = getattr(source, "baseColorFactor", None)
-        color = np.ones(3, np.float32) if factor is None else _scaled(np.asarray(factor)[None])[0, :3]
-        image, texture = getattr(source, "baseColorTexture", None), None
-        if image is not None and id(image) not in pictures:
-            pixels, advice = image.size[0] * image.size[1], "save it with fewer pixels"
-            limits.require_at_most(f"a texture of {name}", "pixels", pixels, limits.PIXELS, advice)
-            with suppress(OSError, SyntaxError, ValueError):
-                pictures[id(image)] = decode_picture(np.asarray(image.convert("RGBA"), np.uint8))
-        if image is not None and id(image) in pictures:
-            texture = pictures[id(image)]
-            if (color < 1).any():
-                texture = texture * np.append(color, 1)[: texture.shape[2]].astype(np.float32)
-        base = (float(color[0]), float(color[1]), float(color[2]))
-        materials[id(source)] = Material(str(getattr(source, "name", None) or "material"), texture, base)
-    vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
+def _material(
+    file: GltfFile, number: int | None, pictures: dict[int | None, NDArray[np.float32]]
+) -> tuple[Material, str]:
+    """Return a material, white where a primitive has none, and a note where its texture is lost."""
+    entry = {"pbrMetallicRoughness": {}} if number is None else file.tree["materials"][number]
+    base, name, note = entry["pbrMetallicRoughness"], str(entry.get("name") or "material"), ""
+    color = np.clip(np.array(base.get("baseColorFactor", (1, 1, 1))[:3], np.float64), 0, 1)
+    texture = pictures.get(source := file.color_number(entry))
+    if texture is not None and (color < 1).any():
+        texture = texture * np.append(color, 1)[: texture.shape[2]].astype(np.float32)
+    if texture is None and (wanted := base.get("baseColorTexture")) is not None:
+        basis = "KHR_texture_basisu" in file.tree["textures"][wanted["index"]].get("extensions", {})
+        note = (
+            "is KTX2 (KHR_texture_basisu), which is not read; export the scan again with PNG or JPEG"
+            if basis and source is None
+            else "is missing, damaged or of an unknown kind"
+        )
+        note = f"the texture of {name} {note}: went on without it"
+    return Material(name, texture, (float(color[0]), float(color[1]), float(color[2]))), note
+
+
+def _surface(file: GltfFile, primitive: dict[str, Any], material: Material, number: int) -> _Surface:
+    """Return a primitive, of a material, in its own frame."""
+    names, decoded, entries = primitive["attributes"], file.decoded(primitive), file.tree["accessors"]
+    count = len(decoded["POSITION"]) if decoded else entries[names["POSITION"]]["count"]
+    quantized = "KHR_mesh_quantization" in file.tree.get("extensionsUsed", ())
+
+    def numbers(name: str, width: int, scaled: bool = not quantized) -> FloatArray:
+        """Return (count, width), whole numbers as parts of their range (3.6.2), NaN where there are none."""
+        if name not in names or (name not in decoded and entries[names[name]]["count"] != count):
+            return np.full((count, width), np.nan)
+        values = decoded[name] if name in decoded else file.array(names[name])
+        if values.dtype.kind == "f" or not entries[names[name]].get("normalized", scaled):
+            return values.astype(np.float64)
+        return np.maximum(values / np.iinfo(values.dtype).max, -1)
+
+    vertices, colors = numbers("POSITION", 3), numbers("COLOR_0", 4, scaled=True)
+    index = decoded.get("indices", np.arange(count))
+    if not decoded and "indices" in primitive:
+        index = file.array(primitive["indices"])
+    corners = index.astype(np.int64).ravel()
+    faces = strip_triangles(corners) if primitive.get("mode") == 5 else corners.reshape(-1, 3)
     # Joined with other meshes, a wrong index would point at a vertex of the next one.
-    require_valid_indices(faces, len(vertices), name)
-    linear, shift = transform[..., :3, :3], transform[..., :3, 3]
-    if np.median(np.linalg.det(linear)) < 0:
-        faces = faces[:, ::-1]
-    uv = getattr(visual, "uv", None)
-    # A mesh without material and colours has no attributes either.
-    others = getattr(visual, "vertex_attributes", {})
-    given = visual.vertex_colors if visual.kind == "vertex" else others.get("color")
-    number = list(materials).index(id(source))
-    if given is None:  # of alpha 0, for no picture showed it
-        colors = np.tile([*materials[id(source)].base_color_linear, 0], (len(vertices), 1)).astype(np.float32)
-    else:
-        colors = _scaled(np.asarray(given))
-        colors = np.pad(colors, ((0, 0), (0, 4 - colors.shape[1])), constant_values=1)
-    if uv is None or len(uv) != len(vertices):
-        uv = np.full((len(vertices), 2), np.nan)
-    return ParsedMesh(
-        vertices=(linear @ vertices[:, :, None])[:, :, 0] + shift,
-        faces=faces,
-        uv=np.asarray(uv, np.float64)[faces],
-        material=np.full(len(faces), number),
-        vertex_color_linear=colors,
+    require_valid_indices(faces, count, file.path.name)
+    # Coordinates, v down, that `texCoord` of the base colour chooses and KHR_texture_transform moves.
+    entry = file.tree["materials"][primitive["material"]] if "material" in primitive else {}
+    picture = entry.get("pbrMetallicRoughness", {}).get("baseColorTexture", {})
+    moved = picture.get("extensions", {}).get("KHR_texture_transform", {})
+    uv = numbers(f"TEXCOORD_{moved.get('texCoord', picture.get('texCoord', 0))}", 2)
+    cos, sin = np.cos(turn := moved.get("rotation", 0)), np.sin(turn)
+    uv = uv * moved.get("scale", 1) @ np.array([[cos, -sin], [sin, cos]]) + moved.get("offset", 0)
+    if np.isnan(colors).all():  # of alpha 0, for no picture showed it
+        colors = np.tile([*material.base_color_linear, 0], (count, 1))
+    seen = np.pad(colors, ((0, 0), (0, 4 - colors.shape[1])), constant_values=1).astype(np.float32)
+    whose = np.full(len(faces), number)
+    part = ParsedMesh(vertices, faces, (uv * (1, -1) + (0, 1))[faces], whose, vertex_color_linear=seen)
+    sets = range(sum(name.startswith("JOINTS_") for name in names))
+    joints, weights = (
+        np.concatenate([np.zeros((count, 0)), *(numbers(f"{kind}_{n}", 4, scaled=False) for n in sets)], 1)
+        for kind in ("JOINTS", "WEIGHTS")
     )
+    return part, joints, weights
 
 
-def _scaled(colors: NDArray[Any]) -> NDArray[np.float32]:
-    """Return (N, 3), or with alpha (N, 4), in [0, 1] from whole integers or floats, not decoded."""
-    return (colors / (np.iinfo(colors.dtype).max if colors.dtype.kind in "ui" else 1.0)).astype(np.float32)
+_Surface = tuple[ParsedMesh, FloatArray, FloatArray]
+"""A primitive in its own frame, with the joints and weights (V, K) of its vertices."""
 
 
-def _skinning_transforms(
-    file: GltfFile, scene: trimesh.Scene, frame: str, mesh: trimesh.Trimesh
-) -> FloatArray | None:
-    """Return the transforms (V, 4, 4) of a mesh's vertices by their joints; None for a mesh without a skin.
+def _by_joints(
+    file: GltfFile, world: dict[int, FloatArray], skin: int, joints: FloatArray, weights: FloatArray
+) -> FloatArray:
+    """Return the transforms (V, 4, 4) of vertices by their joints, whose nodes' transforms are in `world`.
 
-    v' = sum over k of w_k J_k B_k v, and the transform of the mesh's own node `frame` is ignored (glTF 2.0,
-    3.7.3.2 and 3.7.3.3). The scene is that of `GltfFile.for_trimesh`.
+    v' = sum over k of w_k J_k B_k v, and the transform of the mesh's own node is ignored (glTF 2.0, 3.7.3.2
+    and 3.7.3.3).
     """
-    attributes = {name: np.asarray(values) for name, values in mesh.vertex_attributes.items()}
-    skin = file.tree["nodes"][int(frame.partition("_")[0])].get("skin")
-    sets = sum(name.startswith(f"{MARK}JOINTS_") for name in attributes)
-    if skin is None or sets == 0:
-        return None
-    joints = np.concatenate([attributes[f"{MARK}JOINTS_{n}"] for n in range(sets)], 1).astype(np.int64)
-    weights = np.concatenate([attributes[f"{MARK}WEIGHTS_{n}"] for n in range(sets)], 1).astype(np.float64)
-    total = weights.sum(1, keepdims=True)
+    total, entry = weights.sum(1, keepdims=True), file.tree["skins"][skin]
     if not (total > 0).all():
         raise ValueError("a vertex of a skinned mesh has no weights")
-    entry = file.tree["skins"][skin]
-    transforms = np.array([scene.graph[str(joint)][0] for joint in entry["joints"]])
+    transforms = np.array([world[joint] for joint in entry["joints"]])
     if "inverseBindMatrices" in entry:  # else they are identities
-        accessor = file.tree["accessors"][entry["inverseBindMatrices"]]
-        if accessor["componentType"] != 5126 or accessor["type"] != "MAT4" or "bufferView" not in accessor:
-            raise ValueError("inverse bind matrices are not stored as plain 4x4 floats")
-        columns = file.array(accessor)[: len(transforms)].reshape(len(transforms), 4, 4)
+        columns = file.array(entry["inverseBindMatrices"])[: len(transforms)].reshape(-1, 4, 4)
         transforms = transforms @ columns.transpose(0, 2, 1).astype(np.float64)
     blended, block = np.empty((len(joints), 4, 4)), 1 << 16  # to spare memory
     for start in range(0, len(joints), block):
         rows = slice(start, start + block)
-        blended[rows] = np.einsum("vj,vjab->vab", weights[rows] / total[rows], transforms[joints[rows]])
+        chosen = transforms[joints[rows].astype(np.int64)]
+        blended[rows] = np.einsum("vj,vjab->vab", weights[rows] / total[rows], chosen)
     return blended

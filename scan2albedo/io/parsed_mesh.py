@@ -145,6 +145,20 @@ def fan_triangles(counts: IntArray, name: str) -> tuple[IntArray, IntArray]:
     return np.stack([start, start + step + 1, start + step + 2], axis=1), polygon
 
 
+def strip_triangles(items: IntArray) -> IntArray:
+    """Return the triangles (T, 3) of strips of corners, each ended by a number below 0; half are turned.
+
+    >>> strip_triangles(np.array([0, 1, 2, 3, -1, 4, 5, 6])).tolist()
+    [[0, 1, 2], [2, 1, 3], [4, 5, 6]]
+    """
+    items = np.append(items, -1)
+    place = np.arange(len(items))
+    odd = (place - np.maximum.accumulate(np.where(items < 0, place, -1))) % 2 == 0
+    rows = np.stack([np.roll(items, -k) for k in range(3)], axis=1)
+    rows[odd] = rows[odd][:, [1, 0, 2]]
+    return rows[(rows >= 0).all(axis=1)]
+
+
 def cut_note(counts: IntArray) -> tuple[str, ...]:
     """Return a note on how many polygons were cut, if any."""
     cut = int((counts > 3).sum())

@@ -111,13 +111,9 @@ def mesh_of_columns(
     )
     strips = elements.get("tristrips", {}).get("vertex_indices")
     if isinstance(strips, _ListColumn) and not face:
-        # Strips end with their row, or at an index below 0; every second triangle is turned over.
+        # Strips end with their row, or at an index below 0.
         items = np.insert(strips.items.astype(np.int64), np.cumsum(strips.counts), -1)
-        place = np.arange(len(items))
-        odd = (place - np.maximum.accumulate(np.where(items < 0, place, -1))) % 2 == 0
-        rows = np.stack([np.roll(items, -k) for k in range(3)], axis=1)
-        rows[odd] = rows[odd][:, [1, 0, 2]]
-        rows = rows[(rows >= 0).all(axis=1)]
+        rows = parsed_mesh.strip_triangles(items)
         face = {"vertex_indices": _ListColumn(np.full(len(rows), 3), rows.ravel())}
     missing = [axis for axis in "xyz" if axis not in vertex]
     if missing:

@@ -13,9 +13,11 @@ from typing import Annotated, Any, TypeVar
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, JsonValue, ValidationError, field_validator
 
-from scan2albedo.errors import Scan2AlbedoError, printable
+from scan2albedo.errors import Scan2AlbedoError, one_line, printable
 from scan2albedo.io.atomic import write_text
+from scan2albedo.io.csv_tables import read_text
 from scan2albedo.io.leftovers import settle
+from scan2albedo.io.limits import FILE_BYTES
 
 _LIBRARIES = ("numpy", "scipy", "numba", "libigl", "open3d-cpu", "open3d", "embreex", "xatlas", "trimesh")
 
@@ -100,13 +102,9 @@ def read_record(
     place = f"{what} {path}".lstrip()
     try:
         settle(Path(path).parent)
-        if Path(path).exists() and not Path(path).is_file():
-            raise error(f"{place}: is a folder, a pipe or a device, not a file; {advice}")
-        text = Path(path).read_bytes().decode("utf-8")
     except OSError as cause:
-        raise error(f"{place}: cannot be read: {cause.strerror or cause}; {advice}") from cause
-    except UnicodeDecodeError as cause:
-        raise error(f"{place}: is not a text file; {advice}") from cause
+        raise error(f"{place} cannot be read ({one_line(cause)}); {advice}") from cause
+    text = read_text(Path(path), what=place, advice=advice, error=error, limit=FILE_BYTES)
     return parse_record(text, kind, place=place, advice=advice, error=error)
 
 

@@ -68,14 +68,44 @@ def test_base_colour_factors_multiply_in_linear_light(tmp_path):
     path = write(tmp_path / "a.glb", png_bytes(quarters()), factor=[0.4, 1.0, 0.2, 1.0])
     scan = load_scan(path)
     upper_left = color_near_corner(scan, SQUARE_MM[3])
-    # trimesh keeps factors in 8 bits.
-    np.testing.assert_allclose(upper_left, CORNER_LINEAR[3] * [0.4, 1, 0.2], atol=1e-3)
+    np.testing.assert_allclose(upper_left, CORNER_LINEAR[3] * [0.4, 1, 0.2], atol=1e-6)
 
 
 def test_vertex_colours_are_linear_even_beside_a_material(tmp_path):
     colors = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.25, 0.5, 0.75]])
     scan = load_scan(write(tmp_path / "a.glb", None, colors=colors))
-    np.testing.assert_allclose(scan.vertex_color_linear, colors, atol=1 / 255)
+    np.testing.assert_allclose(scan.vertex_color_linear, colors, atol=1e-6)
+
+
+def test_diffuse_colours_of_specular_glossiness_are_the_base_colour(tmp_path):
+    tree, binary = square_gltf(png_bytes(quarters()))
+    picture = tree["materials"][0].pop("pbrMetallicRoughness")["baseColorTexture"]
+    name = "KHR_materials_pbrSpecularGlossiness"
+    gloss = {"diffuseTexture": picture, "diffuseFactor": [0.4, 1.0, 0.2, 1.0]}
+    tree["materials"][0]["extensions"], tree["extensionsUsed"] = {name: gloss}, [name]
+    (tmp_path / "a.glb").write_bytes(glb_bytes(tree, binary))
+    upper_left = color_near_corner(load_scan(tmp_path / "a.glb"), SQUARE_MM[3])
+    np.testing.assert_allclose(upper_left, CORNER_LINEAR[3] * [0.4, 1, 0.2], atol=1e-6)
+
+
+def test_strips_and_interleaved_arrays_and_lines(tmp_path):
+    tree, binary = square_gltf(None)
+    (primitive,) = tree["meshes"][0]["primitives"]
+    rows = np.column_stack([SQUARE_MM, SQUARE_UV]).astype("<f4")
+    binary += np.array([0, 1, 3, 2], "<u2").tobytes() + rows.tobytes()
+    views, start = tree["bufferViews"], len(binary) - rows.nbytes
+    views.append({"buffer": 0, "byteOffset": start - 8, "byteLength": 8})
+    views.append({"buffer": 0, "byteOffset": start, "byteLength": rows.nbytes, "byteStride": 20})
+    entry = {"componentType": 5126, "count": 4, "bufferView": len(views) - 1}
+    tree["accessors"][0] |= {"bufferView": len(views) - 2, "count": 4}
+    tree["accessors"][1:] = [{**entry, "type": "VEC3"}, {**entry, "type": "VEC2", "byteOffset": 12}]
+    tree["buffers"] = [{"byteLength": len(binary)}]
+    tree["meshes"][0]["primitives"] = [{**primitive, "mode": 1}, {**primitive, "mode": 5}]
+    (tmp_path / "a.glb").write_bytes(glb_bytes(tree, binary))
+    scan = load_scan(tmp_path / "a.glb", unit="mm")
+    np.testing.assert_array_equal(scan.vertices, SQUARE_MM)
+    assert scan.faces.tolist() == [[0, 1, 3], [3, 1, 2]]
+    np.testing.assert_allclose(scan.uv[0, :, 1], 1 - SQUARE_UV[[0, 1, 3], 1], atol=1e-6)
 
 
 def test_gltf_with_files_beside_it(tmp_path):
@@ -320,16 +350,16 @@ def test_dialects_of_exporters_show_the_same(tmp_path, dialect):
         np.testing.assert_allclose(color_near_corner(scan, position), color, atol=1e-5)
 
 
-def test_moved_coordinates_that_are_compressed_are_refused_by_name(tmp_path):
+def test_coordinates_that_are_compressed_are_moved_too(tmp_path):
     draco_square(tmp_path / "a.glb")
     data = (tmp_path / "a.glb").read_bytes()
     size = int.from_bytes(data[12:16], "little")
     tree = json.loads(data[20 : 20 + size])
     picture = tree["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]
-    picture["extensions"] = {"KHR_texture_transform": {"scale": [2, 2]}}
+    picture["extensions"] = {"KHR_texture_transform": {"scale": [0.5, 0.5], "offset": [0.25, 0.25]}}
+    whole = load_scan(tmp_path / "a.glb", unit="mm").uv
     (tmp_path / "a.glb").write_bytes(glb_bytes(tree, data[28 + size :]))
-    with pytest.raises(ScanError, match=r"a\.glb: .*compressed coordinates are moved"):
-        load_scan(tmp_path / "a.glb")
+    np.testing.assert_allclose(load_scan(tmp_path / "a.glb", unit="mm").uv, whole / 2 + 0.25, atol=1e-6)
 
 
 @pytest.mark.parametrize("view", [{"buffer": -1}, {"byteStride": 3}])

@@ -284,7 +284,7 @@ def minus(tree):
     [
         (doubling, ".* nodes"),
         (circle, "4,097 nodes in its scene"),
-        (repeated, "6,000 primitives of its meshes"),
+        (repeated, "4,097 primitives of its meshes"),
         (placeholder, "12,000,.* bytes of arrays"),
         (minus, "cannot be read as GLB .*an accessor has -4 elements"),
     ],

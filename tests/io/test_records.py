@@ -122,7 +122,7 @@ def test_wrong_values_are_refused(change):
 
 def test_reading_names_the_file_and_the_fault(tmp_path):
     path = tmp_path / "result.json"
-    with pytest.raises(Scan2AlbedoError, match=r"result\.json: cannot be read: No such file"):
+    with pytest.raises(Scan2AlbedoError, match=r"result\.json cannot be read \(No such file"):
         read_record(path, ResultRecord)
     write_record(path, result())
     text = path.read_text()

@@ -289,6 +289,20 @@ def test_a_mirroring_joint_keeps_faces_outward(tmp_path):
     assert (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0).all()
 
 
+def test_a_part_without_joints_in_a_skinned_mesh_moves_with_its_node(tmp_path):
+    path = skinned_square(tmp_path / "a.glb", mesh_node={"translation": [5, 6, 7]})
+    data = path.read_bytes()
+    size = int.from_bytes(data[12:16], "little")
+    tree = json.loads(data[20 : 20 + size])
+    (primitive,) = tree["meshes"][0]["primitives"]
+    names = ("POSITION", "TEXCOORD_0")
+    plain = {**primitive, "attributes": {name: primitive["attributes"][name] for name in names}}
+    tree["meshes"][0]["primitives"] = [primitive, plain]
+    path.write_bytes(glb_bytes(tree, data[28 + size :]))
+    vertices = load_scan(path, "mm").vertices
+    np.testing.assert_allclose(vertices, np.concatenate([SQUARE_MM, SQUARE_MM + [5, 6, 7]]), atol=1e-5)
+
+
 def test_a_skin_that_points_at_no_joint_is_refused(tmp_path):
     with pytest.raises(ScanError, match=r"a\.glb"):
         load_scan(skinned_square(tmp_path / "a.glb", joints=((7, 0, 0, 0),) * 4), "mm")
@@ -316,8 +330,8 @@ def test_what_cannot_be_written_is_refused(tmp_path):
     refused("sum to 1", weights=weights * 0.5)
     refused("0 for missing", keypoints=[[np.nan] * 3])
     refused("circle", parents=[0])
-    refused("faces must hold 0 to 3", faces=SQUARE_FACES + 1)
-    refused("finite", vertices=SQUARE_MM * np.nan)
+    refused("faces refer to vertices 1 to 4 of 4", faces=SQUARE_FACES + 1)
+    refused("4 of 4 vertices are NaN", vertices=SQUARE_MM * np.nan)
     refused("influences must be 1", influences=0)
     refused(
         "circle",

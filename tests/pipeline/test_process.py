@@ -22,7 +22,6 @@ from scan2albedo.core.plan import Plan, PlanStep
 from scan2albedo.errors import ModelError, OutputError, RegistrationError, ScanError
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
-from scan2albedo.io import atomic
 from scan2albedo.io.load_scan import input_sha256
 from scan2albedo.io.obj import write_obj
 from scan2albedo.pipeline import process as pipeline_process
@@ -495,10 +494,14 @@ def test_an_interrupted_publication_leaves_the_whole_old_result(result, tmp_path
     folder = result_files.write_result(result, tmp_path)
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
 
-    def interrupted(*paths):
-        raise KeyboardInterrupt
+    rename = os.rename
 
-    monkeypatch.setattr(atomic, "_exchange", interrupted)
+    def interrupted(a, b):
+        if Path(a).name == "fitted.glb" and Path(a).parent.name == "new":
+            raise KeyboardInterrupt
+        rename(a, b)
+
+    monkeypatch.setattr(os, "rename", interrupted)
     with pytest.raises(KeyboardInterrupt):
         result_files.write_result(result, tmp_path)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before

@@ -37,7 +37,7 @@ def somebody_elses(folder):
         "notes": (lambda: (folder / "notes.txt").write_text("mine"), "no result.json"),
         "names like ours": (lambda: (folder / "albedo.png").write_text("mine"), "no result.json"),
         "another result.json": (lambda: (folder / "result.json").write_text('{"mine": 1}'), "Field required"),
-        "no JSON": (lambda: (folder / "result.json").write_bytes(b"\xff{"), "not a text file"),
+        "no JSON": (lambda: (folder / "result.json").write_bytes(b"\xff{"), "no UTF-8 text"),
         "deep JSON": (lambda: (folder / "result.json").write_text("[" * 100_000), "result.json"),
         "a link": (lambda: (folder.rmdir(), other.mkdir(), folder.symlink_to(other)), "is a link"),
         "a dead link": (lambda: (folder.rmdir(), folder.symlink_to(other)), "is a link"),
