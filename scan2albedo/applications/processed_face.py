@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,6 +15,9 @@ from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.lighting.shading import Reflectance
+
+if TYPE_CHECKING:
+    from scan2albedo.applications.eyes_and_mouth import EyesAndMouth
 
 NO_MODEL = "none"
 SAME_PLACE_MM = 0.05
@@ -91,6 +94,10 @@ class ProcessedFace:
     """False for a shape alone: the albedo is then an even grey."""
     expected_error: NDArray[np.float32] | None = None
     """(H, W): relative error of the albedo, see `AlbedoEstimate`; None where it is not known."""
+    landmarks: FloatArray | None = None
+    """(68, 3): iBUG-68 order; None where they are not known."""
+    inside: "EyesAndMouth | None" = None
+    """What lies behind its openings, once it was looked for (`eyes_and_mouth`)."""
     notes: tuple[str, ...] = ()
     """What was decided in making it, one sentence each."""
 

@@ -1,5 +1,6 @@
 """`relight`: a processed face under other light, on its chart and in pictures."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,13 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
+from scan2albedo.applications.eyes_and_mouth import WET_EXPONENT, WET_F0, EyesAndMouth, eyes_and_mouth
 from scan2albedo.applications.face_features import AROUND, feature_texels, without_gaps
 from scan2albedo.applications.processed_face import NO_MODEL, ProcessedFace
 from scan2albedo.core.arguments import require_linear, require_type
 from scan2albedo.core.arrays import FloatArray, on_grid
 from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.errors import ApplicationError
-from scan2albedo.geometry.mesh import normalized
+from scan2albedo.geometry.mesh import join, lengths, normalized, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, look_at, normalized_cameras
 from scan2albedo.geometry.rasterization import bilinear, filled_from_nearest, pixels_from_uv
 from scan2albedo.geometry.rays import RayCaster
@@ -24,7 +26,8 @@ from scan2albedo.io.glb import write_glb
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.lighting.shadow_map import ShadowMap
 from scan2albedo.rendering import pictures
-from scan2albedo.rendering.pictures import Picture, auto_exposure, checked_exposure
+from scan2albedo.lighting.shading import Reflectance
+from scan2albedo.rendering.pictures import Picture, SeenSamples, auto_exposure, checked_exposure
 from scan2albedo.rendering.scene_light import SceneLight, shade
 
 Gloss = Literal["auto", "found", "none"]
@@ -33,6 +36,8 @@ SKIN_GLOSS, SKIN_EXPONENT = 0.25, 12.0
 """Usual highlight of skin as a part of its albedo's level, and Phong's exponent. A dielectric of index 1.4
 reflects F = 0.028; Beckmann's lobe of slope m = 0.2, which Phong's exponent 1 / (2 m^2) = 12 follows, peaks
 at pi F / (4 pi m^2) = 0.17 of a white surface, and skin's albedo is 0.5 to 0.7."""
+SKIN_ALBEDO = 0.6
+"""Usual albedo of skin."""
 
 
 @dataclass(frozen=True)
@@ -101,8 +106,58 @@ class RelitFace:
         if gloss is not None:
             scale = bilinear(filled_from_nearest(gloss[..., None], mask), pixels)[:, 0]
         diffuse, specular = shade(shadows, self.light, face.reflectance, toward, scale)
-        made = seen.picture(np.column_stack([albedo * diffuse + specular, np.ones(len(albedo))]))
+        lit = np.column_stack([albedo * diffuse + specular, np.ones(len(albedo))])
+        if face.inside is not None and face.inside.parts:
+            seen, lit = self._with_parts(face.inside, seen, lit, pixels, projection, caster)
+        made = seen.picture(lit)
         return Picture(made[..., :3].astype(np.float32), made[..., 3].astype(np.float32))
+
+    def _with_parts(
+        self,
+        inside: EyesAndMouth,
+        seen: SeenSamples,
+        lit: FloatArray,
+        pixels: FloatArray,
+        camera: FloatArray,
+        caster: RayCaster | None,
+    ) -> tuple[SeenSamples, FloatArray]:
+        """Return samples, and how they are lit, where eyes and mouth are seen through the face's openings."""
+        vertices, faces = join([(part.vertices, part.faces) for part in inside.parts])
+        colors = np.concatenate([part.color_linear for part in inside.parts])
+        normals = np.concatenate([vertex_normals(part.vertices, part.faces) for part in inside.parts])
+        there = pictures.seen_samples(vertices, faces, camera, seen.shape, seen.side)
+        eye = camera_centers(camera[None])[0]
+        # Both at each sample: how far they are.
+        off = np.full((2, math.prod(seen.shape) * seen.side**2), np.inf)
+        off[0, seen.index] = lengths(seen.interpolated(self.face.mesh.vertices) - eye)
+        off[1, there.index] = lengths(there.interpolated(vertices) - eye)
+        open_here = bilinear(inside.cut_mm[..., None], pixels)[:, 0] > 0
+        off[0, seen.index[open_here & np.isfinite(off[1, seen.index])]] = np.inf
+        seen_kept = np.isfinite(off[0, seen.index]) & (off[0, seen.index] <= off[1, seen.index])
+        there = there.chosen(off[1, there.index] < off[0, there.index])
+        position, normal = there.interpolated(vertices), normalized(there.interpolated(normals))
+        toward = normalized(eye - position)
+        normal *= np.where(np.einsum("nc,nc->n", normal, toward) < 0, -1, 1)[:, None]
+        # What was cut away casts no shadow on what is behind it.
+        own, (xyz, triangles) = self.face.mesh, self.face.image.occluder_mesh()
+        if len(xyz) == len(own.uv):
+            at = pixels_from_uv(own.uv, inside.cut_mm.shape)
+            gone = bilinear(inside.cut_mm[..., None], at)[:, 0] > 0
+            triangles = triangles[~gone[triangles].any(1)]
+        open_caster = None if caster is None else RayCaster(xyz, triangles)
+        strength = WET_F0 * WET_EXPONENT / 2 * self.face.level() / SKIN_ALBEDO
+        wet = Reflectance("lambert", 0.0, strength, WET_EXPONENT)
+        shadows = ShadowMap(open_caster, position, normal, self.face.shadow_offset_mm)
+        diffuse, specular = shade(shadows, self.light, wet, toward)
+        of_parts = np.column_stack([there.interpolated(colors) * diffuse + specular, np.ones(len(position))])
+        kept = seen.chosen(seen_kept)
+        joined = replace(
+            kept,
+            index=np.concatenate([kept.index, there.index]),
+            corners=np.concatenate([kept.corners, there.corners]),
+            weight=np.concatenate([kept.weight, there.weight]),
+        )
+        return joined, np.concatenate([lit[seen_kept], of_parts])
 
     def write_glb(self, path: str | Path, *, exposure: float | None = None) -> None:
         """Write the face to `path` as a GLB that shines by itself, so no viewer lights it again.
@@ -176,6 +231,8 @@ def relight(
         distant = DistantLights.from_environment(distant, 128, "important")
     light = SceneLight(lights, distant, base, environment)
     face, notes = as_lit(face, options)
+    if face.inside is None:
+        face = replace(face, inside=eyes_and_mouth(face))
     view = np.asarray(face.view_direction, np.float64)
     image, mask = face.image, face.mask
     caster = RayCaster(*image.occluder_mesh()) if face.casts_shadows and light.casts else None

@@ -19,7 +19,7 @@ from scan2albedo.io.color import encode_srgb_integers, is_deep
 from scan2albedo.io.geometry_image_files import write_geometry_image, write_geometry_image_exr
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import encode_image, write_exr, write_indexed_png, write_png
-from scan2albedo.io.landmark_files import LandmarksRecord, write_landmarks_csv
+from scan2albedo.io.landmark_files import LANDMARKS_FILE, LandmarksRecord, write_landmarks_csv
 from scan2albedo.io.npz import write_npz
 from scan2albedo.io.obj import write_obj
 from scan2albedo.io.records import write_record
@@ -54,7 +54,7 @@ FILES = OwnFiles(
     ResultRecord,
     (
         *("geometry_image.npz", "albedo.exr", "albedo.png", "fitted.glb", "registration.json"),
-        *("landmarks.json", "landmarks.csv", "trace.csv", "coverage.png", "disagreement.png"),
+        *(LANDMARKS_FILE, "landmarks.csv", "trace.csv", "coverage.png", "disagreement.png"),
         *("sequence.glb", "frames.npz", "coefficients.json", "linear_model.npz"),
         *sorted(_LEFT_OUT),
         *(f"{mesh}{end}" for mesh in ("template", "unlit", "maps") for end in _MESH),
@@ -264,7 +264,7 @@ def write_result(
         deviation_mm = None if fitted is None else fitted.landmark_deviation_mm
         if fitted and fitted.landmarks is not None and in_scan is not None and deviation_mm is not None:
             landmarks = LandmarksRecord.of(fitted.landmarks, in_scan, deviation_mm, scan.mm_per_unit)
-            write("landmarks.json", write_record, landmarks)
+            write(LANDMARKS_FILE, write_record, landmarks)
             write("landmarks.csv", write_landmarks_csv, landmarks)
         if "overview.png" not in left_out:
             unlit = None if result.unlit is None else result.unlit.scan

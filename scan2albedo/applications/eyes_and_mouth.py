@@ -1,0 +1,400 @@
+"""`eyes_and_mouth`: eyeballs behind a face's lids and the inside of its mouth, as meshes of their own."""
+
+import math
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
+from scipy.optimize import least_squares, minimize
+from scipy.spatial import cKDTree
+from scipy.special import expit
+
+from scan2albedo.applications.face_features import FLOOR, named_texels, without_catchlights
+from scan2albedo.applications.processed_face import ProcessedFace
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, smoothstep
+from scan2albedo.geometry.mesh import grid_faces, normalized
+
+EYES = {"right": slice(36, 42), "left": slice(42, 48)}
+"""Landmarks of iBUG-68 around each eye: a corner, two of the upper lid, a corner, two of the lower lid."""
+LIPS, CHIN = slice(60, 68), 8
+"""Those of the lips' inner rim, from its right corner over the upper lip, and of the chin, which is the jaw's."""
+GLOBE_MM, IRIS_MM, CORNEA_MM = (12.0, 0.5), (5.85, 0.25), 7.8
+"""Radii of an adult's eyeball [1]_ and iris [2]_, mean and deviation among people, and of the cornea [3]_.
+
+.. [1] I. Bekerman, P. Gottlieb, M. Vaiman, "Variations in eyeball diameters of the healthy adults", Journal of
+   Ophthalmology, 2014.
+.. [2] F. Rüfer, A. Schröder, C. Erb, "White-to-white corneal diameter", Cornea 24(3), 2005.
+.. [3] A. Gullstrand's eye, in D. Atchison, G. Smith, "Optics of the Human Eye", 2000.
+"""
+WET_F0, WET_EXPONENT = 0.025, 200.0
+"""Reflectance of tears, of an index of 1.376, and Phong's exponent of what they wet."""
+RING_MM = 0.25
+"""Step of an eyeball's colours away from its gaze."""
+_LID_MM, _CENTER_MM, _DIVERGING = (1.0, 0.7), 0.5, 0.03
+"""How far a lid's rim, as a scan shows it, lies above the eyeball, and its deviation; deviations of the
+eyeball from the middle between its corners, along x and y, and of one gaze from the other, as sines."""
+_EDGE_MM, _ROUND, _SEEN = 0.35, 0.7, 0.9
+"""Width over which a texture goes from one thing to the next; a lid is a parabola to this power; part of an
+eyeball's radius that can be seen: what lies beside it, a corner of the eye, is the scan's."""
+_SLACK_MM = np.array([0.8, 0.8, 0.8, 0.8, 1.5, 1.0, 1.2, 1.0, 2.5, 1.5, IRIS_MM[1]])
+"""Deviations of an eye's outline, see `_inside`, from that of its landmarks."""
+_INDEPENDENT, _MOST_TEXELS = 0.2, 700
+"""Observations of colour in a mm^2, for texels beside each other are of one lash or shadow; of texels looked
+at."""
+_WHITE, _IRIS = ((-0.3, 0.1, -0.1), (0.4, 0.15, 0.2)), ((-1.3, 0.1, -0.1), (0.6, 0.25, 0.3))
+_SOCKET, _LASHES, _LASHED = ((-0.3, 0.1, -0.1), (0.6, 0.3, 0.3)), ((-0.8, 0, 0), (0.6, 0.25, 0.25)), 0.1
+"""Means and deviations of mean log albedo relative to skin, log R/G and log B/G. Those of white and iris learn
+from the scan; those of a socket and of lashes, this part of the skin, are relative to skin in all three."""
+_KNOWN = 100.0
+"""Area, mm^2, that counts as much as what is known of white and irises."""
+_UNSEEN = 0.01, 0.7
+"""Part of the texels that a scan does not show: of skin and painted eyes, and of holes between lids."""
+LIP_MM, TOOTH_MM = 8.0, 7.5
+"""Thickness of lips, and usual width of a tooth."""
+_SHADE = 0.45
+"""How much of the light, as a logarithm, lids keep from an eye."""
+_BROWN, _PUPIL, _RIM, _PUPIL_MM = np.array([0.17, 0.09, 0.055]), 0.03, 0.5, 1.75
+"""Albedo of most people's irises, and of a pupil, as a part of the white's; of an iris's rim, as a part of the
+iris's; a pupil's radius in a room."""
+
+
+@dataclass(frozen=True)
+class FacePart:
+    """A mesh that belongs to a face and is no skin: vertices (V, 3) mm, faces (F, 3), both sides seen."""
+
+    name: str
+    vertices: FloatArray
+    faces: IntArray
+    color_linear: FloatArray
+    """(V, 3): albedo, in the unit of the face's."""
+    follows: FloatArray | None = None
+    """(V, 68): how far its vertices move with each landmark; None where they stay."""
+
+
+@dataclass(frozen=True)
+class Eyeball:
+    """An eye behind its lids, in the frame of the face."""
+
+    side: str
+    """ "right" or "left", the subject's."""
+    center_mm: FloatArray
+    """(3,)."""
+    radius_mm: float
+    iris_mm: float
+    """Radius of the iris."""
+    gaze: FloatArray
+    """(3,), unit: from the centre through the middle of the iris."""
+    painted: bool
+    """Whether the scan shows the eye; else its colours are usual ones, and it looks ahead."""
+    rings_linear: FloatArray
+    """(K, 3): albedo in steps of `RING_MM` away from the gaze, from the pupil to the white."""
+
+    def part(self) -> FacePart:
+        """Return the eyeball as a mesh: a sphere with the cornea's cap on it, one surface."""
+        edge = math.asin(self.iris_mm / self.radius_mm)
+        behind = np.linspace(1.6 * edge, math.pi - 1e-3, 14)
+        polar = np.concatenate([np.linspace(1e-3, 1.6 * edge, 48), behind[1:]])
+        around = np.linspace(0, 2 * math.pi, 48, endpoint=False)
+        # Where the cornea, a sphere about a point on the gaze, stands out of the eyeball.
+        axial = math.sqrt(self.radius_mm**2 - self.iris_mm**2) - math.sqrt(CORNEA_MM**2 - self.iris_mm**2)
+        out = axial * np.cos(polar) + np.sqrt(np.maximum(CORNEA_MM**2 - (axial * np.sin(polar)) ** 2, 0.0))
+        radius = np.where(polar < edge, out, self.radius_mm)
+        off, along = radius * np.sin(polar), radius * np.cos(polar)
+        places = [np.outer(off, np.cos(around)), np.outer(off, np.sin(around)), along[:, None]]
+        across = normalized(np.cross([0.0, 1.0, 0.0], self.gaze))
+        frame = np.stack([across, np.cross(self.gaze, across), self.gaze])
+        vertices = self.center_mm + np.stack(np.broadcast_arrays(*places), -1).reshape(-1, 3) @ frame
+        steps = np.arange(len(self.rings_linear)) * RING_MM
+        colors = [np.interp(np.where(along > 0, off, steps[-1]), steps, c) for c in self.rings_linear.T]
+        faces = grid_faces(len(polar), len(around), wrap=True)
+        return FacePart(f"eye_{self.side}", vertices, faces, np.repeat(np.stack(colors, -1), len(around), 0))
+
+
+@dataclass(frozen=True)
+class EyesAndMouth:
+    """What lies behind a face's openings."""
+
+    eyes: tuple[Eyeball, ...]
+    parts: tuple[FacePart, ...]
+    """`eyes`, and the mouth with its teeth."""
+    cut_mm: FloatArray
+    """(H, W): how far inside an opening texels of the chart are, below 0 where the face stays."""
+    reason: str
+    """What was found or left out, and why; for people."""
+
+
+def eyes_and_mouth(face: ProcessedFace) -> EyesAndMouth:
+    """Return eyeballs, where the lids are open, and the inside of the mouth of a processed face.
+
+    An eye is the outline of its lids and the circle of its iris [1]_, found as the likeliest ones under priors
+    from the landmarks and from what is known of eyes. Three explanations of both eyes compete: the texture
+    shows eyes, the scan has holes between open lids, or the lids are shut. A mouth is seen in place of what
+    the scan does not show between open lips. Teeth are usual ones.
+
+    Parameters
+    ----------
+    face : ProcessedFace
+        With landmarks and an albedo; without them there are no parts.
+
+    References
+    ----------
+    .. [1] A. Yuille, P. Hallinan, D. Cohen, "Feature extraction from faces using deformable templates",
+       International Journal of Computer Vision 8(2), 1992.
+    """
+    landmarks, cut_mm, eyes = face.landmarks, np.full(face.mask.shape, -1.0), list[Eyeball]()
+    if landmarks is None or not face.has_albedo:
+        why = "the face has no landmarks" if landmarks is None else "there is no albedo"
+        return EyesAndMouth((), (), cut_mm, f"eyes and mouth are left out: {why}")
+    openings = {side: _Opening.of(face, landmarks[at]) for side, at in EYES.items()}
+    hole = int(np.argmax(sum(one.odds for one in openings.values())))
+    shown = {side: one for side, one in openings.items() if one.odds[hole] > 0}
+    globes = {side: one.globe(hole) for side, one in shown.items()}
+    aims = np.zeros((0, 2))
+    if shown:
+        # Both eyes are alike and look the same way, where an iris lies is 1 mm unsure; unseen ones look ahead.
+        radius = float(np.mean([globe[3] for globe in globes.values()]))
+        iris_mm = float(np.mean([one.outlines[hole][10] for one in shown.values()]))
+        aims = [(one.outlines[hole][8:10] - globes[side][:2]) / radius for side, one in shown.items()]
+        own = (not hole) * _DIVERGING**2 / (_DIVERGING**2 + 1 / GLOBE_MM[0] ** 2)
+        aims = np.mean(aims, axis=0) * (not hole) + own * (aims - np.mean(aims, axis=0))
+        places = [globe[:2] + radius * aim for globe, aim in zip(globes.values(), aims, strict=True)]
+        rings = [one.rings(hole, at, iris_mm) for one, at in zip(shown.values(), places, strict=True)]
+    for aim, (side, one) in zip(aims, shown.items(), strict=True):
+        gaze = np.array([*aim, math.sqrt(max(1 - aim @ aim, 0.0))])
+        center = globes[side][:3]
+        eyes.append(Eyeball(side, one.middle + center, radius, iris_mm, gaze, not hole, np.mean(rings, axis=0)))
+        inside = _inside(one.outlines[hole], one.place)
+        inside[2] = _SEEN * radius - np.hypot(*(one.place[:, :2] - center[:2]).T)
+        cut_mm[one.rows, one.columns] = np.maximum(inside.min(0), -1)
+    seen = "as the texture shows them" if not hole else "which the scan left out: brown, looking ahead"
+    reason = f"{len(eyes)} eyes, {seen}" if eyes else "the eyes are shut"
+    skin = math.exp(np.mean([one.skin[0, 0] for one in openings.values()]))
+    white = eyes[0].rings_linear[-1] if eyes else skin * np.exp(_log_rgb(np.array(_WHITE[0])))
+    parts = [eye.part() for eye in eyes] + _mouth(face, landmarks, white)
+    cut_mm[named_texels(face, ["between_lips"]) & ~face.image.seen] = 1
+    return EyesAndMouth(tuple(eyes), tuple(parts), np.where(face.mask, cut_mm, -1), reason)
+
+
+@dataclass(frozen=True)
+class _Opening:
+    """What a chart shows around one eye; places are in mm from the `middle` (3,) between its corners."""
+
+    middle: FloatArray
+    rows: IntArray
+    columns: IntArray
+    place: FloatArray
+    """Texels around the eye, (N,), (N,), and their places (N, 3)."""
+    color: FloatArray
+    """(N, 3): mean log albedo, log R/G, log B/G."""
+    skin: FloatArray
+    """(2, 3): mean and deviation of colour."""
+    classes: FloatArray
+    """(2, 2, 3): those of an eyeball's white and of its iris."""
+    outlines: FloatArray
+    """(2, 11): the likeliest one of an eye that is shown, and of one that was left out as a hole."""
+    odds: FloatArray
+    """(2,): log odds of each against lids that are shut."""
+
+    @classmethod
+    def of(cls, face: ProcessedFace, landmarks: FloatArray) -> Self:
+        """Return what surrounds the eye with these landmarks (6, 3), and the outlines that explain it."""
+        middle = landmarks[[0, 3]].mean(0)
+        near = np.abs(face.image.position - middle) < (20, 12, 25)
+        rows, columns = np.nonzero(face.mask & near.all(-1))
+        place = face.image.position[rows, columns] - middle
+        log_albedo = np.log(np.maximum(without_catchlights(face)[rows, columns], FLOOR * face.level()))
+        color = np.stack([log_albedo.mean(1), *(log_albedo[:, [0, 2]] - log_albedo[:, [1]]).T], 1)
+        # An outline through the landmarks; skin is what lies beside it.
+        corners = landmarks[:, :2] - middle[:2]
+        (ax, ay), (bx, by) = corners[[0, 3]]
+        x, y = corners[[1, 2, 4, 5]].T
+        along = np.clip((x - ax) / (bx - ax), 0.1, 0.9)
+        high = (y - ay - along * (by - ay)) / (4 * along * (1 - along)) ** _ROUND
+        up, down = max(high[:2].mean(), 1.0), max(-high[2:].mean(), 1.0)
+        start = np.array([ax, ay, bx, by, up, 0, down, 0, 0, (up - down) / 3, IRIS_MM[0]])
+        wide = start + [-3, 0, 3, 0, 3, 0, 3, 0, 0, 0, 0]
+        seen, xy = face.image.seen[rows, columns], place[:, :2]
+        beside = color[seen & (_inside(wide, xy)[:2].min(0) < 0)]
+        skin = np.stack(
+            [
+                np.median(beside, axis=0),
+                1.4826 * np.median(np.abs(beside - np.median(beside, axis=0)), axis=0),
+            ]
+        )
+        skin[1] = np.maximum(skin[1], (0.12, 0.05, 0.05))
+        chosen = np.random.default_rng(0).permutation(len(rows))[:_MOST_TEXELS]
+        weight = _INDEPENDENT * float(np.median(face.image.texel_areas_mm2())) * len(rows) / len(chosen)
+        seen, xy, shade, tone = seen[chosen], xy[chosen], color[chosen], skin[0] * (1, 0, 0)
+        # Log likelihood (N,) of what is seen, or not, on skin with its lashes.
+        lashes, plain = _log_normal(shade, _LASHES + skin[0] * [[1], [0]]), _log_normal(shade, skin)
+        bare = np.logaddexp(math.log(1 - _LASHED) + plain, math.log(_LASHED) + lashes)
+        bare = np.where(seen, bare + math.log(1 - _UNSEEN[0]), math.log(_UNSEEN[0]))
+        socket = np.array(_SOCKET) + skin[0] * [[1], [0]] - [tone, np.zeros(3)]
+        kinds = np.array([[_WHITE, _IRIS], [socket, socket]]) + np.stack([tone, np.zeros(3)])
+
+        def explained(
+            of_white: FloatArray, of_iris: FloatArray, first: FloatArray
+        ) -> tuple[FloatArray, float, FloatArray]:
+            """Return the likeliest outline, its log likelihood, and the parts (2, N) of white and iris."""
+            top = np.maximum.reduce([bare, of_white, of_iris])
+            likelihood = np.exp(np.stack([bare, of_white, of_iris]) - top)
+
+            def cost(outlines: FloatArray) -> FloatArray:
+                mixed = (_members(outlines, xy) * likelihood).sum(-2)
+                fits = weight * (np.log(mixed + 1e-12) + top).sum(-1)
+                return 0.5 * (((outlines - start) / _SLACK_MM) ** 2).sum(-1) - fits
+
+            def with_slope(outline: FloatArray) -> tuple[float, FloatArray]:
+                values = cost(np.vstack([outline, outline + 1e-4 * np.eye(len(outline))]))
+                return values[0], (values[1:] - values[0]) / 1e-4
+
+            tried = first + np.array(
+                [(*np.zeros(8), dx, dy, 0) for dx in range(-6, 7, 2) for dy in range(-2, 3)]
+            )
+            best = minimize(
+                with_slope,
+                tried[np.argmin(cost(tried))],
+                jac=True,
+                method="L-BFGS-B",
+                options={"maxiter": 20},
+            )
+            parts = _members(best.x, xy) * likelihood
+            return best.x, -best.fun, parts[1:] / parts.sum(0)
+
+        found = []
+        for unseen, classes in zip(_UNSEEN, kinds, strict=True):
+            outline = start
+            for _ in range(2):
+                likely = [_log_normal(shade, one) + math.log(1 - unseen) for one in classes]
+                likely = [np.where(seen, one, math.log(unseen)) for one in likely]
+                outline, fits, parts = explained(*likely, outline)
+                counted, prior = weight * seen * parts, _KNOWN * _INDEPENDENT
+                total = prior + counted.sum(1)[:, None]
+                mean = (prior * classes[:, 0] + counted @ shade) / total
+                square = np.einsum("kn,knc->kc", counted, (shade - mean[:, None]) ** 2)
+                classes[:] = np.stack([mean, np.sqrt((prior * classes[:, 1] ** 2 + square) / total)], 1)
+            found.append((outline, fits))
+        # Schwarz's criterion: each number of an outline costs half the log of the observations.
+        shut = weight * bare.sum() + len(start) / 2 * math.log(max(weight * len(chosen), 1.0))
+        outlines, odds = (np.array(of_kinds) for of_kinds in zip(*found, strict=True))
+        return cls(middle, rows, columns, place, color, skin, kinds[0], outlines, odds - shut)
+
+    def globe(self, hole: int) -> FloatArray:
+        """Return centre and radius (4,) of the eyeball on which the lids' rims lie."""
+        ax, ay, bx, by, up, up_slant, down, down_slant = self.outlines[hole][:8]
+        along = np.linspace(0.3, 0.7, 5)
+        bulge, level = (4 * along * (1 - along)) ** _ROUND, ay + along * (by - ay)
+        rims = [
+            level + bulge * (up + up_slant * (along - 0.5)),
+            level - bulge * (down + down_slant * (along - 0.5)),
+        ]
+        on_rims = np.stack([np.tile(ax + along * (bx - ax), 2), np.concatenate(rims)], 1)
+        rim = self.place[cKDTree(self.place[:, :2]).query(on_rims)[1]]
+        middle = np.array([(ax + bx) / 2, (ay + by) / 2])
+
+        def off(globe: FloatArray) -> FloatArray:
+            above = np.linalg.norm(rim - globe[:3], axis=1) - globe[3]
+            beside = (globe[:2] - middle) / _CENTER_MM
+            return np.array(
+                [*(above - _LID_MM[0]) / _LID_MM[1], *beside, (globe[3] - GLOBE_MM[0]) / GLOBE_MM[1]]
+            )
+
+        return least_squares(off, [*middle, rim[:, 2].mean() - GLOBE_MM[0], GLOBE_MM[0]]).x
+
+    def rings(self, hole: int, iris_xy: FloatArray, iris_mm: float) -> FloatArray:
+        """Return (K, 3) the eyeball's albedo away from the middle of its iris, as far as it is known."""
+        away = RING_MM * np.arange(math.ceil((iris_mm + 1) / RING_MM) + 1)
+        # Lids shade the eye, and no light that was found does: what the white lacks all of the eye lacks.
+        shade = _SHADE if hole else _SHADE + self.skin[0, 0] + _WHITE[0][0] - self.classes[0, 0, 0]
+        white = np.exp(_log_rgb(self.skin[0] * (1, 0, 0) + _WHITE[0] + (_SHADE, 0, 0)))
+        off = np.hypot(*(self.place[:, :2] - iris_xy).T)
+        colored = (off > _PUPIL_MM) & (off < iris_mm - 1) & (_inside(self.outlines[hole], self.place)[:2].min(0) > 1)
+        iris = white * _BROWN
+        if not hole and colored.any():
+            iris = np.exp(_log_rgb(np.median(self.color[colored], axis=0)) + shade)
+        fields = [_PUPIL * white, iris, iris * _RIM, white]
+        made = fields[0] + np.zeros((len(away), 1))
+        for edge, color in zip((_PUPIL_MM, iris_mm - 0.7, iris_mm), fields[1:], strict=True):
+            made += smoothstep((away - edge + 0.25) / 0.5)[:, None] * (color - made)
+        return made
+
+
+def _inside(outline: FloatArray, xy: FloatArray) -> FloatArray:
+    """Return (3, ..., N) how many mm points are below the upper lid, above the lower, and inside the iris.
+
+    An `outline` (..., 11) has the corners (x, y), a parabola's height and slant of the upper and of the lower
+    lid, and middle and radius of the iris; of it (..., 3, N).
+    """
+    ax, ay, bx, by, up, up_slant, down, down_slant, *iris = np.moveaxis(outline, -1, 0)[..., None]
+    along = (xy[:, 0] - ax) / (bx - ax)
+    level, bulge = ay + along * (by - ay), 4 * along * (1 - along)
+    bulge = np.sign(bulge) * np.abs(bulge) ** _ROUND
+    below = level + bulge * (up + up_slant * (along - 0.5)) - xy[:, 1]
+    above = xy[:, 1] - level + bulge * (down + down_slant * (along - 0.5))
+    return np.stack([below, above, iris[2] - np.hypot(xy[:, 0] - iris[0], xy[:, 1] - iris[1])])
+
+
+def _members(outline: FloatArray, xy: FloatArray) -> FloatArray:
+    """Return (..., 3, N) how far points are skin, an eyeball's white, and iris, by an outline (..., 11)."""
+    below, above, iris = expit(_inside(outline, xy) / _EDGE_MM)
+    inside = below * above
+    return np.stack([1 - inside, inside * (1 - iris), inside * iris], -2)
+
+
+def _log_normal(values: FloatArray, mean_and_deviation: ArrayLike) -> FloatArray:
+    """Return (N,) the log density of values (N, 3), but for a constant."""
+    mean, deviation = np.asarray(mean_and_deviation)
+    return -0.5 * (((values - mean) / deviation) ** 2).sum(-1) - np.log(deviation).sum()
+
+
+def _log_rgb(color: FloatArray) -> FloatArray:
+    """Return log R, G, B (3,) of mean log albedo, log R/G and log B/G."""
+    level, red, blue = color
+    green = level - (red + blue) / 3
+    return np.array([green + red, green, green + blue])
+
+
+def _mouth(face: ProcessedFace, landmarks: FloatArray, white: FloatArray) -> list[FacePart]:
+    """Return the inside of a mouth as a bag behind the lips' inner rim, and both rows of teeth."""
+    rim, knots = landmarks[LIPS], np.linspace(0, 1, 9)
+    # How a closed curve through the eight landmarks follows them: (C, 8).
+    around = np.linspace(0, 1, 40, endpoint=False)
+    blend = CubicSpline(knots, np.vstack([np.eye(8), np.eye(8)[:1]]), bc_type="periodic")(around)
+    middle, back = rim.mean(0), np.linspace(0, 1, 12)[:, None, None]
+    angle = math.pi - 2 * math.pi * around
+    half = np.sqrt(1 - back**2) * (22.0, 14.0)
+    ellipse = middle[:2] + half * np.stack([np.cos(angle), np.sin(angle)], -1)
+    wide = smoothstep(3 * back)
+    xy = (1 - wide) * (blend @ rim)[:, :2] + wide * ellipse
+    z = (1 - wide) * (blend @ rim)[:, 2:] + wide * rim[:, 2].min() - 1 - 40 * back
+    bag = np.concatenate([xy, np.broadcast_to(z, (*xy.shape[:2], 1))], -1)
+    follows = np.zeros((*bag.shape[:2], 68))
+    follows[..., LIPS] = (1 - wide) * blend
+    follows[..., CHIN] += wide[..., 0] * np.clip(-np.sin(angle), 0, 1) * (1 - back[..., 0])
+    lips = named_texels(face, ["lip", "upper_lip", "lower_lip"]) & face.image.seen
+    red = np.median(face.albedo_linear[lips], axis=0) if lips.any() else white * (0.5, 0.25, 0.2)
+    faces = grid_faces(*bag.shape[:2], wrap=True)
+    gums = 0.7 * red
+    colors = np.tile(gums, (bag[..., 0].size, 1))
+    parts = [FacePart("mouth", bag.reshape(-1, 3), faces, colors, follows.reshape(-1, 68))]
+    # Each row of teeth: half an ellipse from gums over the edges and back to the gums.
+    turn = np.radians(np.linspace(-75, 75, 121))
+    arch = np.stack([27 * np.sin(turn), 38 * (np.cos(turn) - 1)], -1)
+    along = np.cumsum(np.linalg.norm(np.diff(arch, axis=0, prepend=arch[:1]), axis=1))
+    gap = np.exp(-(((along - along[60] + TOOTH_MM / 2) % TOOTH_MM - TOOTH_MM / 2) ** 2))
+    for name, lip, up, inward in (("teeth_upper", rim[2], 1, 0.0), ("teeth_lower", rim[6], -1, 2.5)):
+        rows = []
+        for high, thick in ((10, 0.0), (0, 0.0), (0, 2.0), (10, 5.0)):
+            shrunk = arch * (1 - (thick + inward + 0.5 * gap[:, None]) / 30)
+            y = np.full(len(arch), lip[1] + up * (high - 2 * (up > 0)))
+            z = min(rim[2, 2], rim[6, 2]) - LIP_MM - thick - inward + shrunk[:, 1]
+            rows.append(np.stack([middle[0] + shrunk[:, 0], y, z], -1))
+        tooth = white * (1.1, 1.03, 0.9) * (1 - 0.6 * gap[:, None])
+        colors = np.concatenate([np.tile(gums, (len(arch), 1)) if k in (0, 3) else tooth for k in range(4)])
+        moves = np.zeros((len(colors), 68))
+        moves[:, CHIN] = up < 0
+        strip = grid_faces(4, len(arch))[:, ::up]
+        parts.append(FacePart(name, np.concatenate(rows), strip, colors, moves))
+    return parts
