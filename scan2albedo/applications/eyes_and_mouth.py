@@ -1,7 +1,7 @@
 """`eyes_and_mouth`: eyeballs behind a face's lids and the inside of its mouth, as meshes of their own."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -13,18 +13,23 @@ from scipy.special import expit
 
 from scan2albedo.applications.face_features import FLOOR, named_texels, without_catchlights
 from scan2albedo.applications.processed_face import ProcessedFace
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, smoothstep
-from scan2albedo.geometry.mesh import grid_faces, normalized
+from scan2albedo.applications.template_baking import REACH_MM, TemplateTexture
+from scan2albedo.core.arrays import FloatArray, IntArray, smoothstep
+from scan2albedo.fitting import FittedFace
+from scan2albedo.geometry.closest_points import surface_query
+from scan2albedo.geometry.mesh import grid_faces, lengths, normalized, vertex_normals
+from scan2albedo.geometry.rasterization import bilinear, pixels_from_uv
+from scan2albedo.io.glb import GlbPart
 
 EYES = {"right": slice(36, 42), "left": slice(42, 48)}
 """Landmarks of iBUG-68 around each eye: a corner, two of the upper lid, a corner, two of the lower lid."""
 LIPS, CHIN = slice(60, 68), 8
-"""Those of the lips' inner rim, from its right corner over the upper lip, and of the chin, which is the jaw's."""
+"""Those of the lips' inner rim, from its right corner over the upper lip, and of the chin: the jaw."""
 GLOBE_MM, IRIS_MM, CORNEA_MM = (12.0, 0.5), (5.85, 0.25), 7.8
 """Radii of an adult's eyeball [1]_ and iris [2]_, mean and deviation among people, and of the cornea [3]_.
 
-.. [1] I. Bekerman, P. Gottlieb, M. Vaiman, "Variations in eyeball diameters of the healthy adults", Journal of
-   Ophthalmology, 2014.
+.. [1] I. Bekerman, P. Gottlieb, M. Vaiman, "Variations in eyeball diameters of the healthy adults", Journal
+   of Ophthalmology, 2014.
 .. [2] F. Rüfer, A. Schröder, C. Erb, "White-to-white corneal diameter", Cornea 24(3), 2005.
 .. [3] A. Gullstrand's eye, in D. Atchison, G. Smith, "Optics of the Human Eye", 2000.
 """
@@ -45,8 +50,8 @@ _INDEPENDENT, _MOST_TEXELS = 0.2, 700
 at."""
 _WHITE, _IRIS = ((-0.3, 0.1, -0.1), (0.4, 0.15, 0.2)), ((-1.3, 0.1, -0.1), (0.6, 0.25, 0.3))
 _SOCKET, _LASHES, _LASHED = ((-0.3, 0.1, -0.1), (0.6, 0.3, 0.3)), ((-0.8, 0, 0), (0.6, 0.25, 0.25)), 0.1
-"""Means and deviations of mean log albedo relative to skin, log R/G and log B/G. Those of white and iris learn
-from the scan; those of a socket and of lashes, this part of the skin, are relative to skin in all three."""
+"""Means and deviations of mean log albedo relative to skin, log R/G and log B/G. Those of white and iris
+learn from the scan; those of a socket and of lashes, this part of the skin, are relative to skin in all three."""
 _KNOWN = 100.0
 """Area, mm^2, that counts as much as what is known of white and irises."""
 _UNSEEN = 0.01, 0.7
@@ -56,21 +61,8 @@ LIP_MM, TOOTH_MM = 8.0, 7.5
 _SHADE = 0.45
 """How much of the light, as a logarithm, lids keep from an eye."""
 _BROWN, _PUPIL, _RIM, _PUPIL_MM = np.array([0.17, 0.09, 0.055]), 0.03, 0.5, 1.75
-"""Albedo of most people's irises, and of a pupil, as a part of the white's; of an iris's rim, as a part of the
-iris's; a pupil's radius in a room."""
-
-
-@dataclass(frozen=True)
-class FacePart:
-    """A mesh that belongs to a face and is no skin: vertices (V, 3) mm, faces (F, 3), both sides seen."""
-
-    name: str
-    vertices: FloatArray
-    faces: IntArray
-    color_linear: FloatArray
-    """(V, 3): albedo, in the unit of the face's."""
-    follows: FloatArray | None = None
-    """(V, 68): how far its vertices move with each landmark; None where they stay."""
+"""Albedo of most people's irises, and of a pupil, as a part of the white's; of an iris's rim, as a part of
+the iris's; a pupil's radius in a room."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +83,7 @@ class Eyeball:
     rings_linear: FloatArray
     """(K, 3): albedo in steps of `RING_MM` away from the gaze, from the pupil to the white."""
 
-    def part(self) -> FacePart:
+    def part(self) -> GlbPart:
         """Return the eyeball as a mesh: a sphere with the cornea's cap on it, one surface."""
         edge = math.asin(self.iris_mm / self.radius_mm)
         behind = np.linspace(1.6 * edge, math.pi - 1e-3, 14)
@@ -109,7 +101,7 @@ class Eyeball:
         steps = np.arange(len(self.rings_linear)) * RING_MM
         colors = [np.interp(np.where(along > 0, off, steps[-1]), steps, c) for c in self.rings_linear.T]
         faces = grid_faces(len(polar), len(around), wrap=True)
-        return FacePart(f"eye_{self.side}", vertices, faces, np.repeat(np.stack(colors, -1), len(around), 0))
+        return _wet(f"eye_{self.side}", vertices, faces, np.repeat(np.stack(colors, -1), len(around), 0))
 
 
 @dataclass(frozen=True)
@@ -117,7 +109,7 @@ class EyesAndMouth:
     """What lies behind a face's openings."""
 
     eyes: tuple[Eyeball, ...]
-    parts: tuple[FacePart, ...]
+    parts: tuple[GlbPart, ...]
     """`eyes`, and the mouth with its teeth."""
     cut_mm: FloatArray
     """(H, W): how far inside an opening texels of the chart are, below 0 where the face stays."""
@@ -128,8 +120,8 @@ class EyesAndMouth:
 def eyes_and_mouth(face: ProcessedFace) -> EyesAndMouth:
     """Return eyeballs, where the lids are open, and the inside of the mouth of a processed face.
 
-    An eye is the outline of its lids and the circle of its iris [1]_, found as the likeliest ones under priors
-    from the landmarks and from what is known of eyes. Three explanations of both eyes compete: the texture
+    An eye is the outline of its lids and the circle of its iris [1]_, found as the likeliest ones under
+    priors from the landmarks and from what is known of eyes. Three explanations of both eyes compete: the texture
     shows eyes, the scan has holes between open lids, or the lids are shut. A mouth is seen in place of what
     the scan does not show between open lips. Teeth are usual ones.
 
@@ -153,18 +145,20 @@ def eyes_and_mouth(face: ProcessedFace) -> EyesAndMouth:
     globes = {side: one.globe(hole) for side, one in shown.items()}
     aims = np.zeros((0, 2))
     if shown:
-        # Both eyes are alike and look the same way, where an iris lies is 1 mm unsure; unseen ones look ahead.
+        # Both are alike and look the same way; where an iris lies is 1 mm unsure. Unseen ones look ahead.
         radius = float(np.mean([globe[3] for globe in globes.values()]))
         iris_mm = float(np.mean([one.outlines[hole][10] for one in shown.values()]))
-        aims = [(one.outlines[hole][8:10] - globes[side][:2]) / radius for side, one in shown.items()]
+        off = [(one.outlines[hole][8:10] - globes[side][:2]) / radius for side, one in shown.items()]
         own = (not hole) * _DIVERGING**2 / (_DIVERGING**2 + 1 / GLOBE_MM[0] ** 2)
-        aims = np.mean(aims, axis=0) * (not hole) + own * (aims - np.mean(aims, axis=0))
+        aims = np.mean(off, axis=0) * (not hole) + own * (off - np.mean(off, axis=0))
         places = [globe[:2] + radius * aim for globe, aim in zip(globes.values(), aims, strict=True)]
         rings = [one.rings(hole, at, iris_mm) for one, at in zip(shown.values(), places, strict=True)]
     for aim, (side, one) in zip(aims, shown.items(), strict=True):
-        gaze = np.array([*aim, math.sqrt(max(1 - aim @ aim, 0.0))])
+        gaze = np.array([*aim, math.sqrt(1 - min(float(aim @ aim), 1.0))])
         center = globes[side][:3]
-        eyes.append(Eyeball(side, one.middle + center, radius, iris_mm, gaze, not hole, np.mean(rings, axis=0)))
+        eyes.append(
+            Eyeball(side, one.middle + center, radius, iris_mm, gaze, not hole, np.mean(rings, axis=0))
+        )
         inside = _inside(one.outlines[hole], one.place)
         inside[2] = _SEEN * radius - np.hypot(*(one.place[:, :2] - center[:2]).T)
         cut_mm[one.rows, one.columns] = np.maximum(inside.min(0), -1)
@@ -175,6 +169,42 @@ def eyes_and_mouth(face: ProcessedFace) -> EyesAndMouth:
     parts = [eye.part() for eye in eyes] + _mouth(face, landmarks, white)
     cut_mm[named_texels(face, ["between_lips"]) & ~face.image.seen] = 1
     return EyesAndMouth(tuple(eyes), tuple(parts), np.where(face.mask, cut_mm, -1), reason)
+
+
+def on_template(
+    inside: EyesAndMouth, fitted: FittedFace, gain: float, made: TemplateTexture
+) -> TemplateTexture:
+    """Return a baked mesh of a fitted face with eyes and mouth behind its openings, but those it has itself.
+
+    Parameters
+    ----------
+    inside : EyesAndMouth
+    fitted : FittedFace
+        Whose surface carries the chart of `inside`.
+    gain : float
+        Of the mesh's colours to those of `inside`.
+    made : TemplateTexture
+        In the frame of the fitted face.
+    """
+    parts, places, cut_mm = list[GlbPart](), made.vertices, np.full(len(made.vertices), -1.0)
+    outward = vertex_normals(places, made.faces)
+    for part in inside.parts:
+        # An eyeball of a template's own is round behind, too; a mouth of its own lies where ours would.
+        middle, half = np.mean(part.vertices, axis=0), np.ptp(part.vertices, axis=0) / 2
+        away = places - middle
+        own = (np.abs(away) < half).all(1) & (away[:, 2] < 0)
+        if part.name.startswith("eye"):
+            own = (np.abs(lengths(away) - half[0]) < _LID_MM[0]) & (away[:, 2] < -half[2] / 2)
+            own &= np.einsum("nc,nc->n", outward, away) > 0
+        if not own.any():
+            parts.append(replace(part, color_linear=gain * np.asarray(part.color_linear)))
+    if any(part.name.startswith("eye") for part in parts):
+        hits = surface_query(fitted.vertices, fitted.faces).query(places)
+        pixels = pixels_from_uv(hits.interpolated(fitted.uv, fitted.faces), inside.cut_mm.shape)
+        near = hits.distance < REACH_MM
+        cut_mm[near] = bilinear(inside.cut_mm[..., None], pixels[near])[:, 0]
+    nearest = None if fitted.landmarks is None else cKDTree(places).query(fitted.landmarks)[1]
+    return replace(made, parts=tuple(parts), cut_mm=cut_mm, landmarks=nearest)
 
 
 @dataclass(frozen=True)
@@ -269,7 +299,7 @@ class _Opening:
             for _ in range(2):
                 likely = [_log_normal(shade, one) + math.log(1 - unseen) for one in classes]
                 likely = [np.where(seen, one, math.log(unseen)) for one in likely]
-                outline, fits, parts = explained(*likely, outline)
+                outline, fits, parts = explained(likely[0], likely[1], outline)
                 counted, prior = weight * seen * parts, _KNOWN * _INDEPENDENT
                 total = prior + counted.sum(1)[:, None]
                 mean = (prior * classes[:, 0] + counted @ shade) / total
@@ -310,7 +340,11 @@ class _Opening:
         shade = _SHADE if hole else _SHADE + self.skin[0, 0] + _WHITE[0][0] - self.classes[0, 0, 0]
         white = np.exp(_log_rgb(self.skin[0] * (1, 0, 0) + _WHITE[0] + (_SHADE, 0, 0)))
         off = np.hypot(*(self.place[:, :2] - iris_xy).T)
-        colored = (off > _PUPIL_MM) & (off < iris_mm - 1) & (_inside(self.outlines[hole], self.place)[:2].min(0) > 1)
+        colored = (
+            (off > _PUPIL_MM)
+            & (off < iris_mm - 1)
+            & (_inside(self.outlines[hole], self.place)[:2].min(0) > 1)
+        )
         iris = white * _BROWN
         if not hole and colored.any():
             iris = np.exp(_log_rgb(np.median(self.color[colored], axis=0)) + shade)
@@ -356,7 +390,14 @@ def _log_rgb(color: FloatArray) -> FloatArray:
     return np.array([green + red, green, green + blue])
 
 
-def _mouth(face: ProcessedFace, landmarks: FloatArray, white: FloatArray) -> list[FacePart]:
+def _wet(
+    name: str, vertices: FloatArray, faces: IntArray, colors: FloatArray, follows: FloatArray | None = None
+) -> GlbPart:
+    # Phong's exponent as the roughness of a GGX lobe of the same width, see `engine_maps`.
+    return GlbPart(name, vertices, faces, colors, 1.0, (2 * WET_EXPONENT + 1) ** (-1 / 4), follows)
+
+
+def _mouth(face: ProcessedFace, landmarks: FloatArray, white: FloatArray) -> list[GlbPart]:
     """Return the inside of a mouth as a bag behind the lips' inner rim, and both rows of teeth."""
     rim, knots = landmarks[LIPS], np.linspace(0, 1, 9)
     # How a closed curve through the eight landmarks follows them: (C, 8).
@@ -378,7 +419,7 @@ def _mouth(face: ProcessedFace, landmarks: FloatArray, white: FloatArray) -> lis
     faces = grid_faces(*bag.shape[:2], wrap=True)
     gums = 0.7 * red
     colors = np.tile(gums, (bag[..., 0].size, 1))
-    parts = [FacePart("mouth", bag.reshape(-1, 3), faces, colors, follows.reshape(-1, 68))]
+    parts = [_wet("mouth", bag.reshape(-1, 3), faces, colors, follows.reshape(-1, 68))]
     # Each row of teeth: half an ellipse from gums over the edges and back to the gums.
     turn = np.radians(np.linspace(-75, 75, 121))
     arch = np.stack([27 * np.sin(turn), 38 * (np.cos(turn) - 1)], -1)
@@ -396,5 +437,5 @@ def _mouth(face: ProcessedFace, landmarks: FloatArray, white: FloatArray) -> lis
         moves = np.zeros((len(colors), 68))
         moves[:, CHIN] = up < 0
         strip = grid_faces(4, len(arch))[:, ::up]
-        parts.append(FacePart(name, np.concatenate(rows), strip, colors, moves))
+        parts.append(_wet(name, np.concatenate(rows), strip, colors, moves))
     return parts

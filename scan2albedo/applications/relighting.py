@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
-from scan2albedo.applications.eyes_and_mouth import WET_EXPONENT, WET_F0, EyesAndMouth, eyes_and_mouth
+from scan2albedo.applications.eyes_and_mouth import WET_EXPONENT, WET_F0, eyes_and_mouth
 from scan2albedo.applications.face_features import AROUND, feature_texels, without_gaps
 from scan2albedo.applications.processed_face import NO_MODEL, ProcessedFace
 from scan2albedo.core.arguments import require_linear, require_type
@@ -22,12 +22,12 @@ from scan2albedo.geometry.pinhole import camera_centers, look_at, normalized_cam
 from scan2albedo.geometry.rasterization import bilinear, filled_from_nearest, pixels_from_uv
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.io.color import encode_srgb_bytes
-from scan2albedo.io.glb import write_glb
+from scan2albedo.io.glb import GlbPart, write_glb
 from scan2albedo.lighting.environment import DistantLights
+from scan2albedo.lighting.shading import Reflectance
 from scan2albedo.lighting.shadow_map import ShadowMap
 from scan2albedo.rendering import pictures
-from scan2albedo.lighting.shading import Reflectance
-from scan2albedo.rendering.pictures import Picture, SeenSamples, auto_exposure, checked_exposure
+from scan2albedo.rendering.pictures import Picture, auto_exposure, checked_exposure
 from scan2albedo.rendering.scene_light import SceneLight, shade
 
 Gloss = Literal["auto", "found", "none"]
@@ -107,68 +107,74 @@ class RelitFace:
             scale = bilinear(filled_from_nearest(gloss[..., None], mask), pixels)[:, 0]
         diffuse, specular = shade(shadows, self.light, face.reflectance, toward, scale)
         lit = np.column_stack([albedo * diffuse + specular, np.ones(len(albedo))])
-        if face.inside is not None and face.inside.parts:
-            seen, lit = self._with_parts(face.inside, seen, lit, pixels, projection, caster)
+        if face.inside is not None and (parts := face.inside.parts):
+            # Eyes and mouth, where they are nearer, or the face is cut away before them.
+            vertices, faces = join([(part.vertices, part.faces) for part in parts])
+            behind, eye = (
+                pictures.seen_samples(vertices, faces, projection, shape, samples),
+                camera_centers(projection[None])[0],
+            )
+            off = np.full((2, math.prod(shape) * samples**2), np.inf)
+            off[0, seen.index] = lengths(seen.interpolated(mesh.vertices) - eye)
+            off[1, behind.index] = lengths(behind.interpolated(vertices) - eye)
+            cut = bilinear(face.inside.cut_mm[..., None], pixels)[:, 0] > 0
+            off[0, seen.index[cut & np.isfinite(off[1, seen.index])]] = np.inf
+            nearer = off[0] < off[1]
+            kept, behind = nearer[seen.index], behind.chosen(~nearer[behind.index])
+            there = behind.interpolated(vertices)
+            colors = behind.interpolated(np.concatenate([np.asarray(part.color_linear) for part in parts]))
+            normal = np.concatenate([vertex_normals(p.vertices, p.faces) for p in parts])
+            shown = self._lit_parts(there, behind.interpolated(normal), normalized(eye - there), colors)
+            seen = seen.chosen(kept).joined(behind)
+            lit = np.concatenate([lit[kept], np.column_stack([shown, np.ones(len(shown))])])
         made = seen.picture(lit)
         return Picture(made[..., :3].astype(np.float32), made[..., 3].astype(np.float32))
 
-    def _with_parts(
-        self,
-        inside: EyesAndMouth,
-        seen: SeenSamples,
-        lit: FloatArray,
-        pixels: FloatArray,
-        camera: FloatArray,
-        caster: RayCaster | None,
-    ) -> tuple[SeenSamples, FloatArray]:
-        """Return samples, and how they are lit, where eyes and mouth are seen through the face's openings."""
-        vertices, faces = join([(part.vertices, part.faces) for part in inside.parts])
-        colors = np.concatenate([part.color_linear for part in inside.parts])
-        normals = np.concatenate([vertex_normals(part.vertices, part.faces) for part in inside.parts])
-        there = pictures.seen_samples(vertices, faces, camera, seen.shape, seen.side)
-        eye = camera_centers(camera[None])[0]
-        # Both at each sample: how far they are.
-        off = np.full((2, math.prod(seen.shape) * seen.side**2), np.inf)
-        off[0, seen.index] = lengths(seen.interpolated(self.face.mesh.vertices) - eye)
-        off[1, there.index] = lengths(there.interpolated(vertices) - eye)
-        open_here = bilinear(inside.cut_mm[..., None], pixels)[:, 0] > 0
-        off[0, seen.index[open_here & np.isfinite(off[1, seen.index])]] = np.inf
-        seen_kept = np.isfinite(off[0, seen.index]) & (off[0, seen.index] <= off[1, seen.index])
-        there = there.chosen(off[1, there.index] < off[0, there.index])
-        position, normal = there.interpolated(vertices), normalized(there.interpolated(normals))
-        toward = normalized(eye - position)
-        normal *= np.where(np.einsum("nc,nc->n", normal, toward) < 0, -1, 1)[:, None]
-        # What was cut away casts no shadow on what is behind it.
-        own, (xyz, triangles) = self.face.mesh, self.face.image.occluder_mesh()
-        if len(xyz) == len(own.uv):
-            at = pixels_from_uv(own.uv, inside.cut_mm.shape)
-            gone = bilinear(inside.cut_mm[..., None], at)[:, 0] > 0
-            triangles = triangles[~gone[triangles].any(1)]
-        open_caster = None if caster is None else RayCaster(xyz, triangles)
-        strength = WET_F0 * WET_EXPONENT / 2 * self.face.level() / SKIN_ALBEDO
-        wet = Reflectance("lambert", 0.0, strength, WET_EXPONENT)
-        shadows = ShadowMap(open_caster, position, normal, self.face.shadow_offset_mm)
-        diffuse, specular = shade(shadows, self.light, wet, toward)
-        of_parts = np.column_stack([there.interpolated(colors) * diffuse + specular, np.ones(len(position))])
-        kept = seen.chosen(seen_kept)
-        joined = replace(
-            kept,
-            index=np.concatenate([kept.index, there.index]),
-            corners=np.concatenate([kept.corners, there.corners]),
-            weight=np.concatenate([kept.weight, there.weight]),
+    def _lit_parts(
+        self, position: FloatArray, normal: FloatArray, toward: FloatArray, albedo: FloatArray
+    ) -> FloatArray:
+        """Return (N, 3) light from points of eyes and mouth toward a viewer, all of it wet."""
+        assert self.face.inside is not None
+        cut_mm, own, (vertices, faces) = (
+            self.face.inside.cut_mm,
+            self.face.mesh,
+            self.face.image.occluder_mesh(),
         )
-        return joined, np.concatenate([lit[seen_kept], of_parts])
+        if len(vertices) == len(own.uv):  # what is cut away casts no shadow on what is behind it
+            gone = bilinear(cut_mm[..., None], pixels_from_uv(own.uv, cut_mm.shape))[:, 0] > 0
+            faces = faces[~gone[faces].any(1)]
+        caster = RayCaster(vertices, faces) if self.face.casts_shadows else None
+        # Both sides of the bag of a mouth are seen.
+        inward = np.einsum("nc,nc->n", normal, toward) < 0
+        outward = normalized(np.where(inward[:, None], -normal, normal))
+        shadows = ShadowMap(caster, position, outward, self.face.shadow_offset_mm)
+        strength = WET_F0 * WET_EXPONENT / 2 * self.face.level() / SKIN_ALBEDO
+        diffuse, specular = shade(
+            shadows, self.light, Reflectance("lambert", 0.0, strength, WET_EXPONENT), toward
+        )
+        return np.asarray(albedo * diffuse + specular)
 
     def write_glb(self, path: str | Path, *, exposure: float | None = None) -> None:
-        """Write the face to `path` as a GLB that shines by itself, so no viewer lights it again.
+        """Write the face, with eyes and mouth, as a GLB that shines by itself, so no viewer lights it again.
 
         OutputError when it cannot be written, ValueError for an `exposure` that is not finite and above 0.
         """
-        mask = self.face.mask
+        mask, mesh, inside, parts = self.face.mask, self.face.mesh, self.face.inside, list[GlbPart]()
         factor = auto_exposure(self.texture_linear[mask]) if exposure is None else checked_exposure(exposure)
         texture = encode_srgb_bytes(np.clip(factor * filled_from_nearest(self.texture_linear, mask), 0, 1))
-        mesh = self.face.mesh
-        write_glb(path, mesh.vertices, mesh.faces, mesh.uv, texture, emissive=True)
+        if inside is not None and inside.parts:
+            texture = np.dstack([texture, np.where(inside.cut_mm > 0, np.uint8(0), np.uint8(255))])
+            view = normalized(np.asarray(self.face.view_direction, np.float64))
+            for part in inside.parts:
+                xyz, normals = (
+                    part.vertices,
+                    vertex_normals(part.vertices, part.faces),
+                )
+                lit = self._lit_parts(
+                    xyz, normals, np.tile(view, (len(xyz), 1)), np.asarray(part.color_linear)
+                )
+                parts.append(replace(part, color_linear=factor * lit))
+        write_glb(path, mesh.vertices, mesh.faces, mesh.uv, texture, emissive=True, parts=parts)
 
 
 def relight(
