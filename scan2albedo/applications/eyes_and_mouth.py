@@ -23,8 +23,9 @@ from scan2albedo.io.glb import GlbPart
 
 EYES = {"right": slice(36, 42), "left": slice(42, 48)}
 """Landmarks of iBUG-68 around each eye: a corner, two of the upper lid, a corner, two of the lower lid."""
-LIPS, CHIN = slice(60, 68), 8
-"""Those of the lips' inner rim, from its right corner over the upper lip, and of the chin: the jaw."""
+LIPS, MOVING, JAW = slice(60, 68), [48, 50, 51, 52, 54, 56, 57, 58], [8, 57]
+"""Those of the lips' inner rim, from its right corner over the upper lip; those of the outer rim beside them,
+which are on one lip even where lips touch; and chin and lower lip, between which the lower teeth move."""
 GLOBE_MM, IRIS_MM, CORNEA_MM = (12.0, 0.5), (5.85, 0.25), 7.8
 """Radii of an adult's eyeball [1]_ and iris [2]_, mean and deviation among people, and of the cornea [3]_.
 
@@ -37,12 +38,13 @@ WET_F0, WET_EXPONENT = 0.025, 200.0
 """Reflectance of tears, of an index of 1.376, and Phong's exponent of what they wet."""
 RING_MM = 0.25
 """Step of an eyeball's colours away from its gaze."""
-_LID_MM, _CENTER_MM, _DIVERGING = (1.0, 0.7), 0.5, 0.03
+_LID_MM, _CENTER_MM, _DIVERGING, _PLACED_MM = (1.0, 0.7), 0.7, 0.03, 0.4
 """How far a lid's rim, as a scan shows it, lies above the eyeball, and its deviation; deviations of the
-eyeball from the middle between its corners, along x and y, and of one gaze from the other, as sines."""
-_EDGE_MM, _ROUND, _SEEN = 0.35, 0.7, 0.9
-"""Width over which a texture goes from one thing to the next; a lid is a parabola to this power; part of an
-eyeball's radius that can be seen: what lies beside it, a corner of the eye, is the scan's."""
+eyeball from the middle between its corners, along x and y, of one gaze from the other, as sines, and of an
+iris that was found."""
+_EDGE_MM, _ROUND, _BEFORE_MM = 0.35, 0.7, 2.0
+"""Width over which a texture goes from one thing to the next; a lid is a parabola to this power; how far a
+scan's surface between lids lies before an eyeball at most."""
 _SLACK_MM = np.array([0.8, 0.8, 0.8, 0.8, 1.5, 1.0, 1.2, 1.0, 2.5, 1.5, IRIS_MM[1]])
 """Deviations of an eye's outline, see `_inside`, from that of its landmarks."""
 _INDEPENDENT, _MOST_TEXELS = 0.2, 700
@@ -51,13 +53,13 @@ at."""
 _WHITE, _IRIS = ((-0.3, 0.1, -0.1), (0.4, 0.15, 0.2)), ((-1.3, 0.1, -0.1), (0.6, 0.25, 0.3))
 _SOCKET, _LASHES, _LASHED = ((-0.3, 0.1, -0.1), (0.6, 0.3, 0.3)), ((-0.8, 0, 0), (0.6, 0.25, 0.25)), 0.1
 """Means and deviations of mean log albedo relative to skin, log R/G and log B/G. Those of white and iris
-learn from the scan; those of a socket and of lashes, this part of the skin, are relative to skin in all three."""
+learn from the scan; those of a socket and of lashes, a part of the skin, are relative to skin in all three."""
 _KNOWN = 100.0
 """Area, mm^2, that counts as much as what is known of white and irises."""
 _UNSEEN = 0.01, 0.7
 """Part of the texels that a scan does not show: of skin and painted eyes, and of holes between lids."""
-LIP_MM, TOOTH_MM = 8.0, 7.5
-"""Thickness of lips, and usual width of a tooth."""
+LIP_MM, TOOTH_MM, MOUTH_MM = 8.0, 7.5, (22.0, 14.0, 40.0)
+"""Usual thickness of lips, width of a tooth; half of a mouth's width, of its height, and its depth."""
 _SHADE = 0.45
 """How much of the light, as a logarithm, lids keep from an eye."""
 _BROWN, _PUPIL, _RIM, _PUPIL_MM = np.array([0.17, 0.09, 0.055]), 0.03, 0.5, 1.75
@@ -121,9 +123,9 @@ def eyes_and_mouth(face: ProcessedFace) -> EyesAndMouth:
     """Return eyeballs, where the lids are open, and the inside of the mouth of a processed face.
 
     An eye is the outline of its lids and the circle of its iris [1]_, found as the likeliest ones under
-    priors from the landmarks and from what is known of eyes. Three explanations of both eyes compete: the texture
-    shows eyes, the scan has holes between open lids, or the lids are shut. A mouth is seen in place of what
-    the scan does not show between open lips. Teeth are usual ones.
+    priors from the landmarks and from what is known of eyes. Three explanations of both eyes compete: the
+    texture shows eyes, the scan has holes between open lids, or the lids are shut. A mouth is seen in place
+    of what the scan does not show between open lips. Teeth are usual ones.
 
     Parameters
     ----------
@@ -142,25 +144,31 @@ def eyes_and_mouth(face: ProcessedFace) -> EyesAndMouth:
     openings = {side: _Opening.of(face, landmarks[at]) for side, at in EYES.items()}
     hole = int(np.argmax(sum(one.odds for one in openings.values())))
     shown = {side: one for side, one in openings.items() if one.odds[hole] > 0}
+    if hole and len(shown) > 1:  # lids around holes are as high as each other
+        right, left = (one.outlines[hole] for one in shown.values())
+        right[[4, 6]] = left[[4, 6]] = (right[[4, 6]] + left[[4, 6]]) / 2
     globes = {side: one.globe(hole) for side, one in shown.items()}
-    aims = np.zeros((0, 2))
     if shown:
-        # Both are alike and look the same way; where an iris lies is 1 mm unsure. Unseen ones look ahead.
+        # Both are alike and look the same way. What an iris lies beside its place is in part the eyeball's,
+        # in part its own gaze's, in part an error. Unseen eyes look ahead.
         radius = float(np.mean([globe[3] for globe in globes.values()]))
         iris_mm = float(np.mean([one.outlines[hole][10] for one in shown.values()]))
-        off = [(one.outlines[hole][8:10] - globes[side][:2]) / radius for side, one in shown.items()]
-        own = (not hole) * _DIVERGING**2 / (_DIVERGING**2 + 1 / GLOBE_MM[0] ** 2)
-        aims = np.mean(off, axis=0) * (not hole) + own * (off - np.mean(off, axis=0))
-        places = [globe[:2] + radius * aim for globe, aim in zip(globes.values(), aims, strict=True)]
-        rings = [one.rings(hole, at, iris_mm) for one, at in zip(shown.values(), places, strict=True)]
-    for aim, (side, one) in zip(aims, shown.items(), strict=True):
+        off = {side: one.outlines[hole][8:10] - globes[side][:2] for side, one in shown.items()}
+        both = np.mean(list(off.values()), axis=0)
+        variance = np.square([_CENTER_MM, _DIVERGING * radius, _PLACED_MM])
+        moved, turned, _ = (variance / variance.sum())[:, None] * (not hole)
+        centers = {side: globe[:3] + [*moved * (off[side] - both), 0] for side, globe in globes.items()}
+        aims = {side: ((not hole) * both + turned * (one - both)) / radius for side, one in off.items()}
+        places = {side: centers[side][:2] + radius * aims[side] for side in shown}
+        rings = np.mean([one.rings(hole, places[side], iris_mm) for side, one in shown.items()], axis=0)
+    for side, one in shown.items():
+        aim, center = aims[side], centers[side]
         gaze = np.array([*aim, math.sqrt(1 - min(float(aim @ aim), 1.0))])
-        center = globes[side][:3]
-        eyes.append(
-            Eyeball(side, one.middle + center, radius, iris_mm, gaze, not hole, np.mean(rings, axis=0))
-        )
+        eyes.append(Eyeball(side, one.middle + center, radius, iris_mm, gaze, not hole, rings))
         inside = _inside(one.outlines[hole], one.place)
-        inside[2] = _SEEN * radius - np.hypot(*(one.place[:, :2] - center[:2]).T)
+        # Not where the skin stands far before the eyeball: a corner of the eye is the scan's.
+        behind = np.sqrt(np.maximum(radius**2 - ((one.place - center)[:, :2] ** 2).sum(1), 0.0))
+        inside[2] = _BEFORE_MM - (one.place[:, 2] - center[2] - behind)
         cut_mm[one.rows, one.columns] = np.maximum(inside.min(0), -1)
     seen = "as the texture shows them" if not hole else "which the scan left out: brown, looking ahead"
     reason = f"{len(eyes)} eyes, {seen}" if eyes else "the eyes are shut"
@@ -246,16 +254,15 @@ class _Opening:
         start = np.array([ax, ay, bx, by, up, 0, down, 0, 0, (up - down) / 3, IRIS_MM[0]])
         wide = start + [-3, 0, 3, 0, 3, 0, 3, 0, 0, 0, 0]
         seen, xy = face.image.seen[rows, columns], place[:, :2]
-        beside = color[seen & (_inside(wide, xy)[:2].min(0) < 0)]
-        skin = np.stack(
-            [
-                np.median(beside, axis=0),
-                1.4826 * np.median(np.abs(beside - np.median(beside, axis=0)), axis=0),
-            ]
-        )
+        usual = [[math.log(max(face.level(), FLOOR)), 0, 0]]  # also where no skin is seen
+        beside = np.concatenate([color[seen & (_inside(wide, xy)[:2].min(0) < 0)], usual])
+        middle_color = np.median(beside, axis=0)
+        skin = np.stack([middle_color, 1.4826 * np.median(np.abs(beside - middle_color), axis=0)])
         skin[1] = np.maximum(skin[1], (0.12, 0.05, 0.05))
         chosen = np.random.default_rng(0).permutation(len(rows))[:_MOST_TEXELS]
-        weight = _INDEPENDENT * float(np.median(face.image.texel_areas_mm2())) * len(rows) / len(chosen)
+        weight = (
+            _INDEPENDENT * float(np.median(face.image.texel_areas_mm2())) * len(rows) / max(len(chosen), 1)
+        )
         seen, xy, shade, tone = seen[chosen], xy[chosen], color[chosen], skin[0] * (1, 0, 0)
         # Log likelihood (N,) of what is seen, or not, on skin with its lashes.
         lashes, plain = _log_normal(shade, _LASHES + skin[0] * [[1], [0]]), _log_normal(shade, skin)
@@ -403,17 +410,19 @@ def _mouth(face: ProcessedFace, landmarks: FloatArray, white: FloatArray) -> lis
     # How a closed curve through the eight landmarks follows them: (C, 8).
     around = np.linspace(0, 1, 40, endpoint=False)
     blend = CubicSpline(knots, np.vstack([np.eye(8), np.eye(8)[:1]]), bc_type="periodic")(around)
-    middle, back = rim.mean(0), np.linspace(0, 1, 12)[:, None, None]
+    # It begins behind the lips, wider than they are open, and is as wide as a mouth before the teeth.
+    middle, back = rim.mean(0), np.linspace(0, 1, 16)[:, None, None] ** 2
     angle = math.pi - 2 * math.pi * around
-    half = np.sqrt(1 - back**2) * (22.0, 14.0)
-    ellipse = middle[:2] + half * np.stack([np.cos(angle), np.sin(angle)], -1)
-    wide = smoothstep(3 * back)
-    xy = (1 - wide) * (blend @ rim)[:, :2] + wide * ellipse
-    z = (1 - wide) * (blend @ rim)[:, 2:] + wide * rim[:, 2].min() - 1 - 40 * back
+    circle = np.stack([np.cos(angle), np.sin(angle)], -1)
+    wide = smoothstep(MOUTH_MM[2] * back / LIP_MM)
+    start = blend @ rim + np.column_stack([circle * LIP_MM / 2, np.full(len(circle), -LIP_MM / 2)])
+    xy = (1 - wide) * start[:, :2] + wide * (middle[:2] + np.sqrt(1 - back**2) * MOUTH_MM[:2] * circle)
+    z = (1 - wide) * start[:, 2:] + wide * (rim[:, 2].min() - LIP_MM / 2) - MOUTH_MM[2] * back
     bag = np.concatenate([xy, np.broadcast_to(z, (*xy.shape[:2], 1))], -1)
     follows = np.zeros((*bag.shape[:2], 68))
-    follows[..., LIPS] = (1 - wide) * blend
-    follows[..., CHIN] += wide[..., 0] * np.clip(-np.sin(angle), 0, 1) * (1 - back[..., 0])
+    follows[..., MOVING] = (1 - wide) * blend
+    below = wide[..., 0] * np.clip(-np.sin(angle), 0, 1) * (1 - back[..., 0])
+    follows[..., JAW] += below[..., None] / len(JAW)
     lips = named_texels(face, ["lip", "upper_lip", "lower_lip"]) & face.image.seen
     red = np.median(face.albedo_linear[lips], axis=0) if lips.any() else white * (0.5, 0.25, 0.2)
     faces = grid_faces(*bag.shape[:2], wrap=True)
@@ -435,7 +444,7 @@ def _mouth(face: ProcessedFace, landmarks: FloatArray, white: FloatArray) -> lis
         tooth = white * (1.1, 1.03, 0.9) * (1 - 0.6 * gap[:, None])
         colors = np.concatenate([np.tile(gums, (len(arch), 1)) if k in (0, 3) else tooth for k in range(4)])
         moves = np.zeros((len(colors), 68))
-        moves[:, CHIN] = up < 0
+        moves[:, JAW] = (up < 0) / len(JAW)
         strip = grid_faces(4, len(arch))[:, ::up]
         parts.append(_wet(name, np.concatenate(rows), strip, colors, moves))
     return parts

@@ -116,6 +116,7 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
         made = read_record(file, ApplicationRecord)
         found = {name: getattr(made, name) for name in _AS_STORED} | {"model_name": made.model}
         parameters, chart_mesh = made.reflectance, made.chart_mesh
+        found["landmarks"] = None if made.landmarks is None else np.array(made.landmarks)
     if parameters:
         image, albedo = geometry_image_files.read_image_and_albedo(folder)
         brdf, skin = parameters.get("brdf"), Reflectance("lambert")
@@ -217,6 +218,7 @@ def write_face(
             options=plain_json(options or {}),
             model=face.model_name,
             chart_mesh=mesh.from_chart,
+            landmarks=None if face.landmarks is None else face.landmarks.tolist(),
             reflectance=parameters,
             notes=face.notes,
         )

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, on_grid
 from scan2albedo.core.geometry_image import GeometryImage
@@ -174,7 +175,11 @@ class ProcessedFace:
         occluder = None if self.image.occluder is None or mesh.from_chart else (mesh.vertices, mesh.faces)
         position, normal = (on_grid(mask, values) for values in (position, normal))
         image = replace(self.image, position=position, normal=normal, occluder=occluder)
-        return replace(self, name=name, image=image, mesh=mesh)
+        landmarks = self.landmarks
+        if landmarks is not None:
+            nearest = cKDTree(self.mesh.vertices).query(landmarks)[1]
+            landmarks = landmarks + mesh.vertices[nearest] - self.mesh.vertices[nearest]
+        return replace(self, name=name, image=image, mesh=mesh, landmarks=landmarks, inside=None)
 
 
 def on_common_chart(*faces: ProcessedFace) -> tuple[ProcessedFace, ...]:
