@@ -53,7 +53,7 @@ at."""
 _WHITE, _IRIS = ((-0.3, 0.1, -0.1), (0.4, 0.15, 0.2)), ((-1.3, 0.1, -0.1), (0.6, 0.25, 0.3))
 _SOCKET, _LASHES, _LASHED = ((-0.3, 0.1, -0.1), (0.6, 0.3, 0.3)), ((-0.8, 0, 0), (0.6, 0.25, 0.25)), 0.1
 """Means and deviations of mean log albedo relative to skin, log R/G and log B/G. Those of white and iris
-learn from the scan; those of a socket and of lashes, a part of the skin, are relative to skin in all three."""
+learn from the scan; those of a socket, and of lashes (a part of skin), are relative to skin in all three."""
 _KNOWN = 100.0
 """Area, mm^2, that counts as much as what is known of white and irises."""
 _UNSEEN = 0.01, 0.7
@@ -115,6 +115,8 @@ class EyesAndMouth:
     """`eyes`, and the mouth with its teeth."""
     cut_mm: FloatArray
     """(H, W): how far inside an opening texels of the chart are, below 0 where the face stays."""
+    log_odds: FloatArray
+    """(2, 2): of the right and left eye: that the scan shows it, and that it left it out, against shut lids."""
     reason: str
     """What was found or left out, and why; for people."""
 
@@ -140,9 +142,10 @@ def eyes_and_mouth(face: ProcessedFace) -> EyesAndMouth:
     landmarks, cut_mm, eyes = face.landmarks, np.full(face.mask.shape, -1.0), list[Eyeball]()
     if landmarks is None or not face.has_albedo:
         why = "the face has no landmarks" if landmarks is None else "there is no albedo"
-        return EyesAndMouth((), (), cut_mm, f"eyes and mouth are left out: {why}")
+        return EyesAndMouth((), (), cut_mm, np.full((2, 2), np.nan), f"eyes and mouth are left out: {why}")
     openings = {side: _Opening.of(face, landmarks[at]) for side, at in EYES.items()}
-    hole = int(np.argmax(sum(one.odds for one in openings.values())))
+    odds = np.array([one.odds for one in openings.values()])
+    hole = int(np.argmax(odds.sum(0)))
     shown = {side: one for side, one in openings.items() if one.odds[hole] > 0}
     if hole and len(shown) > 1:  # lids around holes are as high as each other
         right, left = (one.outlines[hole] for one in shown.values())
@@ -176,7 +179,7 @@ def eyes_and_mouth(face: ProcessedFace) -> EyesAndMouth:
     white = eyes[0].rings_linear[-1] if eyes else skin * np.exp(_log_rgb(np.array(_WHITE[0])))
     parts = [eye.part() for eye in eyes] + _mouth(face, landmarks, white)
     cut_mm[named_texels(face, ["between_lips"]) & ~face.image.seen] = 1
-    return EyesAndMouth(tuple(eyes), tuple(parts), np.where(face.mask, cut_mm, -1), reason)
+    return EyesAndMouth(tuple(eyes), tuple(parts), np.where(face.mask, cut_mm, -1), odds, reason)
 
 
 def on_template(
