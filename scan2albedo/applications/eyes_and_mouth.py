@@ -116,7 +116,7 @@ class EyesAndMouth:
     cut_mm: FloatArray
     """(H, W): how far inside an opening texels of the chart are, below 0 where the face stays."""
     log_odds: FloatArray
-    """(2, 2): of the right and left eye: that the scan shows it, and that it left it out, against shut lids."""
+    """(2, 2), right and left eye: that the scan shows it, and that it left it out, against shut lids."""
     reason: str
     """What was found or left out, and why; for people."""
 
