@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
-from scan2albedo.applications.eyes_and_mouth import WET_EXPONENT, WET_F0, eyes_and_mouth
+from scan2albedo.applications.eyes_and_mouth import LOOKS, eyes_and_mouth
 from scan2albedo.applications.face_features import AROUND, feature_texels, without_gaps
 from scan2albedo.applications.processed_face import NO_MODEL, ProcessedFace
 from scan2albedo.core.arguments import require_linear, require_type
@@ -36,8 +36,6 @@ SKIN_GLOSS, SKIN_EXPONENT = 0.25, 12.0
 """Usual highlight of skin as a part of its albedo's level, and Phong's exponent. A dielectric of index 1.4
 reflects F = 0.028; Beckmann's lobe of slope m = 0.2, which Phong's exponent 1 / (2 m^2) = 12 follows, peaks
 at pi F / (4 pi m^2) = 0.17 of a white surface, and skin's albedo is 0.5 to 0.7."""
-SKIN_ALBEDO = 0.6
-"""Usual albedo of skin."""
 
 
 @dataclass(frozen=True)
@@ -148,9 +146,11 @@ class RelitFace:
         inward = np.einsum("nc,nc->n", normal, toward) < 0
         outward = normalized(np.where(inward[:, None], -normal, normal))
         shadows = ShadowMap(caster, position, outward, self.face.shadow_offset_mm)
-        strength = WET_F0 * WET_EXPONENT / 2 * self.face.level() / SKIN_ALBEDO
+        # The highlight's peak beside a white surface, as of skin above; skin's albedo is a half.
+        reflectance, exponent = LOOKS["wet"]
+        strength = reflectance * exponent / 2 * self.face.level() / 0.5
         diffuse, specular = shade(
-            shadows, self.light, Reflectance("lambert", 0.0, strength, WET_EXPONENT), toward
+            shadows, self.light, Reflectance("lambert", 0.0, strength, exponent), toward
         )
         return np.asarray(albedo * diffuse + specular)
 
