@@ -3,6 +3,7 @@
 from scan2albedo.applications.blending import blend_faces
 from scan2albedo.applications.engine_maps import engine_maps
 from scan2albedo.applications.expression_transfer import TransferOptions, personal_model, transfer_expression
+from scan2albedo.applications.eyes_and_mouth import Eyeball, EyesAndMouth, eyes_and_mouth
 from scan2albedo.applications.face_reflectance import FaceReflectance, reflectance_of_processed
 from scan2albedo.applications.files import load_result, write_face
 from scan2albedo.applications.light_removal import UnlitScan, unlit_scan
@@ -14,9 +15,9 @@ from scan2albedo.applications.texture_swap import SwapOptions, swap_texture
 from scan2albedo.rendering.pictures import Picture
 
 __all__ = [
-    "FaceMesh", "FaceReflectance", "Picture", "ProcessedFace", "RelightOptions", "RelitFace", "SwapOptions",
-    "TemplateTexture", "TemplateTile", "TransferOptions", "UnlitScan", "bake", "blend_faces",
-    "default_camera", "engine_maps", "frames_srgb", "light_arc", "load_result", "personal_model",
-    "reflectance_of_processed", "relight", "swap_texture", "sweep", "template_texture", "transfer_expression",
-    "unlit_scan", "write_face", "write_frames", "write_gif",
+    "Eyeball", "EyesAndMouth", "FaceMesh", "FaceReflectance", "Picture", "ProcessedFace", "RelightOptions",
+    "RelitFace", "SwapOptions", "TemplateTexture", "TemplateTile", "TransferOptions", "UnlitScan", "bake",
+    "blend_faces", "default_camera", "engine_maps", "eyes_and_mouth", "frames_srgb", "light_arc",
+    "load_result", "personal_model", "reflectance_of_processed", "relight", "swap_texture", "sweep",
+    "template_texture", "transfer_expression", "unlit_scan", "write_face", "write_frames", "write_gif",
 ]  # fmt: skip

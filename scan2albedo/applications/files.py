@@ -20,6 +20,7 @@ from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.geometry_image_files import read_geometry_image, write_geometry_image
 from scan2albedo.io.glb import METRES_PER_MM, write_glb
 from scan2albedo.io.images import read_image_linear, write_exr, write_png
+from scan2albedo.io.landmark_files import LANDMARKS_FILE, LandmarksRecord
 from scan2albedo.io.limits import DAMAGE
 from scan2albedo.io.records import plain_json, read_record
 from scan2albedo.io.result_records import APPLICATION_FILE, ApplicationRecord, ResultRecord
@@ -83,7 +84,10 @@ def load_result(source: str | Path | ProcessedScan, *, need_albedo: bool = True)
     else:
         taken = "albedo_linear", "reflectance", "expected_error", *_AS_STORED[1:]
         found = {field: getattr(estimate, field) for field in taken}
-    return ProcessedFace(name=name, image=image, mesh=mesh, model_name=model_name, **found)
+    landmarks = None if fitted is None else fitted.landmarks
+    return ProcessedFace(
+        name=name, image=image, mesh=mesh, model_name=model_name, landmarks=landmarks, **found
+    )
 
 
 def _without_albedo(image: GeometryImage, needed: bool, where: str | Path) -> dict[str, Any]:
@@ -112,6 +116,7 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
         made = read_record(file, ApplicationRecord)
         found = {name: getattr(made, name) for name in _AS_STORED} | {"model_name": made.model}
         parameters, chart_mesh = made.reflectance, made.chart_mesh
+        found["landmarks"] = None if made.landmarks is None else np.array(made.landmarks)
     if parameters:
         image, albedo = geometry_image_files.read_image_and_albedo(folder)
         brdf, skin = parameters.get("brdf"), Reflectance("lambert")
@@ -128,6 +133,9 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
     else:
         image = read_geometry_image(_present(folder, "geometry_image.npz"))
         found |= _without_albedo(image, need_albedo, folder)
+    if (stored := folder / LANDMARKS_FILE).is_file():
+        placed = read_record(stored, LandmarksRecord).landmarks
+        found["landmarks"] = np.array([landmark.model_mm for landmark in placed])
     if chart_mesh:
         return ProcessedFace(image=image, mesh=FaceMesh.of_chart(image), **found)
     # The fitted surface: triangles and chart of the GLB, vertices of the image where it has them.
@@ -210,6 +218,7 @@ def write_face(
             options=plain_json(options or {}),
             model=face.model_name,
             chart_mesh=mesh.from_chart,
+            landmarks=None if face.landmarks is None else face.landmarks.tolist(),
             reflectance=parameters,
             notes=face.notes,
         )

@@ -97,7 +97,7 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
     # The light that divided the texture, with all repairs; where it was not seen none was divided.
     assert image.texture_linear is not None
     albedo = estimate.albedo_linear.astype(np.float64)
-    usual = float(np.median(estimate.shading.mean(-1)[image.seen if image.seen.any() else mask]))
+    usual = usual_light(estimate)
     # The light of black texels is that of the estimate, not the quotient of two colours.
     black = FLOOR * max(float(np.median(albedo[mask])), 1e-12)
     light = (image.texture_linear + black * estimate.shading) / (albedo + black)
@@ -149,6 +149,12 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
     divisor, sure = light_at(uv, weight, log_beyond)
     colors = (scan.vertex_color_linear * (usual / divisor)).astype(np.float32)
     return UnlitScan(replace(scan, vertex_color_linear=colors, notes=notes), sure.astype(np.float32) * shown)
+
+
+def usual_light(estimate: AlbedoEstimate) -> float:
+    """Return the light of which an unlit scan keeps the brightness: the colours' gain over the albedo."""
+    image = estimate.image
+    return float(np.median(estimate.shading.mean(-1)[image.seen if image.seen.any() else image.mask]))
 
 
 def _without_dark_spots(log_light: FloatArray) -> FloatArray:

@@ -3,10 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, on_grid
 from scan2albedo.core.geometry_image import GeometryImage
@@ -15,6 +16,9 @@ from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.lighting.shading import Reflectance
+
+if TYPE_CHECKING:
+    from scan2albedo.applications.eyes_and_mouth import EyesAndMouth
 
 NO_MODEL = "none"
 SAME_PLACE_MM = 0.05
@@ -91,6 +95,10 @@ class ProcessedFace:
     """False for a shape alone: the albedo is then an even grey."""
     expected_error: NDArray[np.float32] | None = None
     """(H, W): relative error of the albedo, see `AlbedoEstimate`; None where it is not known."""
+    landmarks: FloatArray | None = None
+    """(68, 3): iBUG-68 order; None where they are not known."""
+    inside: "EyesAndMouth | None" = None
+    """What lies behind its openings, once it was looked for (`eyes_and_mouth`)."""
     notes: tuple[str, ...] = ()
     """What was decided in making it, one sentence each."""
 
@@ -167,7 +175,11 @@ class ProcessedFace:
         occluder = None if self.image.occluder is None or mesh.from_chart else (mesh.vertices, mesh.faces)
         position, normal = (on_grid(mask, values) for values in (position, normal))
         image = replace(self.image, position=position, normal=normal, occluder=occluder)
-        return replace(self, name=name, image=image, mesh=mesh)
+        landmarks = self.landmarks
+        if landmarks is not None:
+            nearest = cKDTree(self.mesh.vertices).query(landmarks)[1]
+            landmarks = landmarks + mesh.vertices[nearest] - self.mesh.vertices[nearest]
+        return replace(self, name=name, image=image, mesh=mesh, landmarks=landmarks, inside=None)
 
 
 def on_common_chart(*faces: ProcessedFace) -> tuple[ProcessedFace, ...]:

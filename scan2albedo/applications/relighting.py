@@ -1,5 +1,6 @@
 """`relight`: a processed face under other light, on its chart and in pictures."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,19 +10,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
+from scan2albedo.applications.eyes_and_mouth import LOOKS, eyes_and_mouth
 from scan2albedo.applications.face_features import AROUND, feature_texels, without_gaps
 from scan2albedo.applications.processed_face import NO_MODEL, ProcessedFace
 from scan2albedo.core.arguments import require_linear, require_type
 from scan2albedo.core.arrays import FloatArray, on_grid
 from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.errors import ApplicationError
-from scan2albedo.geometry.mesh import normalized
+from scan2albedo.geometry.mesh import join, lengths, normalized, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, look_at, normalized_cameras
 from scan2albedo.geometry.rasterization import bilinear, filled_from_nearest, pixels_from_uv
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.io.color import encode_srgb_bytes
-from scan2albedo.io.glb import write_glb
+from scan2albedo.io.glb import GlbPart, write_glb
 from scan2albedo.lighting.environment import DistantLights
+from scan2albedo.lighting.shading import Reflectance
 from scan2albedo.lighting.shadow_map import ShadowMap
 from scan2albedo.rendering import pictures
 from scan2albedo.rendering.pictures import Picture, auto_exposure, checked_exposure
@@ -101,19 +104,77 @@ class RelitFace:
         if gloss is not None:
             scale = bilinear(filled_from_nearest(gloss[..., None], mask), pixels)[:, 0]
         diffuse, specular = shade(shadows, self.light, face.reflectance, toward, scale)
-        made = seen.picture(np.column_stack([albedo * diffuse + specular, np.ones(len(albedo))]))
+        lit = np.column_stack([albedo * diffuse + specular, np.ones(len(albedo))])
+        if face.inside is not None and (parts := face.inside.parts):
+            # Eyes and mouth, where they are nearer, or the face is cut away before them.
+            vertices, faces = join([(part.vertices, part.faces) for part in parts])
+            behind, eye = (
+                pictures.seen_samples(vertices, faces, projection, shape, samples),
+                camera_centers(projection[None])[0],
+            )
+            off = np.full((2, math.prod(shape) * samples**2), np.inf)
+            off[0, seen.index] = lengths(seen.interpolated(mesh.vertices) - eye)
+            off[1, behind.index] = lengths(behind.interpolated(vertices) - eye)
+            cut = bilinear(face.inside.cut_mm[..., None], pixels)[:, 0] > 0
+            off[0, seen.index[cut & np.isfinite(off[1, seen.index])]] = np.inf
+            nearer = off[0] < off[1]
+            kept, behind = nearer[seen.index], behind.chosen(~nearer[behind.index])
+            there = behind.interpolated(vertices)
+            colors = behind.interpolated(np.concatenate([np.asarray(part.color_linear) for part in parts]))
+            normal = np.concatenate([vertex_normals(p.vertices, p.faces) for p in parts])
+            shown = self._lit_parts(there, behind.interpolated(normal), normalized(eye - there), colors)
+            seen = seen.chosen(kept).joined(behind)
+            lit = np.concatenate([lit[kept], np.column_stack([shown, np.ones(len(shown))])])
+        made = seen.picture(lit)
         return Picture(made[..., :3].astype(np.float32), made[..., 3].astype(np.float32))
 
+    def _lit_parts(
+        self, position: FloatArray, normal: FloatArray, toward: FloatArray, albedo: FloatArray
+    ) -> FloatArray:
+        """Return (N, 3) light from points of eyes and mouth toward a viewer, all of it wet."""
+        assert self.face.inside is not None
+        cut_mm, own, (vertices, faces) = (
+            self.face.inside.cut_mm,
+            self.face.mesh,
+            self.face.image.occluder_mesh(),
+        )
+        if len(vertices) == len(own.uv):  # what is cut away casts no shadow on what is behind it
+            gone = bilinear(cut_mm[..., None], pixels_from_uv(own.uv, cut_mm.shape))[:, 0] > 0
+            faces = faces[~gone[faces].any(1)]
+        caster = RayCaster(vertices, faces) if self.face.casts_shadows else None
+        # Both sides of the bag of a mouth are seen.
+        inward = np.einsum("nc,nc->n", normal, toward) < 0
+        outward = normalized(np.where(inward[:, None], -normal, normal))
+        shadows = ShadowMap(caster, position, outward, self.face.shadow_offset_mm)
+        # The highlight's peak beside a white surface, as of skin above; skin's albedo is a half.
+        reflectance, exponent = LOOKS["wet"]
+        strength = reflectance * exponent / 2 * self.face.level() / 0.5
+        diffuse, specular = shade(
+            shadows, self.light, Reflectance("lambert", 0.0, strength, exponent), toward
+        )
+        return np.asarray(albedo * diffuse + specular)
+
     def write_glb(self, path: str | Path, *, exposure: float | None = None) -> None:
-        """Write the face to `path` as a GLB that shines by itself, so no viewer lights it again.
+        """Write the face, with eyes and mouth, as a GLB that shines by itself, so no viewer lights it again.
 
         OutputError when it cannot be written, ValueError for an `exposure` that is not finite and above 0.
         """
-        mask = self.face.mask
+        mask, mesh, inside, parts = self.face.mask, self.face.mesh, self.face.inside, list[GlbPart]()
         factor = auto_exposure(self.texture_linear[mask]) if exposure is None else checked_exposure(exposure)
         texture = encode_srgb_bytes(np.clip(factor * filled_from_nearest(self.texture_linear, mask), 0, 1))
-        mesh = self.face.mesh
-        write_glb(path, mesh.vertices, mesh.faces, mesh.uv, texture, emissive=True)
+        if inside is not None and inside.parts:
+            texture = np.dstack([texture, np.where(inside.cut_mm > 0, np.uint8(0), np.uint8(255))])
+            view = normalized(np.asarray(self.face.view_direction, np.float64))
+            for part in inside.parts:
+                xyz, normals = (
+                    part.vertices,
+                    vertex_normals(part.vertices, part.faces),
+                )
+                lit = self._lit_parts(
+                    xyz, normals, np.tile(view, (len(xyz), 1)), np.asarray(part.color_linear)
+                )
+                parts.append(replace(part, color_linear=factor * lit))
+        write_glb(path, mesh.vertices, mesh.faces, mesh.uv, texture, emissive=True, parts=parts)
 
 
 def relight(
@@ -176,6 +237,8 @@ def relight(
         distant = DistantLights.from_environment(distant, 128, "important")
     light = SceneLight(lights, distant, base, environment)
     face, notes = as_lit(face, options)
+    if face.inside is None:
+        face = replace(face, inside=eyes_and_mouth(face))
     view = np.asarray(face.view_direction, np.float64)
     image, mask = face.image, face.mask
     caster = RayCaster(*image.occluder_mesh()) if face.casts_shadows and light.casts else None

@@ -22,6 +22,7 @@ from scan2albedo.geometry.mesh import normalized, vertex_normals, without_unrefe
 from scan2albedo.geometry.oriented_points import SurfaceNoise
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
 from scan2albedo.geometry.tangents import in_tangent_space, tangent_mesh
+from scan2albedo.io.glb import GlbPart
 from scan2albedo.sampling.geometry_images import without_covers
 from scan2albedo.sampling.texture_lookup import sample_colors, texel_steps
 
@@ -70,6 +71,12 @@ class TemplateTexture:
     faces: IntArray
     uv: FloatArray
     tiles: tuple[TemplateTile, ...] = ()
+    parts: tuple[GlbPart, ...] = ()
+    """Eyes and mouth behind it."""
+    cut_mm: FloatArray | None = None
+    """(T,): how far inside an opening, behind which these are, a vertex lies; below 0 where it is skin."""
+    landmarks: IntArray | None = None
+    """(68,): the vertices nearest to these, which `parts` follow."""
 
     @classmethod
     def of(cls, fitted: FittedFace) -> Self:

@@ -1,5 +1,6 @@
 """Elementary quantities of a triangle mesh: normals, areas, boundaries, neighbours, components, thinning."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -208,6 +209,22 @@ def face_lists(vertex_count: int, faces: IntArray) -> tuple[IntArray, IntArray]:
     corners = np.ones(index.size, bool), index.ravel(), np.arange(0, index.size + 1, 3)
     incidence = sparse.csr_matrix(corners, shape=(len(index), vertex_count)).tocsc()
     return incidence.indptr.astype(np.int64), incidence.indices.astype(np.int64)
+
+
+def join(meshes: Sequence[tuple[FloatArray, IntArray]]) -> tuple[FloatArray, IntArray]:
+    """Return one mesh holding all the given ones as loose parts, in order."""
+    offsets = np.cumsum([0] + [len(v) for v, _ in meshes[:-1]])
+    faces = np.concatenate([f + o for (_, f), o in zip(meshes, offsets, strict=True)])
+    return np.concatenate([v for v, _ in meshes]), faces
+
+
+def grid_faces(rows: int, columns: int, *, wrap: bool = False) -> IntArray:
+    """Return (F, 3) triangles of a rows x columns vertex grid; `wrap` joins the last column to the first."""
+    index = np.arange(rows * columns).reshape(rows, columns)
+    if wrap:
+        index = np.concatenate([index, index[:, :1]], 1)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    return np.concatenate([np.stack(t, -1).reshape(-1, 3) for t in ((a, c, b), (b, c, d))])
 
 
 def require_vertices(faces: IntArray, vertex_count: int) -> None:

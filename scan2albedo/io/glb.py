@@ -3,7 +3,7 @@
 import json
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -139,14 +139,16 @@ def write_glb(
     texture_srgb: NDArray[np.uint8] | None = None,
     *,
     emissive: bool = False,
+    parts: Sequence["GlbPart"] = (),
     take: Mapping[str, NDArray[np.float64]] | None = None,
 ) -> None:
     """Write a mesh with its base colour, atomically.
 
     `vertices` (V, 3) in mm are stored as metres, glTF's unit. In `uv` (V, 2), v = 0 is the bottom row of
-    `texture_srgb` (H, W, 3); glTF counts from the top, and v is flipped here. Without a texture the mesh is
-    grey. An `emissive` texture already contains its light, and viewers add none. Raises OutputError when the
-    folder cannot be written; ValueError for a texture without `uv`, or wrong shapes.
+    `texture_srgb` (H, W, 3), or (H, W, 4) with alpha 0 where it is cut away; glTF counts from the top, and v
+    is flipped here. Without a texture the mesh is grey. An `emissive` texture, and then `parts` beside the
+    mesh, already contain their light, and viewers add none. Raises OutputError when the folder cannot be
+    written; ValueError for a texture without `uv`, or wrong shapes.
 
     The mesh of a `take` moves: at `time_s` (T,) the vertices V are R_t (V + sum_k w_tk D_k) + t_t, linear in
     between, with `targets` D (K, V, 3), `weights` (T, K) and `pose` (T, 4, 4), mm.
@@ -170,7 +172,15 @@ def write_glb(
             material |= {"emissiveTexture": picture, "emissiveFactor": [1.0, 1.0, 1.0]}
         else:
             material["pbrMetallicRoughness"]["baseColorTexture"] = picture
-    lists = {"materials": [material]}
+        if texture_srgb.shape[2] == 4:
+            material |= {"alphaMode": "MASK", "doubleSided": True}
+            material["pbrMetallicRoughness"]["baseColorTexture"] = picture
+    lists: dict[str, Any] = {"materials": [material]}
+    for part in parts:
+        lists["materials"].append(part.add_to(file, len(lists["materials"]))[1])
+        if emissive:
+            lists["materials"][-1]["extensions"] = {"KHR_materials_unlit": {}}
+            lists["extensionsUsed"] = ["KHR_materials_unlit"]
     if take is not None:
         pose = take["pose"]
         curves = {"rotation": (Rotation.from_matrix(pose[:, :3, :3]).as_quat(), "VEC4")}
@@ -183,19 +193,34 @@ def write_glb(
         samplers = [{"input": times, "output": number} for number in outputs]
         channels = [{"sampler": k, "target": {"node": 0, "path": p}} for k, p in enumerate(curves)]
         lists["animations"] = [{"samplers": samplers, "channels": channels}]
-    file.write(path, [{"name": "face", "mesh": mesh}], [0], **lists)
+    nodes = [{"name": made["name"], "mesh": number} for number, made in enumerate(file.meshes)]
+    file.write(path, nodes, list(range(len(nodes))), **lists)
 
 
 @dataclass(frozen=True)
 class GlbPart:
-    """A mesh of one colour, its vertices (V, 3) in mm, its faces (F, 3)."""
+    """A mesh of one colour (3,), or of a colour a vertex (V, 3): vertices (V, 3) in mm, faces (F, 3)."""
 
     name: str
-    vertices: ArrayLike
-    faces: ArrayLike
-    color_linear: tuple[float, float, float]
+    vertices: FloatArray
+    faces: IntArray
+    color_linear: ArrayLike
     opacity: float = 1.0
     roughness: float = 0.6
+    follows: FloatArray | None = None
+    """(V, 68): how far vertices move with each landmark of a face; None where they stay."""
+
+    def add_to(self, file: "GlbFile", material: int) -> tuple[int, dict[str, Any]]:
+        """Append the part with a material of that number; return its mesh's, and the material."""
+        vertices, faces = np.asarray(self.vertices, np.float64), np.asarray(self.faces, np.int64)
+        if len(faces) == 0 or not np.isfinite(vertices).all():
+            raise ValueError(f"{self.name!r} needs faces and finite vertices")
+        color = np.clip(np.asarray(self.color_linear, np.float64), 0, 1)
+        attributes = {"COLOR_0": (color.astype("f4"), "VEC3")} if color.ndim > 1 else {}
+        mesh = file.add_mesh(self.name, vertices, faces, material, attributes)
+        base = (*((1.0, 1.0, 1.0) if color.ndim > 1 else color.tolist()), min(max(self.opacity, 0.0), 1.0))
+        made = plain_material(self.name, base, self.roughness)
+        return mesh, made if self.opacity >= 1 else {**made, "alphaMode": "BLEND"}
 
 
 def write_parts_glb(path: str | Path, parts: Sequence[GlbPart]) -> None:
@@ -207,14 +232,9 @@ def write_parts_glb(path: str | Path, parts: Sequence[GlbPart]) -> None:
         raise ValueError("a GLB file needs a mesh")
     file, materials = GlbFile(), []
     for number, part in enumerate(parts):
-        vertices, faces = np.asarray(part.vertices, np.float64), np.asarray(part.faces, np.int64)
-        if len(faces) == 0 or not np.isfinite(vertices).all():
-            raise ValueError(f"{part.name!r} needs faces and finite vertices")
-        kept, renumbered = without_unreferenced(vertices, faces)
-        file.add_mesh(part.name, vertices[kept], renumbered, number)
-        color = np.clip([*part.color_linear, part.opacity], 0, 1).tolist()
-        material = plain_material(part.name, color, part.roughness)
-        materials.append(material if part.opacity >= 1 else {**material, "alphaMode": "BLEND"})
+        kept, renumbered = without_unreferenced(np.asarray(part.vertices), np.asarray(part.faces))
+        own = replace(part, vertices=np.asarray(part.vertices)[kept], faces=renumbered)
+        materials.append(own.add_to(file, number)[1])
     nodes = [{"name": part.name, "mesh": number} for number, part in enumerate(parts)]
     file.write(path, nodes, list(range(len(parts))), materials=materials)
 

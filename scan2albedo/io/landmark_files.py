@@ -35,6 +35,9 @@ _ADVICE = (
 Point = tuple[Number, Number, Number]
 
 
+LANDMARKS_FILE = "landmarks.json"
+
+
 class LandmarkRecord(Record):
     """One landmark."""
 

@@ -210,6 +210,9 @@ class ApplicationRecord(Record):
     )
     lights: tuple[Light, ...] = ()
     environment: Environment | None = Field(None, description="As in result.json.")
+    landmarks: tuple[tuple[Number, Number, Number], ...] | None = Field(
+        None, description="68 in iBUG order, in mm, where they are known."
+    )
     notes: tuple[str, ...] = Field((), description="What was decided in making it, one sentence each.")
     files: tuple[str, ...] = Field((), description="Names of the files beside this one.")
 

@@ -1,7 +1,7 @@
 """Meshes with pictures on their own texture coordinates, as OBJ with MTL and as GLB."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.tangents import split_at_seams, tangent_mesh
 from scan2albedo.io.atomic import write_bytes, write_text
 from scan2albedo.io.color import linear_to_srgb
-from scan2albedo.io.glb import GlbFile, plain_material
+from scan2albedo.io.glb import GlbFile, GlbPart, plain_material
 
 
 @dataclass(frozen=True)
@@ -22,6 +22,7 @@ class MeshPicture:
 
     `normal_png`, if any, is the normal map beside it, in the frames of `geometry.tangents.tangent_mesh`;
     `surface_png` has occlusion, roughness, 0 and the specular factor in its channels, as glTF reads them.
+    `cut_png` is the picture with alpha 0 where the mesh is cut away, in a GLB.
     """
 
     name: str
@@ -30,6 +31,7 @@ class MeshPicture:
     normal_name: str = ""
     normal_png: bytes | None = None
     surface_png: bytes | None = None
+    cut_png: bytes | None = None
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,10 @@ class TexturedMesh:
     rest: FloatArray | None = None
     targets: Mapping[str, FloatArray] = field(default_factory=dict)
     weights: FloatArray = field(default_factory=lambda: np.zeros(0))
+    parts: tuple[GlbPart, ...] = ()
+    """In a GLB, beside the mesh."""
+    landmarks: IntArray | None = None
+    """(68,): the vertices that `parts` follow."""
 
 
 def write_textured_obj(path: str | Path, mesh: TexturedMesh, *, mm_per_unit: float = 1.0) -> tuple[str, ...]:
@@ -98,7 +104,10 @@ def write_textured_glb(path: str | Path, mesh: TexturedMesh) -> None:
         material = plain_material(name, (1.0, 1.0, 1.0, 1.0))
         attributes: dict[str, tuple[NDArray[Any], str]] = {}
         if picture is not None:
-            material["pbrMetallicRoughness"]["baseColorTexture"] = file.add_picture(picture.png, name=name)
+            png = picture.cut_png or picture.png
+            material["pbrMetallicRoughness"]["baseColorTexture"] = file.add_picture(png, name=name)
+            if picture.cut_png:
+                material["alphaMode"] = "MASK"
         if mesh.uv is None:
             vertex, faces = np.unique(mesh.faces[chosen], return_inverse=True)
         else:
@@ -126,6 +135,16 @@ def write_textured_glb(path: str | Path, mesh: TexturedMesh) -> None:
         if mesh.targets:
             moves = np.array([*mesh.targets.values()])
             file.add_targets(number, (whole, mesh.faces), moves, mesh.weights, vertex)
+            file.meshes[number]["extras"] = {"targetNames": [*mesh.targets]}
+        materials.append(material)
+    for part in mesh.parts:
+        moves, still = np.zeros((0, *np.shape(part.vertices))), part
+        if part.follows is not None and mesh.landmarks is not None and mesh.targets:
+            moves = np.array([part.follows @ move[mesh.landmarks] for move in mesh.targets.values()])
+            still = replace(part, vertices=part.vertices - np.tensordot(mesh.weights, moves, 1))
+        number, material = still.add_to(file, len(materials))
+        if len(moves):
+            file.add_targets(number, (still.vertices, part.faces), moves, mesh.weights)
             file.meshes[number]["extras"] = {"targetNames": [*mesh.targets]}
         materials.append(material)
     nodes = [{"name": file.meshes[k]["name"], "mesh": k} for k in range(len(materials))]

@@ -25,7 +25,7 @@ from scan2albedo.templates import AnnotatedFaceModel
 
 STEPS = ("register.depth_annealing", *OPTIONAL_STEPS)
 """Steps that the evidence may leave out: the names that `force` takes."""
-STAGES = ("register", "fit", "geometry_image", "albedo", *STEPS)
+STAGES = ("register", "fit", "geometry_image", "albedo", "eyes", *STEPS)
 """Names of stages and of the steps inside them: the names that `skip` takes."""
 
 

@@ -9,13 +9,16 @@ from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Never
 
 import numpy as np
 
 from scan2albedo.albedo import AlbedoEstimate, estimate_albedo
 from scan2albedo.applications.engine_maps import engine_maps
-from scan2albedo.applications.light_removal import unlit_scan
+from scan2albedo.applications.eyes_and_mouth import eyes_and_mouth, on_template
+from scan2albedo.applications.files import load_result
+from scan2albedo.applications.light_removal import unlit_scan, usual_light
 from scan2albedo.applications.template_baking import template_texture
 from scan2albedo.core import Budget, Plan, PlanStep, ProgressCallback, RawScan, Trace
 from scan2albedo.core.arguments import require_type
@@ -403,4 +406,13 @@ def without_light(
             seen = sum(float(tile.seen.mean()) for tile in baked.tiles) / max(len(baked.tiles), 1)
             evidence = f"{len(baked.tiles)} tile(s), {seen:.0%} of their texels seen"
             steps.append(PlanStep(name, True, reason, evidence))
+    carriers = [name for name in more if name == "template" or options.maps != "scan"]
+    if carriers and lit is not None and "eyes" in options.skip:
+        steps.append(PlanStep("eyes", False, "skipped by the caller"))
+    elif carriers and lit is not None:
+        stages = {"scan": scan, "fitted": lit[0], "geometry_image": lit[1].image, "albedo": lit[1]}
+        inside = eyes_and_mouth(load_result(SimpleNamespace(**stages)))
+        for name in carriers:
+            more[name] = on_template(inside, lit[0], usual_light(lit[1]), more[name])
+        steps.append(PlanStep("eyes", bool(inside.eyes), inside.reason))
     return {"unlit": unlit, **more}, steps

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from scan2albedo.applications import template_baking as baking
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import lost_texture
-from scan2albedo.geometry.rasterization import filled_from_nearest
+from scan2albedo.geometry.rasterization import filled_from_nearest, interpolate, pixels_from_uv, rasterize
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.io.color import encode_srgb_integers, is_deep
 from scan2albedo.io.geometry_image_files import write_geometry_image, write_geometry_image_exr
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import encode_image, write_exr, write_indexed_png, write_png
-from scan2albedo.io.landmark_files import LandmarksRecord, write_landmarks_csv
+from scan2albedo.io.landmark_files import LANDMARKS_FILE, LandmarksRecord, write_landmarks_csv
 from scan2albedo.io.npz import write_npz
 from scan2albedo.io.obj import write_obj
 from scan2albedo.io.records import write_record
@@ -54,7 +54,7 @@ FILES = OwnFiles(
     ResultRecord,
     (
         *("geometry_image.npz", "albedo.exr", "albedo.png", "fitted.glb", "registration.json"),
-        *("landmarks.json", "landmarks.csv", "trace.csv", "coverage.png", "disagreement.png"),
+        *(LANDMARKS_FILE, "landmarks.csv", "trace.csv", "coverage.png", "disagreement.png"),
         *("sequence.glb", "frames.npz", "coefficients.json", "linear_model.npz"),
         *sorted(_LEFT_OUT),
         *(f"{mesh}{end}" for mesh in ("template", "unlit", "maps") for end in _MESH),
@@ -264,7 +264,7 @@ def write_result(
         deviation_mm = None if fitted is None else fitted.landmark_deviation_mm
         if fitted and fitted.landmarks is not None and in_scan is not None and deviation_mm is not None:
             landmarks = LandmarksRecord.of(fitted.landmarks, in_scan, deviation_mm, scan.mm_per_unit)
-            write("landmarks.json", write_record, landmarks)
+            write(LANDMARKS_FILE, write_record, landmarks)
             write("landmarks.csv", write_landmarks_csv, landmarks)
         if "overview.png" not in left_out:
             unlit = None if result.unlit is None else result.unlit.scan
@@ -348,6 +348,19 @@ def write_template(
         encode_srgb_integers(tile.color_linear, samples, color[..., :3])
         color[..., 3] = tile.seen * samples(np.iinfo(samples).max)
         picture, surface = encode_image(color, ".png"), None
+        cut = None  # alpha of a GLB, where eyes and mouth are seen through the mesh
+        if template.cut_mm is not None and (template.cut_mm > 0).any():
+            corners = (
+                template.uv[tile.faces].reshape(-1, 2) - divmod(tile.number - baking.FIRST_TILE, 10)[::-1]
+            )
+            pixels = pixels_from_uv(corners, tile.seen.shape)
+            index = np.arange(len(corners)).reshape(-1, 3)
+            raster = rasterize(pixels, np.zeros(len(corners)), index, tile.seen.shape)
+            depth = template.cut_mm[template.faces[tile.faces]].reshape(-1, 1)
+            inside = raster.covered & (interpolate(raster, index, depth)[..., 0] > 0)
+            cut = encode_image(
+                np.dstack([color[..., :3], ~inside * color.dtype.type(np.iinfo(samples).max)]), ".png"
+            )
         del color  # beside the next tile's normals it would be the most that is kept
         if tile.maps:
             write_png(
@@ -362,8 +375,16 @@ def write_template(
             layers.insert(2, np.zeros_like(layers[0]))
             surface = encode_image(baking.integers(np.stack(layers, -1)), ".png")
         named = f"{stem}{end}", picture, tile.faces, f"{stem}_normal{end}", normal
-        pictures.append(MeshPicture(*named, surface))
-    mesh = TexturedMesh(template.vertices, template.faces, template.uv, tuple(pictures), **moves)
+        pictures.append(MeshPicture(*named, surface, cut))
+    mesh = TexturedMesh(
+        template.vertices,
+        template.faces,
+        template.uv,
+        tuple(pictures),
+        parts=template.parts,
+        landmarks=template.landmarks,
+        **moves,
+    )
     write_textured_obj(folder / f"{stem}.obj", mesh, mm_per_unit=mm_per_unit)
     write_textured_glb(folder / f"{stem}.glb", mesh)
     if template.tiles and template.tiles[0].maps:

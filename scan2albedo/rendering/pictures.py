@@ -81,6 +81,11 @@ class SeenSamples:
         """Return some of the samples."""
         return SeenSamples(self.shape, self.side, self.index[which], self.corners[which], self.weight[which])
 
+    def joined(self, others: SeenSamples) -> SeenSamples:
+        """Return these samples and others of one picture, which may see another mesh."""
+        pairs = [(getattr(self, name), getattr(others, name)) for name in ("index", "corners", "weight")]
+        return SeenSamples(self.shape, self.side, *map(np.concatenate, pairs))
+
     def interpolated(self, values: NDArray[np.floating]) -> FloatArray:
         """Return (N, ...) values (V, ...) of the vertices at the points seen."""
         return np.asarray(np.einsum("nk,nk...->n...", self.weight, values[self.corners]))

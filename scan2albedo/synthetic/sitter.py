@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 
 from scan2albedo.core.arrays import FloatArray, IntArray, smoothstep
 from scan2albedo.face_model import AnnotatedSurface
-from scan2albedo.geometry.mesh import normalized, vertex_normals, without_unreferenced
+from scan2albedo.geometry.mesh import grid_faces, join, normalized, vertex_normals, without_unreferenced
 from scan2albedo.geometry.parametrization import boundary_loop
 from scan2albedo.synthetic.face_shape import Expression, FaceSurface, face_surface, person, with_relief
 from scan2albedo.synthetic.renderer import RayScene
@@ -150,22 +150,6 @@ SKULL_SEMI_AXES_MM = np.array([74.0, 108.0, 105.0])
 def nose_tip(vertices: FloatArray) -> FloatArray:
     """Return (3,) the foremost vertex of a face that looks along +z."""
     return vertices[np.argmax(vertices[:, 2])]
-
-
-def join(meshes: list[Mesh]) -> Mesh:
-    """Return one mesh holding all the given ones as loose parts, in order."""
-    offsets = np.cumsum([0] + [len(v) for v, _ in meshes[:-1]])
-    faces = np.concatenate([f + o for (_, f), o in zip(meshes, offsets, strict=True)])
-    return np.concatenate([v for v, _ in meshes]), faces
-
-
-def grid_faces(rows: int, columns: int, *, wrap: bool = False) -> IntArray:
-    """Return (F, 3) triangles of a rows x columns vertex grid; `wrap` joins the last column to the first."""
-    index = np.arange(rows * columns).reshape(rows, columns)
-    if wrap:
-        index = np.concatenate([index, index[:, :1]], 1)
-    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
-    return np.concatenate([np.stack(t, -1).reshape(-1, 3) for t in ((a, c, b), (b, c, d))])
 
 
 def hair_shell(

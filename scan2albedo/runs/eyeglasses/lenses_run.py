@@ -284,7 +284,7 @@ def run_lenses(
         bare = rendered.frame
         colors = np.asarray(bare.albedo_linear if bare.texture_linear is None else bare.texture_linear)
         color = _vector(np.median(colors.reshape(-1, 3), axis=0))
-        parts = [GlbPart("frame", bare.vertices, bare.faces, color)]
+        parts = [GlbPart("frame", np.asarray(bare.vertices), np.asarray(bare.faces), color)]
         for lens in rendered.lenses:
             opacity = min(max(1.0 - float(lens.material.transmission.mean()), _SHOWN_OPACITY), 1.0)
             color, name = _vector(lens.material.tint_linear), lens.name.replace(" ", "_")

@@ -1,0 +1,170 @@
+"""Eyeballs lie behind the lids where the scan shows them, and are left out where lids are shut."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import trimesh
+
+from scan2albedo.applications import relight
+from scan2albedo.applications.eyes_and_mouth import LANDMARKS, SIZES_MM, eyes_and_mouth, on_template
+from scan2albedo.applications.face_features import grown, named_texels
+from scan2albedo.applications.template_baking import TemplateTexture
+from scan2albedo.core.lights import PointLight
+from scan2albedo.geometry.mesh import vertex_normals
+from scan2albedo.geometry.rasterization import bilinear, pixels_from_uv
+from scan2albedo.io.glb import write_parts_glb
+from scan2albedo.synthetic.textures import landmark_uv
+from scan2albedo.templates import AnnotatedFaceModel
+
+SIZE = 256
+
+
+def at_uv(face, uv):
+    """Return places (N, 3) of a face at coordinates (N, 2) of its chart."""
+    return bilinear(face.image.position, pixels_from_uv(uv, face.mask.shape))
+
+
+@pytest.fixture(scope="module")
+def seen(person):
+    """Make a synthetic person with landmarks: (seed) -> ProcessedFace."""
+
+    def made(seed):
+        face = person(seed, size=SIZE)
+        return replace(face, landmarks=at_uv(face, landmark_uv(AnnotatedFaceModel.default())))
+
+    return made
+
+
+def painted_over(face, sides):
+    """Return a face with skin in place of the eyes of these sides."""
+    eyes = grown(named_texels(face, [f"{side}_eye" for side in sides]), 0)
+    skin = np.median(face.albedo_linear[grown(eyes, 0.02) & ~eyes], axis=0)
+    return replace(face, albedo_linear=np.where(eyes[..., None], skin, face.albedo_linear))
+
+
+def iris_centres(face):
+    """Return (2, 2) where `synthetic.textures` paints the middles of the irises, right and left, in mm."""
+    uv, middles = landmark_uv(AnnotatedFaceModel.default()), []
+    for corners in (uv[LANDMARKS[side]] for side in ("right", "left")):
+        width = np.linalg.norm(corners[3] - corners[0])
+        middles.append(corners.mean(0) + [0, 0.04 * width])
+    return at_uv(face, np.array(middles))[:, :2]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_irises_are_found_where_they_are_painted(seen, seed):
+    face = seen(seed)
+    found = eyes_and_mouth(face)
+    assert [eye.side for eye in found.eyes] == ["right", "left"]
+    assert all(eye.painted for eye in found.eyes)
+    places = np.array([(eye.center_mm + eye.radius_mm * eye.gaze)[:2] for eye in found.eyes])
+    assert np.linalg.norm(places - iris_centres(face), axis=1).max() < 1
+    right, left = (eye.gaze for eye in found.eyes)
+    assert right @ left > np.cos(np.radians(4))
+    # Dark pupil, bright white, and the openings in the face lie over the eyes.
+    rings = found.eyes[0].rings_linear.max(1)
+    assert rings[0] < 0.1 * rings[-1]
+    eyes = named_texels(face, ["left_eye", "right_eye"])
+    assert (found.cut_mm[grown(~eyes & face.mask, 0) & ~grown(eyes, 0)] <= 0).all()
+    assert (found.cut_mm > 0).sum() > 0.1 * eyes.sum()
+
+
+def test_shut_eyes_are_left_out_each_for_itself(seen):
+    face = seen(1)
+    assert eyes_and_mouth(painted_over(face, ["left", "right"])).eyes == ()
+    winking = eyes_and_mouth(painted_over(face, ["left"]))
+    assert [eye.side for eye in winking.eyes] == ["right"]
+
+
+def test_holes_between_lids_get_usual_eyes_that_look_ahead(seen):
+    face = seen(2)
+    open_at = eyes_and_mouth(face).cut_mm > 0
+    torn = replace(
+        painted_over(face, ["left", "right"]), image=replace(face.image, texture_valid=face.mask & ~open_at)
+    )
+    found = eyes_and_mouth(torn)
+    assert len(found.eyes) == 2
+    assert "left out" in found.reason
+    for eye in found.eyes:
+        assert not eye.painted
+        np.testing.assert_allclose(eye.gaze, [0, 0, 1])
+        red, green, blue = eye.rings_linear[len(eye.rings_linear) // 2]
+        assert red > green > blue
+
+
+def test_without_landmarks_or_albedo_the_reason_is_told(person, seen):
+    assert "no landmarks" in eyes_and_mouth(person(0)).reason
+    assert "no albedo" in eyes_and_mouth(replace(seen(0), has_albedo=False)).reason
+
+
+def test_parts_are_closed_outward_meshes(seen, tmp_path):
+    found = eyes_and_mouth(seen(3))
+    for eye in found.eyes:
+        part = eye.part()
+        off = np.linalg.norm(part.vertices - eye.center_mm, axis=1)
+        assert abs(eye.radius_mm - SIZES_MM["globe"][0]) < 3 * SIZES_MM["globe"][1]
+        # The cornea stands out by about a millimetre, and nothing else does.
+        assert off.min() == pytest.approx(eye.radius_mm)
+        assert 0.5 < off.max() - eye.radius_mm < 2.5
+        outward = vertex_normals(part.vertices, part.faces)
+        assert np.mean(np.einsum("nc,nc->n", outward, part.vertices - eye.center_mm) > 0) > 0.99
+    names = [part.name for part in found.parts]
+    assert names == ["eye_right", "eye_left", "mouth", "teeth_upper", "teeth_lower"]
+    write_parts_glb(tmp_path / "parts.glb", found.parts)
+    loaded = trimesh.load(tmp_path / "parts.glb")
+    assert sorted(loaded.geometry) == sorted(names)
+    colors = loaded.geometry["eye_left"].visual.vertex_attributes["color"][:, :3]
+    assert np.ptp(colors, axis=0).min() > 0.2
+
+
+def test_the_lower_teeth_follow_the_jaw_and_the_upper_ones_stay(seen):
+    parts = {part.name: part for part in eyes_and_mouth(seen(0)).parts}
+    moved = np.zeros((68, 3))
+    moved[[8, *range(55, 60)]] = [0, -10, -3]
+    np.testing.assert_allclose(parts["teeth_lower"].follows @ moved, np.tile([0, -10, -3], (484, 1)))
+    assert not (parts["teeth_upper"].follows @ moved).any()
+    bag = parts["mouth"]
+    down = (bag.follows @ moved)[:, 1]
+    middle = parts["teeth_upper"].vertices[:, 1].min()
+    assert down.min() < -9
+    assert np.abs(down[bag.vertices[:, 1] > middle + 5]).max() < 2
+
+
+def test_relit_eyes_glint_and_stand_behind_the_lids(seen, tmp_path):
+    face = seen(4)
+    relit = relight(face, [PointLight(0.3, 0.3, intensity=2.0)])
+    plain = replace(relit, face=replace(relit.face, inside=None))
+    with_eyes, without = (one.picture(shape=(300, 300)) for one in (relit, plain))
+    np.testing.assert_array_equal(with_eyes.alpha, without.alpha)
+    changed = np.abs(with_eyes.linear - without.linear).max(-1) > 0.01
+    assert 0.001 < changed.mean() < 0.05
+    rows, columns = np.nonzero(changed)
+    glint = with_eyes.linear.max(-1)[rows, columns].max()
+    assert glint > 1.2 * np.percentile(with_eyes.linear.max(-1)[with_eyes.alpha > 0], 99)
+    relit.write_glb(tmp_path / "relit.glb")
+    assert {"face", "eye_left", "eye_right"} <= set(trimesh.load(tmp_path / "relit.glb").geometry)
+
+
+def test_a_template_keeps_eyeballs_of_its_own(seen):
+    face = seen(5)
+    found = eyes_and_mouth(face)
+    fitted = SimpleNamespace(
+        vertices=face.mesh.vertices, faces=face.mesh.faces, uv=face.mesh.uv, landmarks=face.landmarks
+    )
+    bare = TemplateTexture(face.mesh.vertices, face.mesh.faces, face.mesh.uv[face.mesh.faces])
+    made = on_template(found, fitted, 2.0, bare)
+    assert len(made.parts) == len(found.parts)
+    np.testing.assert_allclose(made.parts[0].color_linear, 2 * found.parts[0].color_linear)
+    assert (made.cut_mm > 0).any()
+    ball = trimesh.creation.icosphere(3, 12.0)
+    vertices, faces = [bare.vertices], [bare.faces]
+    for eye in found.eyes:
+        faces.append(ball.faces + sum(map(len, vertices)))
+        vertices.append(ball.vertices + eye.center_mm)
+    whole = np.concatenate(faces)
+    own = TemplateTexture(np.concatenate(vertices), whole, np.zeros((len(whole), 3, 2)))
+    made = on_template(found, fitted, 1.0, own)
+    assert [part.name for part in made.parts] == ["mouth", "teeth_upper", "teeth_lower"]
+    assert not (made.cut_mm > 0).any()
