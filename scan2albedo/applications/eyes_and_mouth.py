@@ -1,7 +1,7 @@
 """`eyes_and_mouth`: eyeballs behind a face's lids and the inside of its mouth, as meshes of their own."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from scipy.special import expit
 
 from scan2albedo.applications.face_features import FLOOR, named_texels, without_catchlights
-from scan2albedo.applications.processed_face import ProcessedFace
+from scan2albedo.applications.processed_face import Eyeball, EyesAndMouth, ProcessedFace
 from scan2albedo.applications.template_baking import REACH_MM, TemplateTexture
 from scan2albedo.core.arrays import FloatArray, IntArray, smoothstep
 from scan2albedo.fitting import FittedFace
@@ -60,62 +60,27 @@ exponent of what they wet. Albedo of most people's irises and of a pupil, as par
 iris's rim, as a part of the iris's."""
 
 
-@dataclass(frozen=True)
-class Eyeball:
-    """An eye behind its lids, in the frame of the face."""
-
-    side: str
-    """ "right" or "left", the subject's."""
-    center_mm: FloatArray
-    """(3,)."""
-    radius_mm: float
-    iris_mm: float
-    """Radius of the iris."""
-    gaze: FloatArray
-    """(3,), unit: from the centre through the middle of the iris."""
-    painted: bool
-    """Whether the scan shows the eye; else its colours are usual ones, and it looks ahead."""
-    rings_linear: FloatArray
-    """(K, 3): albedo in steps of `SIZES_MM["ring"]` away from the gaze, from the pupil to the white."""
-
-    def part(self) -> GlbPart:
-        """Return the eyeball as a mesh: a sphere with the cornea's cap on it, one surface."""
-        edge = math.asin(self.iris_mm / self.radius_mm)
-        behind = np.linspace(1.6 * edge, math.pi - 1e-3, 14)
-        polar = np.concatenate([np.linspace(1e-3, 1.6 * edge, 48), behind[1:]])
-        around = np.linspace(0, 2 * math.pi, 48, endpoint=False)
-        # Where the cornea, a sphere about a point on the gaze, stands out of the eyeball.
-        axial = math.sqrt(self.radius_mm**2 - self.iris_mm**2) - math.sqrt(
-            SIZES_MM["cornea"] ** 2 - self.iris_mm**2
-        )
-        out = axial * np.cos(polar) + np.sqrt(
-            np.maximum(SIZES_MM["cornea"] ** 2 - (axial * np.sin(polar)) ** 2, 0.0)
-        )
-        radius = np.where(polar < edge, out, self.radius_mm)
-        off, along = radius * np.sin(polar), radius * np.cos(polar)
-        places = [np.outer(off, np.cos(around)), np.outer(off, np.sin(around)), along[:, None]]
-        across = normalized(np.cross([0.0, 1.0, 0.0], self.gaze))
-        frame = np.stack([across, np.cross(self.gaze, across), self.gaze])
-        vertices = self.center_mm + np.stack(np.broadcast_arrays(*places), -1).reshape(-1, 3) @ frame
-        steps = np.arange(len(self.rings_linear)) * SIZES_MM["ring"]
-        colors = [np.interp(np.where(along > 0, off, steps[-1]), steps, c) for c in self.rings_linear.T]
-        faces = grid_faces(len(polar), len(around), wrap=True)
-        return _wet(f"eye_{self.side}", vertices, faces, np.repeat(np.stack(colors, -1), len(around), 0))
-
-
-@dataclass(frozen=True)
-class EyesAndMouth:
-    """What lies behind a face's openings."""
-
-    eyes: tuple[Eyeball, ...]
-    parts: tuple[GlbPart, ...]
-    """`eyes`, and the mouth with its teeth."""
-    cut_mm: FloatArray
-    """(H, W): how far inside an opening texels of the chart are, below 0 where the face stays."""
-    log_odds: FloatArray
-    """(2, 2), right and left eye: that the scan shows it, and that it left it out, against shut lids."""
-    reason: str
-    """What was found or left out, and why; for people."""
+def eyeball_mesh(eye: Eyeball) -> GlbPart:
+    """Return an eyeball as a mesh: a sphere with the cornea's cap on it, one surface."""
+    edge = math.asin(eye.iris_mm / eye.radius_mm)
+    behind = np.linspace(1.6 * edge, math.pi - 1e-3, 14)
+    polar = np.concatenate([np.linspace(1e-3, 1.6 * edge, 48), behind[1:]])
+    around = np.linspace(0, 2 * math.pi, 48, endpoint=False)
+    # Where the cornea, a sphere about a point on the gaze, stands out of the eyeball.
+    axial = math.sqrt(eye.radius_mm**2 - eye.iris_mm**2) - math.sqrt(SIZES_MM["cornea"] ** 2 - eye.iris_mm**2)
+    out = axial * np.cos(polar) + np.sqrt(
+        np.maximum(SIZES_MM["cornea"] ** 2 - (axial * np.sin(polar)) ** 2, 0.0)
+    )
+    radius = np.where(polar < edge, out, eye.radius_mm)
+    off, along = radius * np.sin(polar), radius * np.cos(polar)
+    places = [np.outer(off, np.cos(around)), np.outer(off, np.sin(around)), along[:, None]]
+    across = normalized(np.cross([0.0, 1.0, 0.0], eye.gaze))
+    frame = np.stack([across, np.cross(eye.gaze, across), eye.gaze])
+    vertices = eye.center_mm + np.stack(np.broadcast_arrays(*places), -1).reshape(-1, 3) @ frame
+    steps = np.arange(len(eye.rings_linear)) * SIZES_MM["ring"]
+    colors = [np.interp(np.where(along > 0, off, steps[-1]), steps, c) for c in eye.rings_linear.T]
+    faces = grid_faces(len(polar), len(around), wrap=True)
+    return _wet(f"eye_{eye.side}", vertices, faces, np.repeat(np.stack(colors, -1), len(around), 0))
 
 
 def eyes_and_mouth(face: ProcessedFace) -> EyesAndMouth:
@@ -174,7 +139,7 @@ def eyes_and_mouth(face: ProcessedFace) -> EyesAndMouth:
     reason = f"{len(eyes)} eyes, {seen}" if eyes else "the eyes are shut"
     skin = math.exp(np.mean([one.skin[0, 0] for one in openings.values()]))
     white = eyes[0].rings_linear[-1] if eyes else skin * np.exp(_log_rgb(np.array(LOOKS["white"][0])))
-    parts = [eye.part() for eye in eyes] + _mouth(face, landmarks, white)
+    parts = [eyeball_mesh(eye) for eye in eyes] + _mouth(face, landmarks, white)
     cut_mm[named_texels(face, ["between_lips"]) & ~face.image.seen] = 1
     return EyesAndMouth(tuple(eyes), tuple(parts), np.where(face.mask, cut_mm, -1), odds, reason)
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,10 +15,8 @@ from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
+from scan2albedo.io.glb import GlbPart
 from scan2albedo.lighting.shading import Reflectance
-
-if TYPE_CHECKING:
-    from scan2albedo.applications.eyes_and_mouth import EyesAndMouth
 
 NO_MODEL = "none"
 SAME_PLACE_MM = 0.05
@@ -62,6 +60,41 @@ class FaceMesh:
 
 
 @dataclass(frozen=True)
+class Eyeball:
+    """An eye behind its lids, in the frame of the face."""
+
+    side: str
+    """ "right" or "left", the subject's."""
+    center_mm: FloatArray
+    """(3,)."""
+    radius_mm: float
+    """Of the globe."""
+    iris_mm: float
+    """Radius of the iris."""
+    gaze: FloatArray
+    """(3,), unit: from the centre through the middle of the iris."""
+    painted: bool
+    """Whether the scan shows the eye; else its colours are usual ones, and it looks ahead."""
+    rings_linear: FloatArray
+    """(K, 3): albedo in steps of `SIZES_MM["ring"]` away from the gaze, from the pupil to the white."""
+
+
+@dataclass(frozen=True)
+class EyesAndMouth:
+    """What lies behind a face's openings."""
+
+    eyes: tuple[Eyeball, ...]
+    parts: tuple[GlbPart, ...]
+    """`eyes`, and the mouth with its teeth."""
+    cut_mm: FloatArray
+    """(H, W): how far inside an opening texels of the chart are, below 0 where the face stays."""
+    log_odds: FloatArray
+    """(2, 2), right and left eye: that the scan shows it, and that it left it out, against shut lids."""
+    reason: str
+    """What was found or left out, and why; for people."""
+
+
+@dataclass(frozen=True)
 class ProcessedFace:
     """One processed scan, ready for applications; in the model's frame, mm.
 
@@ -97,7 +130,7 @@ class ProcessedFace:
     """(H, W): relative error of the albedo, see `AlbedoEstimate`; None where it is not known."""
     landmarks: FloatArray | None = None
     """(68, 3): iBUG-68 order; None where they are not known."""
-    inside: "EyesAndMouth | None" = None
+    inside: EyesAndMouth | None = None
     """What lies behind its openings, once it was looked for (`eyes_and_mouth`)."""
     notes: tuple[str, ...] = ()
     """What was decided in making it, one sentence each."""

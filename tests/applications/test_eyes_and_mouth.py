@@ -8,7 +8,13 @@ import pytest
 import trimesh
 
 from scan2albedo.applications import relight
-from scan2albedo.applications.eyes_and_mouth import LANDMARKS, SIZES_MM, eyes_and_mouth, on_template
+from scan2albedo.applications.eyes_and_mouth import (
+    LANDMARKS,
+    SIZES_MM,
+    eyeball_mesh,
+    eyes_and_mouth,
+    on_template,
+)
 from scan2albedo.applications.face_features import grown, named_texels
 from scan2albedo.applications.template_baking import TemplateTexture
 from scan2albedo.core.lights import PointLight
@@ -102,7 +108,7 @@ def test_without_landmarks_or_albedo_the_reason_is_told(person, seen):
 def test_parts_are_closed_outward_meshes(seen, tmp_path):
     found = eyes_and_mouth(seen(3))
     for eye in found.eyes:
-        part = eye.part()
+        part = eyeball_mesh(eye)
         off = np.linalg.norm(part.vertices - eye.center_mm, axis=1)
         assert abs(eye.radius_mm - SIZES_MM["globe"][0]) < 3 * SIZES_MM["globe"][1]
         # The cornea stands out by about a millimetre, and nothing else does.

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scan2albedo.optimization.poisson import integrate_gradients
+from scan2albedo.albedo.inpainting import integrate_gradients
 
 SIZE = 128
 
