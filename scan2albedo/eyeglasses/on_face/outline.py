@@ -74,7 +74,7 @@ def search_edges(
     result = np.full(len(pixels), np.nan)
     if not len(pixels):
         return result
-    edge = 0.5  # from the mask's outermost pixels
+    edge = 0.5  # from the middles of the mask's outermost pixels
     farthest = int(np.ceil(reach_px.max()))
     ways = np.arange(-farthest, farthest + 1.0)
     value, slope = distance.sample((pixels[:, None] + ways[:, None] * outward[:, None]).reshape(-1, 2))
@@ -118,10 +118,10 @@ Views = tuple[ObservedView, ...]
 class OutlineSamples:
     """Points of the frame that make its outlines, and the `view` (N,) of each.
 
-    `edges` (N, 2) are pixels where the mask ends beside the sample, NaN where its distance to the mask
-    counts, `outward` (N, 2) unit vectors away from the frame. `noise_px` (N,) are standard deviations of
-    edges that were found in a picture, 0 for masks; `share` (C, K) is that of the outline nearest to each key
-    point that was found, of what the head does not hide.
+    `edges` (N, 2) are pixels where mask or picture have the outline, found along `outward` (N, 2), unit
+    vectors away from the frame. `noise_px` (N,) are standard deviations of edges that were found in a
+    picture, 0 for masks; `share` (C, K) is that of the outline nearest to each key point that was found, of
+    what the head does not hide.
     """
 
     view: IntArray
@@ -272,12 +272,16 @@ class OutlineSampler:
             px_per_mm = np.sqrt(abs(np.linalg.det(camera[:, :3]))) / project(camera, vertices)[1][foremost]
             reach = 3 * points.weights[foremost] @ deviation_mm * px_per_mm
             reach = np.minimum(5.0 + reach, REACH_PX)
-            # Where the mask's nearest border faces the same way its distance counts, else a search across it.
             place = np.stack(np.divmod(seen.index, view.shape[1])[::-1], 1).astype(np.float64)
+            # Points nearer to the picture's border than to the observed outline may have it outside.
             border = np.minimum(place, [view.shape[1] - 1, view.shape[0] - 1] - place).min(1)
             limit = np.minimum(reach, border + 0.5)
-            edges, noise = np.full((len(place), 2), np.nan), np.zeros(len(place))
-            if view.distance is None and view.colors is not None:
+            way, noise = np.zeros((2, len(place)))
+            if view.distance is not None:
+                # The frame's outline is its outermost pixels' middles, so the mask's is that, too.
+                way = search_edges(view.distance, place, outward, limit) - 0.5
+                kept = np.flatnonzero(np.isfinite(way))
+            elif view.colors is not None:
                 # Skin is around the front, hair around the temples: the same colour says another thing.
                 shown = shown.chosen(~hidden_by(self.head, camera, shown.interpolated(vertices)))
                 frame, chance = np.zeros(view.shape, bool), np.zeros(len(place))
@@ -288,21 +292,9 @@ class OutlineSampler:
                     if len(mine) and part.any():
                         odds = color_odds(view.colors, frame, part)
                         given = frame, place[mine], outward[mine], limit[mine]
-                        edges[mine, 0], noise[mine], chance[mine] = search_colors(odds, *given)
-                way = edges[:, 0].copy()
+                        way[mine], noise[mine], chance[mine] = search_colors(odds, *given)
                 kept = np.flatnonzero(chance > 0.5)
-                edges = place + way[:, None] * outward
-            elif view.distance is not None:
-                distance, slope = view.distance.sample(place)
-                facing = np.einsum("ni,ni->n", slope, outward)
-                # Points nearer to the picture's border than to the observed outline may have it outside.
-                with np.errstate(invalid="ignore"):
-                    near = np.abs(distance) <= limit
-                    near &= facing >= _FACING * np.linalg.norm(slope, axis=1)
-                lost = np.flatnonzero(~near)
-                way = search_edges(view.distance, place[lost], outward[lost], limit[lost])
-                edges[lost] = place[lost] + way[:, None] * outward[lost]
-                kept = np.flatnonzero(near | np.isfinite(edges[:, 0]))
+            edges = place + way[:, None] * outward
             # Points that the head hides, or a ray four pixels beside them.
             owner = owner_of = points.weights.argmax(1)[foremost]
             if self.head is not None and len(place):
