@@ -66,7 +66,7 @@ class MaskDistance:
 def search_edges(
     distance: MaskDistance, pixels: FloatArray, outward: FloatArray, reach_px: FloatArray
 ) -> FloatArray:
-    """Return (N,) signed distances along `outward` (N, 2) from `pixels` to the mask's edge; NaN for none.
+    """Return (N,) signed ways along `outward` (N, 2) from `pixels` to the mask's outermost ones; NaN for none.
 
     The nearest edge within `reach_px` (N,) either way counts, among those where `outward` leaves the mask at
     a cosine of 0.3 or more to the mask's own. The mask's nearest border would never be the end of a bar.
@@ -278,8 +278,7 @@ class OutlineSampler:
             limit = np.minimum(reach, border + 0.5)
             way, noise = np.zeros((2, len(place)))
             if view.distance is not None:
-                # The frame's outline is its outermost pixels' middles, so the mask's is that, too.
-                way = search_edges(view.distance, place, outward, limit) - 0.5
+                way = search_edges(view.distance, place, outward, limit)
                 kept = np.flatnonzero(np.isfinite(way))
             elif view.colors is not None:
                 # Skin is around the front, hair around the temples: the same colour says another thing.
