@@ -21,8 +21,6 @@ from scan2albedo.rendering.pictures import SeenSamples, seen_samples
 
 REACH_PX = 40.0
 """Pixels of the outline farther from the observed one than this are left out."""
-_MARGIN_PX = 96
-"""How far around the mask distances are computed; points farther away are out of reach anyway."""
 _AROUND = 3
 """Pixels each way whose uncovered ones show where outside is."""
 _FACING = 0.3
@@ -45,8 +43,10 @@ class MaskDistance:
     def of(cls, mask: BoolArray) -> Self:
         """Return the distances of a mask (H, W) that has both covered and uncovered pixels."""
         rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-        top, left = max(0, rows[0] - _MARGIN_PX), max(0, columns[0] - _MARGIN_PX)
-        window = mask[top : rows[-1] + _MARGIN_PX + 1, left : columns[-1] + _MARGIN_PX + 1]
+        # No search reaches farther.
+        margin = int(REACH_PX)
+        top, left = max(0, rows[0] - margin), max(0, columns[0] - margin)
+        window = mask[top : rows[-1] + margin + 1, left : columns[-1] + margin + 1]
         # Outside, a border pixel's neighbour is 1 away; inside, border pixels are 1 from the outside.
         field = np.where(window, 1 - distance_transform_edt(window), distance_transform_edt(~window))
         return cls(np.ascontiguousarray(field, np.float32), (int(left), int(top)))
@@ -66,7 +66,7 @@ class MaskDistance:
 def search_edges(
     distance: MaskDistance, pixels: FloatArray, outward: FloatArray, reach_px: FloatArray
 ) -> FloatArray:
-    """Return (N,) signed ways along `outward` (N, 2) from `pixels` to the mask's outermost ones; NaN for none.
+    """Return (N,) signed ways along `outward` (N, 2) from `pixels` to the mask's outermost ones, or NaN.
 
     The nearest edge within `reach_px` (N,) either way counts, among those where `outward` leaves the mask at
     a cosine of 0.3 or more to the mask's own. The mask's nearest border would never be the end of a bar.

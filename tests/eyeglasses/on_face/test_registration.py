@@ -15,7 +15,7 @@ from scan2albedo.eyeglasses import (
     skin,
 )
 from scan2albedo.eyeglasses.keypoints import MIRROR
-from scan2albedo.eyeglasses.on_face import objective, outline
+from scan2albedo.eyeglasses.on_face import outline
 from scan2albedo.eyeglasses.on_face.objective import HeadContact
 from scan2albedo.geometry.rigid import random_rotation, rotation_from_vector
 from scan2albedo.synthetic import wearer
