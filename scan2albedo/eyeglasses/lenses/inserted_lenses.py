@@ -13,7 +13,7 @@ from scan2albedo.eyeglasses.lenses import rims
 from scan2albedo.eyeglasses.lenses.optics import LensMaterial, ThinLens, mirror_on_sphere, refract
 from scan2albedo.eyeglasses.lenses.scenes import LensScene, SceneRays, Surface
 from scan2albedo.eyeglasses.mean_keypoints import FRONT, RIMS, SIDES
-from scan2albedo.geometry.mesh import face_cross_products, normalized
+from scan2albedo.geometry.mesh import face_cross_products
 from scan2albedo.geometry.rays import RayCaster
 
 _GLANCING = 1e-3
@@ -103,22 +103,6 @@ def rim_key_points(keypoints: FloatArray, side: int) -> FloatArray:
         advice = "give them, or None in place of this lens"
         raise EyeglassesError(f"the {SIDES[side]} lens needs the key points of its rim, but {said}; {advice}")
     return marks
-
-
-def worn_axes(vertices: FloatArray, keypoints: FloatArray) -> FloatArray:
-    """Return unit vectors (3, 3) of a frame: to the wearer's left, up, to the front.
-
-    Raises EyeglassesError, naming key points, when those of no rim are known.
-    """
-    front, up = np.zeros(3), np.zeros(3)
-    # Where no rim has all of them, the left one says what it lacks.
-    for side in [k for k in (0, 1) if np.isfinite(keypoints[RIMS[k]]).all()] or [0]:
-        marks = rim_key_points(keypoints, side)
-        front += _viewers_side(rims.fit_normal(marks, vertices), marks.mean(0), keypoints)
-        up += marks[0] - marks[3]
-    front = normalized(front)
-    up = normalized(up - (up @ front) * front)
-    return np.array([np.cross(up, front), up, front])
 
 
 def _viewers_side(normal: FloatArray, center: FloatArray, keypoints: FloatArray) -> FloatArray:

@@ -18,7 +18,7 @@ from scan2albedo.core import Meter
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import EyeglassesError, needs_extra
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR
-from scan2albedo.eyeglasses.mean_keypoints import BEHIND, align_key_points, in_own_axes, is_posable
+from scan2albedo.eyeglasses.mean_keypoints import BEHIND, is_posable, own_axes
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, FrameState
 from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions, RegistrationInputs
 from scan2albedo.eyeglasses.on_face.lens_panes import rim_openings
@@ -56,7 +56,6 @@ def poses_on_face(given: RegistrationInputs) -> list[FrameState]:
         where = "is not in the face model's frame, mm, looking along +z"
         raise EyeglassesError(f"no key point is labelled, and the head to put the frame on {where}: {advice}")
     eyes = landmarks[36:48].mean(0) / mm
-    upright = align_key_points(given.keypoints, in_own_axes(given.keypoints))
     rims = np.array(["rim_top" in name or "rim_bottom" in name for name in KEY_POINT_NAMES])
     middle = np.nanmean(given.keypoints[rims if given.known[rims].any() else given.known], axis=0)
     nearest = cKDTree(given.keypoints[given.known]).query(given.vertices)[1]
@@ -64,7 +63,7 @@ def poses_on_face(given: RegistrationInputs) -> list[FrameState]:
     caster, found = RayCaster(*given.head), []
     far = 2 * float(np.ptp(given.vertices, axis=0).max())
     for lean in LEANS_RAD:
-        turn = rotation_from_vector(np.array([lean, 0, 0])) @ upright[:3, :3]
+        turn = rotation_from_vector(np.array([lean, 0, 0])) @ own_axes(given.keypoints)
         start = compose(turn, eyes + [0.0, 0.0, far] - turn @ middle)
         hits = caster.first_hit(transform_points(start, front), np.tile([0.0, 0.0, -1.0], (len(front), 1)))
         start[2, 3] -= hits.distance.min() if np.isfinite(hits.distance).any() else far
