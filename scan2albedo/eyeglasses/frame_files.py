@@ -29,29 +29,22 @@ LengthUnit = Literal["mm", "cm", "m"]
 LengthUnitIfKnown = Literal["mm", "cm", "m", "unknown"]
 Value = TypeVar("Value")
 KeyPointName = Annotated[str, WithJsonSchema({"type": "string", "enum": list(KEY_POINT_NAMES)})]
-_Layout = Mapping[str, tuple[type, *tuple[int | str, ...]]]
-"""Type and shape of arrays by name; a letter stands for a length that is one wherever the letter is."""
-
-
-def _layout(rows: str) -> _Layout:
-    """Return the layout that `rows` of "name type length length ..." say, K for the number of key points."""
-    own = "vertices float V 3; faces int F 3; weights float V K; keypoints float K 3; " + rows
-    sizes: dict[str, int] = {"K": len(KEY_POINT_NAMES), "3": 3, "4": 4}
-    types: dict[str, type] = {"float": float, "int": int, "bool": bool}
-    split = [row.split() for row in own.split(";")]
-    return {name: (types[kind], *(sizes.get(n, n) for n in shape)) for name, kind, *shape in split}
-
-
+_FRAME = "vertices float V 3; faces int F 3; weights float V K; keypoints float K 3; "
 _CANONICAL = """canonical_from_frame float 4 4; scale float; handle_transforms float K 4 4; residual float;
     unbent bool; converged bool"""
 _REGISTERED = """world_from_glasses float 4 4; handle_transforms float K 4 4; bend float K 3;
     visible bool C V; deviation float V; observed bool V; keypoint_deviation float K;
     keypoints_observed bool K; depth_deviation float; depth_observed bool; label_errors_px float C K;
     inliers bool C K; outline_rms_px float C; iou float C; converged bool; iterations int"""
-_KINDS: dict[Callable[..., Any], tuple[str, _Layout]] = {
-    CanonicalEyeglasses: ("canonical", _layout(_CANONICAL)),
-    RegisteredEyeglasses: ("registered", _layout(_REGISTERED)),
+_KINDS: dict[Callable[..., Any], tuple[str, dict[str, list[str]]]] = {
+    kind: (name, {row.split()[0]: row.split()[1:] for row in (_FRAME + rows).split(";")})
+    for kind, name, rows in (
+        (CanonicalEyeglasses, "canonical", _CANONICAL),
+        (RegisteredEyeglasses, "registered", _REGISTERED),
+    )
 }
+"""Names of the two kinds; type and shape of their arrays by name, of which letters are lengths, K that of the
+key points, and one wherever the letter is."""
 _SAME_SIDE = (
     ("rim_top", "rim_bottom"),
     ("rim_inner", "rim_outer"),
@@ -201,13 +194,10 @@ def _read(path: str | Path, kind: Callable[..., Value]) -> Value:
     usual, layout = _KINDS[kind]
     what = f"{usual} frame"
     arrays = read_npz(path, layout, what=what, advice=f"give a {usual}.npz", error=EyeglassesError)
-    lengths: dict[str, int] = {}
+    lengths: dict[str, Any] = {"K": len(KEY_POINT_NAMES), "3": 3, "4": 4}
     for name, (_, *shape) in layout.items():
         got = arrays[name].shape
-        wanted = tuple(
-            lengths.setdefault(side, got[k]) if isinstance(side, str) and k < len(got) else side
-            for k, side in enumerate(shape)
-        )
+        wanted = tuple(lengths.setdefault(side, *got[k : k + 1]) or side for k, side in enumerate(shape))
         if got != wanted or arrays[name].dtype.kind not in "biuf":
             said = f"{name} has shape {got} of {arrays[name].dtype}, expected numbers of shape"
             raise EyeglassesError(f"{what} {path}: {said} ({', '.join(map(str, wanted))}); write it again")
@@ -216,7 +206,7 @@ def _read(path: str | Path, kind: Callable[..., Value]) -> Value:
         raise EyeglassesError(f"{what} {path}: vertices are not finite; write it again")
     if faces.dtype.kind not in "iu" or len(faces) == 0 or faces.min() < 0 or faces.max() >= len(vertices):
         raise EyeglassesError(f"{what} {path}: faces are not those of its vertices; write it again")
-    typed: dict[str, Any] = {name: arrays[name].astype(rule[0], copy=False) for name, rule in layout.items()}
+    typed = {name: arrays[name].astype(rule[0], copy=False) for name, rule in layout.items()}
     # Scalars as Python numbers.
     return kind(**{name: array if array.ndim else array.item() for name, array in typed.items()}, plan=Plan())
 

@@ -37,12 +37,8 @@ class Lattice:
     @classmethod
     def of_cells(cls, cells: IntArray) -> Self:
         """Return the lattice of distinct cells (C, 3) in lexicographic order."""
-        low = cells.min(0)
-        shape = tuple(cells.max(0) - low + 2)
-        keys = np.ravel_multi_index(tuple(np.moveaxis((cells - low)[:, None] + CORNERS, 2, 0)), shape)
-        keys, corners = np.unique(keys, return_inverse=True)
-        nodes = np.stack(np.unravel_index(keys, shape), 1).astype(np.int64) + low
-        return cls(cells, nodes, corners.reshape(-1, 8).astype(np.int64))
+        nodes, corners = _distinct((cells[:, None] + CORNERS).reshape(-1, 3))
+        return cls(cells, nodes, corners.reshape(-1, 8))
 
     @property
     def cell_components(self) -> IntArray:
@@ -51,13 +47,8 @@ class Lattice:
 
     def find(self, cells: IntArray) -> IntArray:
         """Return (P,) indices of the given cells (P, 3) in `cells`, -1 where they are not among them."""
-        low, high = self.cells.min(0), self.cells.max(0)
-        shape = tuple(high - low + 1)
-        within = ((cells >= low) & (cells <= high)).all(1)
-        keys = np.ravel_multi_index(tuple((self.cells - low).T), shape)
-        wanted = np.ravel_multi_index(tuple((np.where(within[:, None], cells, low) - low).T), shape)
-        place = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-        return np.where(within & (keys[place] == wanted), place, -1)
+        distance, place = cKDTree(self.cells).query(cells)
+        return np.where(distance == 0, place, -1)
 
     def interpolation(self, points: FloatArray) -> sparse.csr_matrix:
         """Return the (P, N) trilinear interpolation at points (P, 3) in spacings; rows >= 0 and sum to 1.
@@ -180,10 +171,15 @@ def surface_cells(triangles: FloatArray, limit: int) -> IntArray | None:
 
 def unique_cells(cells: IntArray) -> IntArray:
     """Return the distinct cells in lexicographic order."""
-    low = cells.min(0)
-    shape = cells.max(0) - low + 1
-    keys = np.unique(np.ravel_multi_index(tuple((cells - low).T), tuple(shape)))
-    return np.stack(np.unravel_index(keys, tuple(shape)), 1).astype(np.int64) + low
+    return _distinct(cells)[0]
+
+
+def _distinct(places: IntArray) -> tuple[IntArray, IntArray]:
+    """Return distinct places (D, 3) in lexicographic order, and which of them each of (N, 3) is."""
+    low = places.min(0)
+    shape = tuple(places.max(0) - low + 1)
+    keys, number = np.unique(np.ravel_multi_index(tuple((places - low).T), shape), return_inverse=True)
+    return np.stack(np.unravel_index(keys, shape), 1).astype(np.int64) + low, number.astype(np.int64)
 
 
 def enclosed_cells(cells: IntArray) -> IntArray:
@@ -192,7 +188,6 @@ def enclosed_cells(cells: IntArray) -> IntArray:
     shape = cells.max(0) - low + 2
     if float(np.prod(shape.astype(float))) > 2**26:
         return np.zeros((0, 3), np.int64)
-    empty = np.ones(tuple(shape), bool)
-    empty[tuple((cells - low).T)] = False
-    regions, _ = ndimage.label(empty)
-    return np.argwhere(empty & (regions != regions[0, 0, 0])).astype(np.int64) + low
+    walls = np.zeros(tuple(shape), bool)
+    walls[tuple((cells - low).T)] = True
+    return np.argwhere(ndimage.binary_fill_holes(walls) & ~walls).astype(np.int64) + low

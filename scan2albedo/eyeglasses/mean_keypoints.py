@@ -9,8 +9,7 @@ from scipy.spatial import cKDTree
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR, SKELETON
-from scan2albedo.geometry.mesh import normalized
+from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR, SKELETON, typical_key_points
 from scan2albedo.geometry.rigid import procrustes, transform_points
 
 WIDTHS_MM = (110.0, 170.0)
@@ -31,7 +30,6 @@ _LEAST = 0.04
 BEHIND = np.array(["temple" in name or "ear" in name for name in KEY_POINT_NAMES])
 FRONT = np.array(["rim" in name or "bridge" in name for name in KEY_POINT_NAMES])
 """(20,) True for the key points behind the hinges, and for those before them."""
-_LEFT = np.array([name.startswith("left") for name in KEY_POINT_NAMES])
 SIDES = ("left", "right")
 RIMS = [np.flatnonzero([n.startswith(f"{side}_rim_") for n in KEY_POINT_NAMES]) for side in SIDES]
 """Numbers of each rim's key points: top, bridge, inner, bottom, outer."""
@@ -110,28 +108,19 @@ def key_point_size(points: FloatArray) -> float:
     return float(np.median(lengths)) if len(lengths) else 0.0
 
 
-def in_own_axes(points: FloatArray) -> FloatArray:
-    """Return key points (20, 3) turned to the glasses' own axes, as far as those that are known fix them.
+def own_axes(points: FloatArray) -> FloatArray:
+    """Return the rotation (3, 3) that turns key points (20, 3) as those of a typical frame are.
 
-    Front is where temples come from; without temples it is across left and up, which the front tells.
+    Its rows are the ways to the wearer's left, up and to the front; those of 1 where the points fix none.
     """
-    across = points - points[MIRROR]
-    known = np.asarray(np.isfinite(points).all(1))
-    pairs = _LEFT & np.isfinite(across).all(1)
-    if not pairs.any():
-        return points
-    x = normalized(across[pairs].mean(0))
-    if (BEHIND & known).any() and (~BEHIND & known).any():
-        forward = points[~BEHIND & known].mean(0) - points[BEHIND & known].mean(0)
-    else:
-        tops, bottoms = ([n.endswith(end) for n in KEY_POINT_NAMES] for end in ("_top", "_bottom"))
-        heights = points[tops] - points[bottoms]
-        forward = np.cross(x, heights[np.isfinite(heights).all(1)].sum(0))
-    z = forward - (forward @ x) * x
-    if not np.linalg.norm(z) > _FLAT * np.linalg.norm(forward):
-        return points
-    z = normalized(z)
-    return np.asarray((points - points[known].mean(0)) @ np.stack([x, np.cross(z, x), z]).T)
+    if not is_posable(points[np.isfinite(points).all(1)]):
+        return np.eye(3)
+    return align_key_points(points, typical_key_points())[:3, :3]
+
+
+def in_own_axes(points: FloatArray) -> FloatArray:
+    """Return key points (20, 3) turned by `own_axes`, the centroid at 0."""
+    return np.asarray((points - np.nanmean(points, axis=0)) @ own_axes(points).T)
 
 
 def front_width(points: FloatArray, vertices: FloatArray | None = None) -> float:

@@ -27,6 +27,9 @@ _SLAB = 7
 """How far behind the foremost place of its column a front reaches: folded temples lie behind it."""
 _SPACING = 0.8
 """Of points; so many mm from where it is farthest a part still counts as its end."""
+HARDLY_A_FRAME = -12
+"""Log odds below which something else may have been taken for a frame, and its key points are anywhere:
+frames were found at -5 or above."""
 _Places = dict[str, tuple[FloatArray, float]]
 
 
@@ -41,7 +44,7 @@ class ProposedKeyPoints(NamedTuple):
     unit: str
     """"mm", "cm", "m", "inch", or "unknown": in none of them has it the size of a frame."""
     log_odds: float
-    """How like a typical frame's they are; below -12 something else may have been taken for a frame."""
+    """How like a typical frame's they are; see `HARDLY_A_FRAME`."""
 
 
 class _Frame:
@@ -399,8 +402,7 @@ def propose_keypoints(mesh: Any) -> ProposedKeyPoints:
     _, points, deviation = max(tried, key=lambda row: row[0])
     share = np.exp([odds - most for odds, *_ in tried])
     apart = np.nan_to_num([((other - points) ** 2).sum(1) for _, other, _ in tried])
-    # Or something else was taken for a front, and they are anywhere: frames were found at -5 or above.
-    none = np.exp(min(-12 - most, 50.0))
+    none = np.exp(min(HARDLY_A_FRAME - most, 50.0))
     deviation = np.sqrt(deviation**2 + (share @ apart + none * 60**2) / (share.sum() + none))
     points = frame.middle + frame.unit * points
     known = np.isfinite(points).all(1)

@@ -1,12 +1,13 @@
 """Linear blend skinning, and the transforms of key points that it blends (supplement, section S2)."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.eyeglasses.keypoints import SKELETON
 from scan2albedo.geometry.mesh import normalized
+from scan2albedo.geometry.rigid import procrustes
 
 PRIOR = 0.1
 """Pull of a key point's neighbours on its rotation, beside 1 for each of its bones: what turns around a
@@ -61,23 +62,71 @@ def turned_translations(source: FloatArray, target: FloatArray) -> FloatArray:
 
     R_k is the rotation nearest to
 
-        sum over bones (k, j) of b_kj a_kj^T + 0.1 mean_j R_j,
+        M_k = sum over bones (k, j) of b_kj a_kj^T + 0.1 mean_j R_j,
 
-    a and b the bones' unit directions before and after, by sweeps from R = 1. Bones with NaN do not count.
+    a and b the bones' unit directions before and after: by sweeps from the best rotation of all points, then
+    by Newton's steps to where `turn_conditions` are symmetric. Bones with NaN do not count.
     """
-    k, j = known_bones(source + target).T
+    bones, known = known_bones(source + target), np.isfinite(source + target).all(1)
+    k, j = bones.T
     before, after = (normalized(points[j] - points[k]) for points in (source, target))
-    turns = np.zeros((len(source), 3, 3))
-    np.add.at(turns, k, after[:, :, None] * before[:, None, :])
-    degree = np.bincount(k, minlength=len(source))
-    turns[degree == 0] = np.eye(3)
-    share = np.zeros((len(source), len(source)))
-    share[k, j] = PRIOR / degree[k]
-    result = np.tile(np.eye(4), (len(source), 1, 1))
-    rotations = _settled_rotations(turns, share, result[:, :3, :3])
+    own = np.zeros((len(source), 3, 3))
+    np.add.at(own, k, after[:, :, None] * before[:, None, :])
+    own[np.bincount(k, minlength=len(own)) == 0] = np.eye(3)
+    rotations = np.tile(procrustes(source[known], target[known])[:3, :3], (len(source), 1, 1))
+    for _ in range(100):
+        drawn = own.copy()
+        np.add.at(drawn, k, _prior(k)[:, None, None] * rotations[j])
+        u, _, vt = np.linalg.svd(drawn)
+        u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
+        moved, rotations = np.abs(u @ vt - rotations).max(), u @ vt
+        if moved < 1 / 20:
+            break
+    for _ in range(30):
+        pulls, system = turn_conditions(rotations, before, after, bones)
+        off = np.stack([pulls[:, m, n] - pulls[:, n, m] for m, n in ((2, 1), (0, 2), (1, 0))], 1)
+        turn = np.linalg.solve(system, off.ravel()).reshape(-1, 3)
+        rotations = Rotation.from_rotvec(turn).as_matrix() @ rotations
+        # The next step would be about the square of this one.
+        if np.abs(turn).max() < np.sqrt(np.finfo(float).eps):
+            break
+    result = translations(np.einsum("kij,kj->ki", rotations, source), target)
     result[:, :3, :3] = rotations
-    result[:, :3, 3] = target - np.einsum("kij,kj->ki", rotations, source)
     return result
+
+
+def turn_conditions(
+    rotations: FloatArray, before: FloatArray, after: FloatArray, bones: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return P_k = M_k R_k^T (K, 3, 3), and what turns w_k (rad) from the left change (3 K, 3 K).
+
+    R_k maximises trace(R_k^T M_k), M_k as in `turned_translations`, where P_k is symmetric. With
+    Q_kj = 0.1 mean_j R_j R_k^T it becomes so, to first order, by turns that solve
+
+        (tr P_k - P_k) w_k - sum over j of (tr Q_kj - Q_kj) w_j = 2 axial(P_k).
+
+    `before` and `after` (B, 3) are the unit directions of the `bones` (B, 2).
+    """
+    (k, j), count = bones.T, len(rotations)
+    relative = _prior(k)[:, None, None] * (rotations[j] @ rotations[k].transpose(0, 2, 1))
+    carried = np.einsum("bij,bj->bi", rotations[k], before)
+    pulls = np.zeros((count, 3, 3))
+    np.add.at(pulls, k, after[:, :, None] * carried[:, None] + relative)
+    # A key point without bones does not turn.
+    pulls[np.bincount(k, minlength=count) == 0] = np.eye(3)
+    system = np.zeros((count, count, 3, 3))
+    # Damped: nothing fixes how a straight temple without its hinge is turned about itself.
+    system[np.arange(count), np.arange(count)] = _spin(pulls) + np.sqrt(np.finfo(float).eps) * np.eye(3)
+    np.add.at(system, (k, j), -_spin(relative))
+    return pulls, system.transpose(0, 2, 1, 3).reshape(3 * count, 3 * count)
+
+
+def _prior(k: IntArray) -> FloatArray:
+    return np.asarray(PRIOR / np.bincount(k)[k])
+
+
+def _spin(matrices: FloatArray) -> FloatArray:
+    return np.trace(matrices, axis1=1, axis2=2)[:, None, None] * np.eye(3) - matrices
 
 
 def known_bones(points: FloatArray) -> IntArray:
@@ -85,68 +134,3 @@ def known_bones(points: FloatArray) -> IntArray:
     bones = np.array(SKELETON)
     both = np.concatenate([bones, bones[:, ::-1]])
     return both[np.isfinite(points.sum(1))[both].all(1)]
-
-
-@njit(cache=True, nogil=True)
-def _settled_rotations(turns, share, rotations):  # type: ignore[no-untyped-def]
-    """Return (K, 3, 3) rotations R_k nearest to turns_k + sum over j of share_kj R_j, up to rounding.
-
-    Newton's step on the condition that P = M R^T be symmetric, (tr P - P) w = 2 axial(P), where it is uphill;
-    a singular value decomposition elsewhere.
-    """
-    count = turns.shape[0]
-    result = rotations.copy()
-    target = np.empty((3, 3))
-    for _ in range(100):
-        largest = 0.0
-        for k in range(count):
-            target[:] = turns[k]
-            for j in range(count):
-                if share[k, j] != 0.0:
-                    for a in range(3):
-                        for b in range(3):
-                            target[a, b] += share[k, j] * result[j, a, b]
-            largest = max(largest, _turn_towards(target, result[k]))
-        if largest <= 400 * np.finfo(np.float64).eps:
-            break
-    return result
-
-
-@njit(cache=True, nogil=True)
-def _turn_towards(m, r):  # type: ignore[no-untyped-def]
-    """Turn r (3, 3) in place to the rotation nearest to m, or a step that way; return by how much."""
-    p = np.zeros((3, 3))
-    for i in range(3):
-        for j in range(3):
-            p[i, j] = m[i, 0] * r[j, 0] + m[i, 1] * r[j, 1] + m[i, 2] * r[j, 2]
-    wx, wy, wz = p[2, 1] - p[1, 2], p[0, 2] - p[2, 0], p[1, 0] - p[0, 1]
-    a, b, c = p[1, 1] + p[2, 2], p[0, 0] + p[2, 2], p[0, 0] + p[1, 1]
-    d, e, f = -0.5 * (p[0, 1] + p[1, 0]), -0.5 * (p[0, 2] + p[2, 0]), -0.5 * (p[1, 2] + p[2, 1])
-    # Cofactors of the symmetric matrix [[a, d, e], [d, b, f], [e, f, c]].
-    caa, cad, cae = b * c - f * f, e * f - d * c, d * f - b * e
-    cbb, cbf, ccc = a * c - e * e, d * e - a * f, a * b - d * d
-    determinant = a * caa + d * cad + e * cae
-    scale = max(abs(a), abs(b), abs(c))
-    if a > 1e-3 * scale and ccc > 1e-4 * scale**2 and determinant > 1e-5 * scale**3:
-        x = (caa * wx + cad * wy + cae * wz) / determinant
-        y = (cad * wx + cbb * wy + cbf * wz) / determinant
-        z = (cae * wx + cbf * wy + ccc * wz) / determinant
-        angle = np.sqrt(x * x + y * y + z * z)
-        if angle < 0.3:
-            if angle > 0.0:
-                x, y, z = x / angle, y / angle, z / angle
-                sine, cosine = np.sin(angle), np.cos(angle)
-                for j in range(3):
-                    a, b, c = r[0, j], r[1, j], r[2, j]
-                    along = (1 - cosine) * (x * a + y * b + z * c)
-                    r[0, j] = cosine * a + sine * (y * c - z * b) + along * x
-                    r[1, j] = cosine * b + sine * (z * a - x * c) + along * y
-                    r[2, j] = cosine * c + sine * (x * b - y * a) + along * z
-            return angle
-    u, _, vt = np.linalg.svd(m)
-    if np.linalg.det(u @ vt) < 0:
-        u[:, 2] = -u[:, 2]
-    nearest = u @ vt
-    change = np.abs(nearest - r).max()
-    r[:] = nearest
-    return change

@@ -63,6 +63,8 @@ def require_distinct_names(names: Iterable[str]) -> None:
         seen.add(name.casefold())
 
 
+MASK_ENDINGS = (".png", "_mask.png")
+"""What follows a camera's name in those of masks: somebody's own, or as `register` proposes it."""
 CameraName = Annotated[str, AfterValidator(checked_name)]
 _Labels = Annotated[dict[KeyPointName, tuple[float, float] | None], AfterValidator(named_key_points)]
 
@@ -159,7 +161,7 @@ def read_masks(folder: str | Path, cameras: Sequence[Camera]) -> tuple[BoolArray
     """
     masks = []
     for camera in cameras:
-        named = [Path(folder) / f"{camera.name}{end}.png" for end in ("", "_mask")]
+        named = [Path(folder) / f"{camera.name}{end}" for end in MASK_ENDINGS]
         path = next((one for one in named if one.is_file()), None)
         if path is None:
             raise EyeglassesError(f"mask {named[0]} is missing; give a PNG for each camera, named after it")

@@ -102,3 +102,17 @@ def test_bones_with_missing_ends_do_not_count():
     kept = np.isfinite(target).all(1)
     np.testing.assert_allclose(found[kept, :3, :3], np.tile(np.eye(3), (18, 1, 1)), atol=1e-12)
     np.testing.assert_allclose(carried(found, POINTS)[kept], target[kept], atol=1e-12)
+
+
+def test_what_nothing_fixes_stays():
+    """A straight temple without its hinge: no bone says how it is turned about itself."""
+    temple = [KEY_POINT_NAMES.index(f"left_{name}") for name in ("temple_middle", "ear_bend", "temple_tip")]
+    points = np.full((20, 3), np.nan)
+    points[[2, 3, 4, 5, 6]] = POINTS[[2, 3, 4, 5, 6]]
+    points[temple] = [[70.0, 11, -60], [70, 11, -120], [70, 11, -150]]
+    target = points.copy()
+    target[temple] += [[0.0, 0, 0], [2, 0, 0], [3, 0, 0]]
+    found = turned_translations(points, target)[temple]
+    np.testing.assert_allclose(carried(found, points[temple]), target[temple], atol=1e-11)
+    spread = rotation_from_vector([0, np.arctan2(-2, 60), 0])
+    np.testing.assert_allclose(found[:, :3, :3], np.tile(spread, (3, 1, 1)), atol=2e-3)

@@ -12,8 +12,8 @@ from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.lenses import rims
 from scan2albedo.eyeglasses.lenses.optics import LensMaterial, ThinLens, mirror_on_sphere, refract
 from scan2albedo.eyeglasses.lenses.scenes import LensScene, SceneRays, Surface
-from scan2albedo.eyeglasses.mean_keypoints import FRONT, RIMS, SIDES
-from scan2albedo.geometry.mesh import face_cross_products, normalized
+from scan2albedo.eyeglasses.mean_keypoints import RIMS, SIDES, own_axes
+from scan2albedo.geometry.mesh import face_cross_products
 from scan2albedo.geometry.rays import RayCaster
 
 _GLANCING = 1e-3
@@ -65,7 +65,8 @@ def insert_lens(
     # Three of the five lie on the nose's side, so their mean would be off.
     guess = (top + bottom) / 4 + (bridge + inner) / 8 + outer / 4
     with errors_of(f"the {SIDES[side]} lens", EyeglassesError):
-        normal = _viewers_side(rims.fit_normal(marks, vertices), guess, keypoints)
+        normal = rims.fit_normal(marks, vertices)
+        normal = normal * np.sign(normal @ own_axes(keypoints)[2])
         rim = rims.find_lens_rim(vertices, faces, guess, rim_points=marks, normal=normal)
         if len(rim_masks):
             rim = rims.refine_lens_rim(rim, rim_masks, rim_points=marks)
@@ -103,28 +104,6 @@ def rim_key_points(keypoints: FloatArray, side: int) -> FloatArray:
         advice = "give them, or None in place of this lens"
         raise EyeglassesError(f"the {SIDES[side]} lens needs the key points of its rim, but {said}; {advice}")
     return marks
-
-
-def worn_axes(vertices: FloatArray, keypoints: FloatArray) -> FloatArray:
-    """Return unit vectors (3, 3) of a frame: to the wearer's left, up, to the front.
-
-    Raises EyeglassesError, naming key points, when those of no rim are known.
-    """
-    front, up = np.zeros(3), np.zeros(3)
-    # Where no rim has all of them, the left one says what it lacks.
-    for side in [k for k in (0, 1) if np.isfinite(keypoints[RIMS[k]]).all()] or [0]:
-        marks = rim_key_points(keypoints, side)
-        front += _viewers_side(rims.fit_normal(marks, vertices), marks.mean(0), keypoints)
-        up += marks[0] - marks[3]
-    front = normalized(front)
-    up = normalized(up - (up @ front) * front)
-    return np.array([np.cross(up, front), up, front])
-
-
-def _viewers_side(normal: FloatArray, center: FloatArray, keypoints: FloatArray) -> FloatArray:
-    """Return the normal away from the temples' key points, where there are any."""
-    behind = keypoints[~FRONT & np.isfinite(keypoints).all(1)]
-    return -normal if len(behind) and (behind.mean(0) - center) @ normal > 0 else normal
 
 
 def lens_mesh(

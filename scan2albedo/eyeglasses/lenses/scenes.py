@@ -177,7 +177,7 @@ def radiance_at(environment_linear: FloatArray | None, directions: FloatArray) -
 def soft_environment(axes: ArrayLike, *, rows: int = 128) -> FloatArray:
     """Return a neutral map (rows, 2 rows, 3): an even room, brighter above, with three soft lamps.
 
-    `axes` (3, 3) are those of `worn_axes`: lamps stand around the wearer, the main one on their right.
+    `axes` (3, 3) are those of `own_axes`: lamps stand around the wearer, the main one on their right.
     """
     seen = texel_directions((rows, 2 * rows)) @ np.asarray(axes, np.float64).T
     radiance = 0.4 + 0.2 * seen[..., 1]

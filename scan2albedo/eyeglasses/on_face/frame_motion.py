@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.mean_keypoints import FRONT
-from scan2albedo.eyeglasses.skinning import PRIOR, known_bones, turned_translations
+from scan2albedo.eyeglasses.skinning import known_bones, turn_conditions, turned_translations
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rays import blocks
 from scan2albedo.geometry.rigid import compose, rotation_from_vector
@@ -136,44 +136,23 @@ class FrameMotion:
     def turns(self) -> FloatArray:
         """(3 K, 3 K): turns of the handles (rad, about the frame's axes) by shifts of the key points.
 
-        R_k maximises trace(R_k^T M_k), M_k = sum of b a^T over its bones + the prior's mean of R_j. Then
-        M_k R_k^T =: P_k is symmetric, and stays so for turns w_k that solve
-
-            (tr P_k - P_k) w_k - sum over j of c_kj (tr Q_kj - Q_kj) w_j = sum of (R_k a) x db,
-
-        Q_kj = R_j R_k^T.
+        They keep the `turn_conditions` symmetric: their right side is the sum over bones of (R_k a) x db.
         """
-        count = len(self.keypoints)
-        rotations = self.handles[:, :3, :3]
-        bent = self.keypoints + self.state.shifts
-        k, j = known_bones(self.keypoints).T
-        before = normalized(self.keypoints[j] - self.keypoints[k])
-        along = bent[j] - bent[k]
+        count, bones = len(self.keypoints), known_bones(self.keypoints)
+        rotations, bent = self.handles[:, :3, :3], self.keypoints + self.state.shifts
+        k, j = bones.T
+        before, along = normalized(self.keypoints[j] - self.keypoints[k]), bent[j] - bent[k]
         length = np.linalg.norm(along, axis=1)[:, None]
         after = along / length
         carried = np.einsum("bij,bj->bi", rotations[k], before)
-        prior = PRIOR / np.bincount(k, minlength=count)[k]
-        relative = np.einsum("bij,blj->bil", rotations[j], rotations[k])
-        pull = np.einsum("bi,bj->bij", after, carried) + prior[:, None, None] * relative
-        total = np.zeros((count, 3, 3))
-        np.add.at(total, k, pull)
-        system = np.zeros((count, count, 3, 3))
-        own = np.arange(count)
-        # A key point without bones does not turn.
-        total[np.bincount(k, minlength=count) == 0] = np.eye(3)
-        system[own, own] = _spin(total)
-        np.add.at(system, (k, j), -prior[:, None, None] * _spin(relative))
         across = (np.eye(3) - np.einsum("bi,bj->bij", after, after)) / length[:, :, None]
         lever = np.cross(carried[:, None, :], np.eye(3)).transpose(0, 2, 1) @ across
         drive = np.zeros((count, count, 3, 3))
         np.add.at(drive, (k, j), lever)
         np.add.at(drive, (k, k), -lever)
-        flat = (blocks.transpose(0, 2, 1, 3).reshape(3 * count, 3 * count) for blocks in (system, drive))
-        return np.asarray(np.linalg.solve(*flat), np.float64)
-
-
-def _spin(matrices: FloatArray) -> FloatArray:
-    return np.trace(matrices, axis1=1, axis2=2)[:, None, None] * np.eye(3) - matrices
+        _, system = turn_conditions(rotations, before, after, bones)
+        flat = drive.transpose(0, 2, 1, 3).reshape(3 * count, 3 * count)
+        return np.asarray(np.linalg.solve(system, flat), np.float64)
 
 
 def bend_prior(motion: FrameMotion) -> tuple[FloatArray, FloatArray]:

@@ -14,7 +14,7 @@ from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.eyeglasses.mean_keypoints import FRONT
 from scan2albedo.eyeglasses.on_face import frame_motion as moving
 from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions
-from scan2albedo.eyeglasses.on_face.outline import REACH_PX, ObservedView, OutlineSamples
+from scan2albedo.eyeglasses.on_face.outline import ObservedView, OutlineSamples
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import face_normals
 from scan2albedo.geometry.pinhole import projected
@@ -38,7 +38,7 @@ _CANDIDATES = 200
 class Linearization:
     """The objective at a state: cost, half gradient (P,) and Gauss-Newton matrix (P, P).
 
-    `labels_px` (C, K) and `outline_px` (N,) are the errors, NaN where there are none.
+    `labels_px` (C, K), NaN where there are none, and `outline_px` (N,) are the errors.
     """
 
     cost: float
@@ -56,8 +56,7 @@ class Linearization:
     @property
     def mean_outline_px(self) -> float:
         """A median of whole pixels would stand still."""
-        errors = np.abs(self.outline_px[np.isfinite(self.outline_px)])
-        return float(np.mean(errors)) if len(errors) else np.nan
+        return float(np.abs(self.outline_px).mean()) if len(self.outline_px) else np.nan
 
 
 class HeadContact:
@@ -105,8 +104,8 @@ class RegistrationObjective:
 
     labels:   sum of s^2 log(1 + |r|^2 / s^2), r in standard deviations, s = 2 (Cauchy's), r that of the key
               point moved by an offset of its own, the same in all views, + squares of the offsets
-    outlines: sum of Huber's function of the mask's distance at the sample's place, less a bias of each mask,
-              + squares of the biases
+    outlines: sum of Huber's function of the sample's distance from the edge found in mask or picture, across
+              it, less a bias of each view, + squares of the biases
     bend:     sum of squares of `bend_prior`
     contact:  square of the frame's distance from the nose in mm, where there is a `contact`
 
@@ -189,21 +188,12 @@ class RegistrationObjective:
         motion, noise = sums.motion, np.hypot(self.options.outline_noise_px, samples.noise_px)
         place = motion.positions(samples.points)
         pixels, slopes, _ = projected(self._cameras[samples.view], place)
-        error, slope = np.full(len(samples), np.nan), np.zeros((len(samples), 3))
-        for number, view in enumerate(self.views):
-            mine = samples.view == number
-            if view.distance is not None and mine.any():
-                error[mine], across = view.distance.sample(pixels[mine])
-                slope[mine] = np.einsum("ni,nij->nj", across, slopes[mine])
-        sought = np.isfinite(samples.edges[:, 0])
-        outward = samples.outward[sought]
-        error[sought] = np.einsum("ni,ni->n", outward, pixels[sought] - samples.edges[sought])
-        slope[sought] = np.einsum("ni,nij->nj", outward, slopes[sought])
-        lost = ~np.isfinite(error)
-        residual, slope[lost] = np.where(lost, 0.0, error) / noise, 0
+        error = np.einsum("ni,ni->n", samples.outward, pixels - samples.edges)
+        slope = np.einsum("ni,nij->nj", samples.outward, slopes)
+        residual = error / noise
         rows = sums.rows(samples.points, place, slope / noise[:, None])
         for number in range(len(self.views)):
-            mine = np.flatnonzero((samples.view == number) & ~lost)
+            mine = np.flatnonzero(samples.view == number)
             if not len(mine):
                 continue
             bias, along = 0.0, 1 / noise[mine]
@@ -220,8 +210,6 @@ class RegistrationObjective:
             sums.matrix -= np.outer(common, common) / (float(weight @ along**2) + 1 / BIAS_PX**2)
         size = np.abs(residual)
         cost = np.where(size > ROBUST, ROBUST * (2 * size - ROBUST), size**2)
-        # A sample that left the window of distances counts as one at reach: leaving must not pay.
-        cost[lost] = ROBUST * 2 * REACH_PX / noise[lost]
         sums.add(rows, residual, VOTE * _huber_weights(residual))
         sums.cost += float(VOTE * cost.sum())
         return error

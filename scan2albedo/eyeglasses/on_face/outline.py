@@ -21,8 +21,6 @@ from scan2albedo.rendering.pictures import SeenSamples, seen_samples
 
 REACH_PX = 40.0
 """Pixels of the outline farther from the observed one than this are left out."""
-_MARGIN_PX = 96
-"""How far around the mask distances are computed; points farther away are out of reach anyway."""
 _AROUND = 3
 """Pixels each way whose uncovered ones show where outside is."""
 _FACING = 0.3
@@ -45,8 +43,10 @@ class MaskDistance:
     def of(cls, mask: BoolArray) -> Self:
         """Return the distances of a mask (H, W) that has both covered and uncovered pixels."""
         rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-        top, left = max(0, rows[0] - _MARGIN_PX), max(0, columns[0] - _MARGIN_PX)
-        window = mask[top : rows[-1] + _MARGIN_PX + 1, left : columns[-1] + _MARGIN_PX + 1]
+        # No search reaches farther.
+        margin = int(REACH_PX)
+        top, left = max(0, rows[0] - margin), max(0, columns[0] - margin)
+        window = mask[top : rows[-1] + margin + 1, left : columns[-1] + margin + 1]
         # Outside, a border pixel's neighbour is 1 away; inside, border pixels are 1 from the outside.
         field = np.where(window, 1 - distance_transform_edt(window), distance_transform_edt(~window))
         return cls(np.ascontiguousarray(field, np.float32), (int(left), int(top)))
@@ -66,7 +66,7 @@ class MaskDistance:
 def search_edges(
     distance: MaskDistance, pixels: FloatArray, outward: FloatArray, reach_px: FloatArray
 ) -> FloatArray:
-    """Return (N,) signed distances along `outward` (N, 2) from `pixels` to the mask's edge; NaN for none.
+    """Return (N,) signed ways along `outward` (N, 2) from `pixels` to the mask's outermost ones, or NaN.
 
     The nearest edge within `reach_px` (N,) either way counts, among those where `outward` leaves the mask at
     a cosine of 0.3 or more to the mask's own. The mask's nearest border would never be the end of a bar.
@@ -74,7 +74,7 @@ def search_edges(
     result = np.full(len(pixels), np.nan)
     if not len(pixels):
         return result
-    edge = 0.5  # from the mask's outermost pixels
+    edge = 0.5  # from the middles of the mask's outermost pixels
     farthest = int(np.ceil(reach_px.max()))
     ways = np.arange(-farthest, farthest + 1.0)
     value, slope = distance.sample((pixels[:, None] + ways[:, None] * outward[:, None]).reshape(-1, 2))
@@ -118,10 +118,10 @@ Views = tuple[ObservedView, ...]
 class OutlineSamples:
     """Points of the frame that make its outlines, and the `view` (N,) of each.
 
-    `edges` (N, 2) are pixels where the mask ends beside the sample, NaN where its distance to the mask
-    counts, `outward` (N, 2) unit vectors away from the frame. `noise_px` (N,) are standard deviations of
-    edges that were found in a picture, 0 for masks; `share` (C, K) is that of the outline nearest to each key
-    point that was found, of what the head does not hide.
+    `edges` (N, 2) are pixels where mask or picture have the outline, found along `outward` (N, 2), unit
+    vectors away from the frame. `noise_px` (N,) are standard deviations of edges that were found in a
+    picture, 0 for masks; `share` (C, K) is that of the outline nearest to each key point that was found, of
+    what the head does not hide.
     """
 
     view: IntArray
@@ -272,12 +272,15 @@ class OutlineSampler:
             px_per_mm = np.sqrt(abs(np.linalg.det(camera[:, :3]))) / project(camera, vertices)[1][foremost]
             reach = 3 * points.weights[foremost] @ deviation_mm * px_per_mm
             reach = np.minimum(5.0 + reach, REACH_PX)
-            # Where the mask's nearest border faces the same way its distance counts, else a search across it.
             place = np.stack(np.divmod(seen.index, view.shape[1])[::-1], 1).astype(np.float64)
+            # Points nearer to the picture's border than to the observed outline may have it outside.
             border = np.minimum(place, [view.shape[1] - 1, view.shape[0] - 1] - place).min(1)
             limit = np.minimum(reach, border + 0.5)
-            edges, noise = np.full((len(place), 2), np.nan), np.zeros(len(place))
-            if view.distance is None and view.colors is not None:
+            way, noise = np.zeros((2, len(place)))
+            if view.distance is not None:
+                way = search_edges(view.distance, place, outward, limit)
+                kept = np.flatnonzero(np.isfinite(way))
+            elif view.colors is not None:
                 # Skin is around the front, hair around the temples: the same colour says another thing.
                 shown = shown.chosen(~hidden_by(self.head, camera, shown.interpolated(vertices)))
                 frame, chance = np.zeros(view.shape, bool), np.zeros(len(place))
@@ -288,21 +291,9 @@ class OutlineSampler:
                     if len(mine) and part.any():
                         odds = color_odds(view.colors, frame, part)
                         given = frame, place[mine], outward[mine], limit[mine]
-                        edges[mine, 0], noise[mine], chance[mine] = search_colors(odds, *given)
-                way = edges[:, 0].copy()
+                        way[mine], noise[mine], chance[mine] = search_colors(odds, *given)
                 kept = np.flatnonzero(chance > 0.5)
-                edges = place + way[:, None] * outward
-            elif view.distance is not None:
-                distance, slope = view.distance.sample(place)
-                facing = np.einsum("ni,ni->n", slope, outward)
-                # Points nearer to the picture's border than to the observed outline may have it outside.
-                with np.errstate(invalid="ignore"):
-                    near = np.abs(distance) <= limit
-                    near &= facing >= _FACING * np.linalg.norm(slope, axis=1)
-                lost = np.flatnonzero(~near)
-                way = search_edges(view.distance, place[lost], outward[lost], limit[lost])
-                edges[lost] = place[lost] + way[:, None] * outward[lost]
-                kept = np.flatnonzero(near | np.isfinite(edges[:, 0]))
+            edges = place + way[:, None] * outward
             # Points that the head hides, or a ray four pixels beside them.
             owner = owner_of = points.weights.argmax(1)[foremost]
             if self.head is not None and len(place):

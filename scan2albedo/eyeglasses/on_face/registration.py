@@ -50,12 +50,12 @@ def register_on_face(
 
     Minimises over the frame's pose and the shifts of its key points
 
-        sum rho(project(x_k) - l_ck) + sum rho(d_c(project(y_i))) + bend's prior,
+        sum rho(project(x_k) - l_ck) + sum rho(n_i . (project(y_i) - edge_i)) + bend's prior,
 
-    l_ck the labels, y_i the points that make the frame's outline in view c, d_c the distance from the outline
-    of its mask; first the pose alone on the labels, then bent, then with the outlines. Raises EyeglassesError
-    when labels fix no pose, lie outside their pictures, or have left and right exchanged, units differ,
-    weights cannot be solved, or numbers are not finite; ValueError when shapes do not fit together.
+    l_ck the labels, y_i the points that make the frame's outline in a view, edge_i where its mask ends along
+    the outline's normal n_i; first the pose alone on the labels, then bent, then with the outlines. Raises
+    EyeglassesError when labels fix no pose, lie outside their pictures, or have left and right exchanged,
+    units differ, weights cannot be solved, or numbers are not finite; ValueError when shapes do not fit.
 
     Parameters
     ----------

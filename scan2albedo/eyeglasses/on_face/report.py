@@ -54,7 +54,7 @@ def report(
     at = objective.linearize(state, samples, rigid=rigid)
     # Deviations from the Gauss-Newton matrix, labels and outlines weighted by the noise that they show.
     labels = at.labels_px[np.isfinite(at.labels_px)]
-    outline = np.abs(at.outline_px[np.isfinite(at.outline_px)])
+    outline = np.abs(at.outline_px)
     label_px, outline_px = options.label_noise_px, options.outline_noise_px
     if len(labels) > 4:
         # Over the medians of a distance in the plane (Rayleigh) and of an error, at a deviation of 1.
@@ -91,8 +91,8 @@ def report(
     outline_rms, iou, differing = np.full(count, np.nan), np.full(count, np.nan), np.zeros(len(keypoints))
     for number, (view, mask) in enumerate(zip(given.views, given.masks, strict=True)):
         seen = at.outline_px[samples.view == number]
-        if np.isfinite(seen).any():
-            outline_rms[number] = np.sqrt(np.nanmean(seen**2))
+        if len(seen):
+            outline_rms[number] = np.sqrt(np.mean(seen**2))
         if mask is not None and view.distance is not None:
             iou[number], here = compare_masks(sampler, motion, number, mask, outline_px)
             differing = np.maximum(differing, here)

@@ -18,7 +18,7 @@ from scan2albedo.core import Meter
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import EyeglassesError, needs_extra
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR
-from scan2albedo.eyeglasses.mean_keypoints import BEHIND, align_key_points, in_own_axes, is_posable
+from scan2albedo.eyeglasses.mean_keypoints import BEHIND, is_posable, own_axes
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, FrameState
 from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions, RegistrationInputs
 from scan2albedo.eyeglasses.on_face.lens_panes import rim_openings
@@ -30,11 +30,7 @@ from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.pinhole import normalized_cameras, projected
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import compose, procrustes, rotation_from_vector, transform_points
-from scan2albedo.optimization.least_squares import Damping, NormalEquations, minimize
 from scan2albedo.rendering.pictures import seen_samples
-
-_DAMPING = Damping(first=1e-6, decrease=0.1, increase=100.0, least=1e-13, largest=1e12)
-"""It begins low, for the linear start is nearly right, and stays above what rounding leaves of the matrix."""
 
 _SEAT_MM = (2.0, 6.0, 5.0)
 """How far frames sit from the middle between the eyes: sideways, up or down, forward of where they touch."""
@@ -60,7 +56,6 @@ def poses_on_face(given: RegistrationInputs) -> list[FrameState]:
         where = "is not in the face model's frame, mm, looking along +z"
         raise EyeglassesError(f"no key point is labelled, and the head to put the frame on {where}: {advice}")
     eyes = landmarks[36:48].mean(0) / mm
-    upright = align_key_points(given.keypoints, in_own_axes(given.keypoints))
     rims = np.array(["rim_top" in name or "rim_bottom" in name for name in KEY_POINT_NAMES])
     middle = np.nanmean(given.keypoints[rims if given.known[rims].any() else given.known], axis=0)
     nearest = cKDTree(given.keypoints[given.known]).query(given.vertices)[1]
@@ -68,7 +63,7 @@ def poses_on_face(given: RegistrationInputs) -> list[FrameState]:
     caster, found = RayCaster(*given.head), []
     far = 2 * float(np.ptp(given.vertices, axis=0).max())
     for lean in LEANS_RAD:
-        turn = rotation_from_vector(np.array([lean, 0, 0])) @ upright[:3, :3]
+        turn = rotation_from_vector(np.array([lean, 0, 0])) @ own_axes(given.keypoints)
         start = compose(turn, eyes + [0.0, 0.0, far] - turn @ middle)
         hits = caster.first_hit(transform_points(start, front), np.tile([0.0, 0.0, -1.0], (len(front), 1)))
         start[2, 3] -= hits.distance.min() if np.isfinite(hits.distance).any() else far
@@ -255,7 +250,7 @@ def triangulate(labels_2d: ArrayLike, cameras: ArrayLike, *, noise_px: float = 2
         sum over c of rho(|project(P_c, x) - l_c|),  rho(r) = log(1 + (r / 2 s)^2),
 
     the Cauchy loss. Of the linear solutions of all pairs of views (Hartley, Zisserman, "Multiple View
-    Geometry", section 12.2) the one of least loss is refined by damped Gauss-Newton steps. Raises ValueError
+    Geometry", section 12.2) the one of least loss is refined by Gauss-Newton steps. Raises ValueError
     when shapes do not fit together, or `noise_px` is not positive.
 
     Parameters
@@ -299,36 +294,30 @@ def triangulate(labels_2d: ArrayLike, cameras: ArrayLike, *, noise_px: float = 2
             rows = rows / np.maximum(np.linalg.norm(rows[:, :3], axis=1, keepdims=True), np.finfo(float).tiny)
             place, _, rank, _ = np.linalg.lstsq(rows[:, :3], -rows[:, 3], rcond=1e-9)
             if rank == 3 and (cams[pair][:, 2, :3] @ place + cams[pair][:, 2, 3] > 0).all():
-                starts.append(_Point(place, own, cams, noise_px))
+                starts.append((*_seen_at(place, own, cams, noise_px), place))
         if starts:
-            nearest = min(starts, key=lambda point: point.cost)
-            least = 1e-12 * (1 + float(np.linalg.norm(nearest.place)))
-            found = minimize(nearest, trials=50, step_tolerance=least, damping=_DAMPING).best
-            points[k], errors[seen, k] = found.place, np.linalg.norm(found.errors, axis=-1)
+            cost, off_px, step, place = min(starts, key=lambda start: start[0])
+            before = np.inf
+            while cost < before:
+                before, points[k], errors[seen, k] = cost, place, off_px
+                place = place + step
+                cost, off_px, step = _seen_at(place, own, cams, noise_px)
     with np.errstate(invalid="ignore"):
         inliers = errors <= 3 * noise_px
     return TriangulatedPoints(points, errors, inliers)
 
 
-class _Point:
-    """A place (3,) with the Cauchy loss of its labels, for `minimize`."""
+def _seen_at(
+    place: FloatArray, labels: FloatArray, cameras: FloatArray, noise_px: float
+) -> tuple[float, FloatArray, FloatArray]:
+    """Return the Cauchy loss at a place (3,), distances (C,) px, infinite behind a camera, and a step (3,).
 
-    def __init__(self, place: FloatArray, labels: FloatArray, cameras: FloatArray, noise_px: float) -> None:
-        self.place, self._given = place, (labels, cameras, noise_px)
-        pixels, slopes, front = projected(cameras, np.tile(place, (len(cameras), 1)))
-        self.errors = np.where(front[:, None], pixels - labels, np.inf)
-        """(C, 2), infinite behind a camera."""
-        self._errors, self._slopes = self.errors[front], slopes[front]
-        self._weights = 1 / (1 + (self._errors**2).sum(1) / (2 * noise_px) ** 2)
-        square = (self.errors**2).sum(1) / (2 * noise_px) ** 2
-        self.cost = float(np.log1p(np.minimum(square, np.finfo(float).max)).sum())
-
-    def normal_equations(self) -> NormalEquations:
-        """Return those of the reweighted squares, without cameras that have the point behind them."""
-        weighted = self._weights[:, None, None] * self._slopes
-        matrix = np.einsum("cik,cim->km", weighted, self._slopes)
-        return NormalEquations(matrix, np.einsum("cik,ci->k", weighted, self._errors))
-
-    def moved(self, step: FloatArray) -> _Point:
-        """Return the place a step (3,) away."""
-        return _Point(self.place + step, *self._given)
+    The step is that of Gauss and Newton, with the loss's weights.
+    """
+    pixels, slopes, front = projected(cameras, np.tile(place, (len(cameras), 1)))
+    errors = np.where(front[:, None], pixels - labels, np.inf)
+    square = np.minimum((errors**2).sum(1) / (2 * noise_px) ** 2, np.finfo(float).max)
+    root = 1 / np.sqrt(1 + square[front, None])
+    rows, off = (root[..., None] * slopes[front]).reshape(-1, 3), (root * errors[front]).ravel()
+    step = -np.asarray(np.linalg.lstsq(rows, off, rcond=None)[0])
+    return float(np.log1p(square).sum()), np.linalg.norm(errors, axis=1), step

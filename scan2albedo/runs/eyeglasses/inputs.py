@@ -16,6 +16,8 @@ from scan2albedo.eyeglasses import Camera, LensMaterial, read_cameras, write_key
 from scan2albedo.eyeglasses.frame_files import read_keypoints_with_unit
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.mean_keypoints import WIDTHS_MM, front_width
+from scan2albedo.eyeglasses.proposed_keypoints import HARDLY_A_FRAME
+from scan2albedo.eyeglasses.view_files import MASK_ENDINGS
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.io.atomic import atomic_path, check_writable
 from scan2albedo.io.color import encode_srgb_bytes
@@ -192,7 +194,7 @@ def proposed_note(deviations_mm: Mapping[str, float], placed: int, log_odds: flo
     said = f"{count} key points are proposed from its shape, {placed} placed, {missing} not found"
     if count:
         said += f"; median deviation {np.median(list(deviations_mm.values())):.1f} mm"
-    if log_odds < -12:
+    if log_odds < HARDLY_A_FRAME:
         said += f"; it is hardly like a frame (log odds {log_odds:.0f})"
     return f"{said}{'; unsure: ' + ', '.join(unsure) if unsure else ''}: look at `glasses key-points`"
 
@@ -363,7 +365,7 @@ def _read_named(
     found: list[Any] = [None] * len(cameras)
     if folder is None:
         return tuple(found)
-    endings = (".png",) if kind == "mask" else (".png", ".jpg", ".jpeg", ".tif")
+    endings = MASK_ENDINGS if kind == "mask" else (".png", ".jpg", ".jpeg", ".tif")
     for number, camera in enumerate(cameras):
         named = [folder / f"{camera.name}{ending}" for ending in endings]
         path = next((path for path in named if path.is_file()), None)

@@ -15,9 +15,10 @@ from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import Camera, LensPictureOptions, Surface
 from scan2albedo.eyeglasses.keypoints import checked_keypoints
-from scan2albedo.eyeglasses.lenses.inserted_lenses import SIDES, without_glass, worn_axes
+from scan2albedo.eyeglasses.lenses.inserted_lenses import SIDES, without_glass
 from scan2albedo.eyeglasses.lenses.lens_picture import Lenses, checked_image
 from scan2albedo.eyeglasses.lenses.scenes import WHITE_SHOWN, soft_environment, white_exposure
+from scan2albedo.eyeglasses.mean_keypoints import own_axes
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import face_normals
 from scan2albedo.io.color import encode_srgb_bytes
@@ -184,7 +185,7 @@ def render_lenses(
     kind: Literal["given", "built-in", "none"] = "none" if environment_linear is None else "given"
     exposure = 1.0
     if pictures_linear is None:
-        axes = worn_axes(np.asarray(frame.vertices), marks)
+        axes = own_axes(marks)
         if environment_linear is None:
             kind, environment_linear = "built-in", soft_environment(axes)
         exposure = white_exposure(checked_image("environment_linear", environment_linear), axes[2])

@@ -101,7 +101,7 @@ def by_decompositions(source, target, rounds=400):
 
 @pytest.mark.parametrize("size", [0.1, 2.0, 10.0, 40.0])
 @pytest.mark.parametrize("turned", [False, True])
-def test_compiled_rotations_are_those_of_decompositions(size, turned):
+def test_rotations_are_those_of_decompositions(size, turned):
     rng = np.random.default_rng(3)
     target = POINTS + rng.normal(0, size, POINTS.shape)
     if turned:

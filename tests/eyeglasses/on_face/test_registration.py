@@ -15,7 +15,7 @@ from scan2albedo.eyeglasses import (
     skin,
 )
 from scan2albedo.eyeglasses.keypoints import MIRROR
-from scan2albedo.eyeglasses.on_face import objective, outline
+from scan2albedo.eyeglasses.on_face import outline
 from scan2albedo.eyeglasses.on_face.objective import HeadContact
 from scan2albedo.geometry.rigid import random_rotation, rotation_from_vector
 from scan2albedo.synthetic import wearer
@@ -270,8 +270,7 @@ def test_masks_that_show_a_temple_elsewhere_contradict_it(monkeypatch):
     temple = [KEY_POINT_NAMES.index(f"left_{n}") for n in ("temple_middle", "ear_bend", "temple_tip")]
     labels = worn.labels.copy()
     labels[:, temple] = np.nan
-    for module in (objective, outline):
-        monkeypatch.setattr(module, "REACH_PX", 6.0)
+    monkeypatch.setattr(outline, "REACH_PX", 6.0)
     found = register(1, keypoints_2d=labels)
     errors = np.linalg.norm(found.keypoints - worn.keypoints, axis=1)
     assert errors[temple[2]] > 3

@@ -61,6 +61,10 @@ def test_photographs_alone_place_a_frame_and_give_labels_to_correct(monkeypatch,
     assert sum(view["proposed"] for view in views) > 20
     masks = read_masks(out, cameras)
     assert min(mask.sum() for mask in masks) > 100
+    labels = out / "proposed_labels.json"
+    again = run(monkeypatch, inputs, tmp_path / "again", "--labels", labels, "--masks", out)
+    assert again.exit_code == 0, again.output
+    assert all(view["mask"] for view in json.loads((tmp_path / "again" / "result.json").read_text())["views"])
 
 
 def test_a_folder_without_the_cameras_photographs_is_refused(monkeypatch, inputs, tmp_path):
