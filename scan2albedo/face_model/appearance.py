@@ -12,12 +12,13 @@ fitted together with the classes by expectation maximisation. Neighbours are lik
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 from scipy.ndimage import map_coordinates, median_filter, uniform_filter
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
@@ -177,6 +178,56 @@ def placed(
     return _fitting(log_prior[:, known], told[:, known], hue, grid.independent)
 
 
+def beyond_chart(
+    log_color: FloatArray,
+    normal: FloatArray,
+    skin: FloatArray,
+    place: FloatArray,
+    offset_mm: FloatArray,
+    neighbour_mean: sparse.csr_matrix,
+    patch: float,
+) -> FloatArray:
+    """Return the shares (C, N) of the classes at points of a surface that goes on beyond a face's chart.
+
+    The likelihood is that of the chart without grain, relative to the face's own skin. The prior is that of
+    the nearest point of the chart, and of where hair and clothes are from there: features end within a
+    centimetre, odds of hair grow by e in 30 mm up and back, those of cloth in 30 mm down.
+
+    Parameters
+    ----------
+    log_color : (N, 3)
+        Logarithms of linear colours less those of a model's light; what is left of the light is fitted.
+    normal, skin
+        (N, 3), and how surely (N,) skin by the chart's labels, where it reaches.
+    place, offset_mm
+        Nearest place (N, 2) on the chart (`appearance`), and offset (N, 3) from there in the model's frame.
+    neighbour_mean : (N, N)
+        `geometry.mesh.neighbour_mean` of the surface.
+    patch : float
+        Part of a `PATCH_MM` square that a point stands for.
+    """
+    shipped = AppearanceModel.default()
+    model = replace(shipped, mean=shipped.mean[:, :3], covariance=shipped.covariance[:, :3, :3])
+    spot = place.T * len(model.share[0]) - 0.5
+    prior = np.log(
+        [np.maximum(map_coordinates(one, spot, order=1, mode="nearest"), 1e-6) for one in model.share]
+    )
+    prior[1:6] -= np.linalg.norm(offset_mm, axis=1) / 10
+    prior[6:] += np.array([[0, 0.8, -0.6], [0, -1, 0]]) @ offset_mm.T / 30
+    prior -= np.logaddexp.reduce(prior)
+    colors = np.column_stack([log_color.max(-1), log_color[:, ::2] - log_color[:, 1:2]])
+    basis, every = light_basis(normal), -(-len(colors) // 2000)
+    start = np.median(colors[skin >= 0.9 * skin.max()], axis=0)
+    few = colors[::every], basis[::every], prior[:, ::every]
+    light, often, _ = _fitted(*few, start, patch * every, model)
+    logs = prior + often[:, None] + _POWER * model.log_likelihood(colors - basis @ light)
+    shares = np.exp(logs - np.logaddexp.reduce(logs))
+    for _ in range(5):
+        agreeing = logs + 2 * (neighbour_mean @ shares.T).T
+        shares = np.exp(agreeing - np.logaddexp.reduce(agreeing))
+    return shares
+
+
 def _fitting(log_prior: FloatArray, likelihood: FloatArray, hue: float, independent: float) -> FloatArray:
     """Return what `placed` does of log likelihoods (C, N)."""
     anywhere = np.logaddexp.reduce(np.log(np.exp(log_prior).mean(1))[:, None] + likelihood)
@@ -280,7 +331,7 @@ def _fitted(
     light[0], precision = start, 1 / model.covariance[0, 1, 1]
     # Skin is wider in the first rounds: light is known the less at first.
     for wider in (2.0, 1.5, 1.0, 1.0, 1.0):
-        features = values - np.pad(basis @ light, ((0, 0), (0, 1)))
+        features = values - np.pad(basis @ light, ((0, 0), (0, values.shape[1] - 3)))
         logs = (prior + often[:, None]) + _POWER * model.log_likelihood(features, wider)
         shares = np.exp(logs - np.logaddexp.reduce(logs))
         # A cap or a beard is one event, however large: its share is learned here, against one usual patch.
@@ -290,7 +341,7 @@ def _fitted(
         square = _square(features - model.mean[0], wider**2 * model.covariance[0])
         trust = shares[0] * (_FREEDOM + features.shape[1]) / (_FREEDOM + square)
         light = skin_in_light(basis, values[:, :3], trust * independent * precision, start)
-    features = values - np.pad(basis @ light, ((0, 0), (0, 1)))
+    features = values - np.pad(basis @ light, ((0, 0), (0, values.shape[1] - 3)))
     logs = (prior + often[:, None]) + _POWER * model.log_likelihood(features)
     turned = sum(float((light[1:, c] ** 2 / _LIGHT_SD[c > 0][1:] ** 2).sum()) for c in range(3))
     evidence = np.logaddexp.reduce(logs).sum() * independent + _hue_odds(light[0, 1:]) - turned / 2
