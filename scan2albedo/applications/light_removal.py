@@ -190,19 +190,17 @@ def _beyond_face(
     some = np.repeat(np.arange(0, len(scan.faces), 1 + len(scan.faces) // 100_000), 3)
     corners = np.tile(np.eye(3) / 2 + 1 / 6, (len(some) // 3, 1))
     color, shown = scan_colors(scan, some, corners)
+    shown |= not shown.any()
     at = tree.query(np.einsum("nk,nkc->nc", corners, vertices[scan.faces[some]]))[1]
     total = np.stack([np.bincount(at, shown * each, count) for each in (*color.T, np.ones(len(at)))], axis=1)
     color = filled_over_mesh(total[:, :3] / np.maximum(total[:, 3:], 1), total[:, 3] > 0, faces)
-    log_color = np.log(np.maximum(color, FLOOR * max(np.percentile(color, 95), 1e-12)))
+    log_color = np.log(np.maximum(color, FLOOR * max(np.percentile(color, 95), FLOOR)))
     lit = shade_image(
-        GeometryImage(points[None], normals[None], np.ones((1, count), bool)),
-        estimate.lights,
-        estimate.reflectance,
-        estimate.view_direction,
-        RayCaster(points, faces) if estimate.casts_shadows else None,
-        estimate.shadow_offset_mm,
+        GeometryImage(points[None], normals[None], np.ones((1, count), bool)), estimate.lights,
+        estimate.reflectance, estimate.view_direction,
+        RayCaster(points, faces) if estimate.casts_shadows else None, estimate.shadow_offset_mm,
         estimate.environment,
-    ).light_linear.reshape(-1, 3)
+    ).light_linear.reshape(-1, 3)  # fmt: skip
     log_lit = np.log(np.maximum(lit, DARKEST * usual))
     # What is hair, or cloth; what was left out of the fit is neither that nor skin.
     on_skin = image.seen * 1.0 if image.skin is None else image.skin
@@ -221,16 +219,13 @@ def _beyond_face(
     apart = covered[nearest]
     other = np.where(apart, 1.0, other)
     # Between hair and skin the texel decides by its colour, relative to the means of both.
-    bare, floor = np.maximum(1 - other, 1e-6), _OWN**2 * np.eye(3)
-    colors = log_color - log_lit
+    weights, colors = np.zeros(3), log_color - log_lit
     if hair.max() > SURE_HAIR:
-        spread = np.cov(colors.T, aweights=hair) + np.cov(colors.T, aweights=bare) + floor
-        weights = np.linalg.solve(
-            spread, np.average(colors, axis=0, weights=hair) - np.average(colors, axis=0, weights=bare)
-        )
-    else:
-        weights = np.zeros(3)
-    log_odds = logit(np.clip(hair, 1e-6, 1 - 1e-6)) - log_color @ weights
+        parts = hair, np.maximum(1 - other, FLOOR)
+        spread = sum((np.cov(colors.T, aweights=part) for part in parts), _OWN**2 * np.eye(3))
+        means = [np.average(colors, axis=0, weights=part) for part in parts]
+        weights = np.linalg.solve(spread, means[0] - means[1])
+    log_odds = logit(np.clip(hair, FLOOR**2, 1 - FLOOR**2)) - log_color @ weights
 
     rows, (i, j) = np.flatnonzero(~known), (graph.row, graph.col)
     alike = ((1 - other[i]) * (1 - other[j]) + other[i] * other[j]) * ~(apart[i] | apart[j])
@@ -252,13 +247,13 @@ def _beyond_face(
     if reach == "face":
         base = np.full((count, 3), math.log(usual))
         found = solved(np.hstack([chart - base, one]), fading, np.zeros((count, 4)))
-        found *= found[:, 3:] > 1e-2
+        found *= found[:, 3:] > 2 / 255  # the least that a picture of the confidence shows
     else:
         smooth = log_lit
         for _ in range(round(2 * (_EVEN_MM / edge_mm) ** 2)):
             smooth = mean @ smooth
         base = log_lit + other[:, None] * (smooth - log_lit)
-        usual_skin = np.average(log_color - chart, axis=0, weights=skin + 1e-9)
+        usual_skin = np.average(log_color - chart, axis=0, weights=skin + FLOOR)
         left = log_color - base - usual_skin
         own = solved(
             log_color - chart - usual_skin, even, (1 - other[:, None]) * left / (2 + (left / _OWN) ** 2)
@@ -270,7 +265,7 @@ def _beyond_face(
             around = mean @ around
         fine = np.abs(wrong - around).max(-1)
         sure = ~known & (other < SURE_HAIR)
-        detail = max(float(np.median(fine[sure])) if sure.any() else 1.0, 1e-3)
+        detail = max(float(np.median(fine[sure])) if sure.any() else 1.0, FLOOR)
         trust = even * (other + (1 - other) * (1 - mean @ other) * (1 + (fine / detail) ** 2))
         toward = np.hstack([wrong * (trust / (fading + trust))[:, None], 0 * one])
         found = solved(np.hstack([chart - base, one]), fading + trust, toward)

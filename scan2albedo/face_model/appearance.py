@@ -49,6 +49,8 @@ _FEWEST_TEXELS, _DARKEST, _GRAIN_MM, _FAINT = 64, 1e-3, 7.0, 0.004
 _CLOSE_MM, _FAR_MM, _RELIEF_MM, _SMOOTH_MM = 1.0, 3.0, 12.0, 0.05
 """Residuals of a good fit, and of hair or glasses over it; side of the squares over which they are averaged
 to relief, and that of skin without noise."""
+_HAIR_AND_CLOTH = np.array([[0, 0.8, -0.6], [0, -1, 0]]) / 30
+"""By how much log odds of hair, and of cloth, grow in a mm along x, y and z of the model's frame: a guess."""
 
 Image = NDArray[np.float32]
 
@@ -71,6 +73,11 @@ class AppearanceModel:
             arrays = np.load(file)
             share, mean, covariance = (arrays[n].astype(float) for n in ("share", "mean", "covariance"))
             return cls(share, mean, covariance, float(arrays["shaded"]))
+
+    def at_places(self, place: NDArray[np.floating]) -> FloatArray:
+        """Return the shares (C, ...) of the classes at places (..., 2), before they sum to one."""
+        spot = (np.moveaxis(place, -1, 0) * len(self.share[0])) - 0.5
+        return np.maximum([map_coordinates(one, spot, order=1, mode="nearest") for one in self.share], 1e-6)
 
     def log_likelihood(self, features: FloatArray, wider: float = 1.0) -> FloatArray:
         """Return (C, N) of features (N, 4), where the skin's spread is `wider` times as large."""
@@ -123,7 +130,7 @@ def appearance(
     grid = _Grid.of(position, seen)
     known = grid.part > 0.25
     if place is not None:
-        prior = _at_places(grid, place, learned)
+        prior = learned.at_places(grid.mean(place))
     else:
         skin = SURE * (np.ones(known.shape) if share is None else np.clip(grid.mean(share), 0.05, 1.0))
         others = len(learned.share) - 1
@@ -172,7 +179,7 @@ def placed(
     themselves, to be compared between parts of one texture.
     """
     model, grid = AppearanceModel.default(), _Grid.of(position, seen)
-    known, prior = grid.part > 0.25, _at_places(grid, place, model)
+    known, prior = grid.part > 0.25, model.at_places(grid.mean(place))
     log_prior, color = np.log(prior / prior.sum(0)), grid.mean(texture_linear)
     told, hue = _explained(grid, known, color, grid.mean(normal), log_prior, model)
     return _fitting(log_prior[:, known], told[:, known], hue, grid.independent)
@@ -208,16 +215,13 @@ def beyond_chart(
     """
     shipped = AppearanceModel.default()
     model = replace(shipped, mean=shipped.mean[:, :3], covariance=shipped.covariance[:, :3, :3])
-    spot = place.T * len(model.share[0]) - 0.5
-    prior = np.log(
-        [np.maximum(map_coordinates(one, spot, order=1, mode="nearest"), 1e-6) for one in model.share]
-    )
+    prior = np.log(model.at_places(place))
     prior[1:6] -= np.linalg.norm(offset_mm, axis=1) / 10
-    prior[6:] += np.array([[0, 0.8, -0.6], [0, -1, 0]]) @ offset_mm.T / 30
+    prior[6:] += _HAIR_AND_CLOTH @ offset_mm.T
     prior -= np.logaddexp.reduce(prior)
     colors = np.column_stack([log_color.max(-1), log_color[:, ::2] - log_color[:, 1:2]])
     basis, every = light_basis(normal), -(-len(colors) // 2000)
-    start = np.median(colors[skin >= 0.9 * skin.max()], axis=0)
+    start = np.median(colors[skin >= skin.max() / 2], axis=0)
     few = colors[::every], basis[::every], prior[:, ::every]
     light, often, _ = _fitted(*few, start, patch * every, model)
     logs = prior + often[:, None] + _POWER * model.log_likelihood(colors - basis @ light)
@@ -235,12 +239,6 @@ def _fitting(log_prior: FloatArray, likelihood: FloatArray, hue: float, independ
     # Places weigh three times as much as the colours' own evidence, by right and wrong textures.
     told = np.array([3 * (here - anywhere), likelihood[0] - anywhere, here]).sum(1)
     return np.asarray(independent * told + (hue, np.log(_HIDDEN), 0.0))
-
-
-def _at_places(grid: _Grid, place: NDArray[np.floating], model: AppearanceModel) -> FloatArray:
-    """Return the shares (C, h, w) of the classes at places (H, W, 2), before they sum to one."""
-    spot = (np.moveaxis(grid.mean(place), -1, 0) * len(model.share[0])) - 0.5
-    return np.maximum([map_coordinates(one, spot, order=1, mode="nearest") for one in model.share], 1e-6)
 
 
 def features_of(
