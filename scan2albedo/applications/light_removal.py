@@ -360,7 +360,7 @@ def _unlit_texture(
         divisor[there], known[there], hairy[there] = taken_off(
             tile[there].astype(np.float64), place, weight, beyond
         )
-        usable, albedo = known > 0, tile / divisor
+        usable, albedo = known >= OUTSIDE_CONFIDENCE, tile / divisor
         if usable.any():
             rows, columns = (np.flatnonzero(usable.any(axis)) for axis in (1, 0))
             box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]

@@ -196,9 +196,10 @@ def beyond_chart(
 ) -> FloatArray:
     """Return the shares (C, N) of the classes at points of a surface that goes on beyond a face's chart.
 
-    The likelihood is that of the chart without grain, relative to the face's own skin. The prior is that of
-    the nearest point of the chart, and of where hair and clothes are from there: features end within a
-    centimetre, odds of hair grow by e in 30 mm up and back, those of cloth in 30 mm down.
+    The likelihood is that of the chart without grain, relative to the face's own skin, and then to the
+    person's own hair. The prior is that of the nearest point of the chart, and of where hair and clothes are
+    from there: features end within a centimetre, odds of hair grow by e in 30 mm up and back, those of cloth
+    in 30 mm down.
 
     Parameters
     ----------
@@ -213,8 +214,9 @@ def beyond_chart(
     patch : float
         Part of a `PATCH_MM` square that a point stands for.
     """
-    shipped = AppearanceModel.default()
-    model = replace(shipped, mean=shipped.mean[:, :3], covariance=shipped.covariance[:, :3, :3])
+    learned = AppearanceModel.default()
+    mean, covariance = learned.mean[:, :3].copy(), learned.covariance[:, :3, :3].copy()
+    model = replace(learned, mean=mean, covariance=covariance)
     prior = np.log(model.at_places(place))
     prior[1:6] -= np.linalg.norm(offset_mm, axis=1) / 10
     prior[6:] += _HAIR_AND_CLOTH @ offset_mm.T
@@ -224,8 +226,16 @@ def beyond_chart(
     start = np.median(colors[skin >= skin.max() / 2], axis=0)
     few = colors[::every], basis[::every], prior[:, ::every]
     light, often, _ = _fitted(*few, start, patch * every, model)
-    logs = prior + often[:, None] + _POWER * model.log_likelihood(colors - basis @ light)
-    shares = np.exp(logs - np.logaddexp.reduce(logs))
+    colors -= basis @ light
+    any_mean, any_covariance = mean[6].copy(), covariance[6].copy()
+    for _ in range(3):
+        logs = prior + often[:, None] + _POWER * model.log_likelihood(colors)
+        shares = np.exp(logs - np.logaddexp.reduce(logs))
+        # The person's own hair, beside one patch of any hair.
+        weight = patch * shares[6]
+        mean[6] = (weight @ colors + any_mean) / (weight.sum() + 1)
+        off = colors - mean[6]
+        covariance[6] = ((weight * off.T) @ off + any_covariance) / (weight.sum() + 1)
     for _ in range(5):
         agreeing = logs + 2 * (neighbour_mean @ shares.T).T
         shares = np.exp(agreeing - np.logaddexp.reduce(agreeing))
