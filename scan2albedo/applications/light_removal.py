@@ -373,9 +373,11 @@ def _unlit_texture(
                 off = np.log(np.maximum(albedo[there], FLOOR)) - beyond[:, 4:7]
                 excess = np.maximum(np.minimum(np.abs(off), beyond[:, 7:8]) / detail, 1.0)
                 albedo[there] *= np.exp((1 - weight[:, None]) * off * (excess**-2 - 1))
-        # Beside the scan's charts, where viewers interpolate across the rim, its colours go on.
+        # Beside the scan's charts, where viewers interpolate across the rim, all goes on.
         beside = maximum_filter(there, 2 * GUTTER + 1)[..., None]
-        unlit = np.where(beside, filled_from_nearest(albedo, there), tile / brightness) * brightness
+        filled = filled_from_nearest(np.dstack([albedo, hairy]), there)
+        unlit = np.where(beside, filled[..., :3], tile / brightness) * brightness
+        hairy = np.where(beside[..., 0], filled[..., 3], 0)
         own = np.s_[top - low[1] : top - low[1] + _TILE, left - low[0] : left - low[0] + _TILE]
         result[top : top + _TILE, left : left + _TILE] = unlit[own]
         confidence[top : top + _TILE, left : left + _TILE] = known[own]
