@@ -123,7 +123,7 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
     light[~image.seen] = estimate.shading[~image.seen]
     log_light = np.log(np.maximum(light, DARKEST * usual))
     log_light = _without_dark_spots(filled_from_nearest(log_light, mask))
-    beyond, hair_weights, detail = _beyond_face(scan, fitted, estimate, log_light, (uv, weight), usual, reach)
+    beyond, darker, detail = _beyond_face(scan, fitted, estimate, log_light, (uv, weight), usual, reach)
     hair_on_chart = np.isin(0 if image.labels is None else image.labels, _HAIRS) & mask
     charts = np.dstack([log_light, hair_on_chart])
 
@@ -133,7 +133,7 @@ def unlit_scan(scan: RawScan, fitted: FittedFace, estimate: AlbedoEstimate, reac
         """Return the light (N, 3), by `share` (N,) the chart's, how surely it is known, and hair."""
         on_chart, own = bilinear(charts, pixels_from_uv(place, mask.shape)), share[:, None]
         log_there = own * on_chart[:, :3] + (1 - own) * known[:, :3]
-        odds = known[:, 8] + np.log(np.maximum(color, FLOOR * black)) @ hair_weights
+        odds = known[:, 8] + darker * np.log(np.maximum(color.max(-1), FLOOR * black))
         hair = share * on_chart[:, 3] + (1 - share) * expit(odds)
         return np.exp(log_there), share + (1 - share) * known[:, 3], hair
 
@@ -159,12 +159,12 @@ def _beyond_face(
     on_chart: tuple[FloatArray, FloatArray],
     usual: float,
     reach: str,
-) -> tuple[FloatArray, FloatArray, float]:
+) -> tuple[FloatArray, float, float]:
     """Return what is known of a scan's vertices beyond the face (V, 9), and of all their texels.
 
     That is log light (3), how surely it is taken off, skin's expected log albedo (3), by how much log light
-    changes beside it, and log odds of hair, but for the texel's own log colour times weights (3,); and how
-    much skin's usual detail deviates. `on_chart` are places (V, 2) and weights (V,).
+    changes beside it, and log odds of hair, but for the texel's own log brightness times a weight. This weight
+    comes next; then how much skin's usual detail deviates. `on_chart` are places (V, 2) and weights (V,).
 
     The light is a base (the usual one, or that of the estimate's lamps on the scan's own shape) plus an
     offset o, the least of
@@ -206,11 +206,12 @@ def _beyond_face(
     on_skin = image.seen * 1.0 if image.skin is None else image.skin
     skin = inside * bilinear(filled_from_nearest(on_skin[..., None], image.mask), pixels)[:, 0]
     hair = other = np.zeros(count)
-    if image.face_chart is not None:
-        hits = surface_query(fitted.vertices, fitted.faces).query(points)
-        there = pixels_from_uv(hits.interpolated(fitted.uv, fitted.faces), image.shape)
-        place = bilinear(filled_from_nearest(image.face_chart, image.mask), there)
-        where = skin, place, points - hits.points
+    few = np.zeros(image.shape, bool)
+    few[:: -(-image.shape[0] // 128), :: -(-image.shape[1] // 128)] = True
+    few &= image.mask if image.on_face is None else image.mask & image.on_face
+    if image.face_chart is not None and few.any():
+        closest = cKDTree(image.position[few]).query(points)[1]
+        where = skin, image.face_chart[few][closest], points - image.position[few][closest]
         shares = beyond_chart(log_color - log_lit, normals, *where, mean, (edge_mm / PATCH_MM) ** 2)
         hair, other = shares[-2], shares[-2:].sum(0)
     covered = np.zeros(len(vertices), bool)
@@ -218,14 +219,13 @@ def _beyond_face(
         covered[scan.faces[fitted.covered_faces]] = True
     apart = covered[nearest]
     other = np.where(apart, 1.0, other)
-    # Between hair and skin the texel decides by its colour, relative to the means of both.
-    weights, colors = np.zeros(3), log_color - log_lit
+    # Between hair and skin the texel decides by how bright it is, relative to the means of both.
+    bright, weight = log_color.max(-1), 0.0
     if hair.max() > SURE_HAIR:
-        parts = hair, np.maximum(1 - other, FLOOR)
-        spread = sum((np.cov(colors.T, aweights=part) for part in parts), _OWN**2 * np.eye(3))
-        means = [np.average(colors, axis=0, weights=part) for part in parts]
-        weights = np.linalg.solve(spread, means[0] - means[1])
-    log_odds = logit(np.clip(hair, FLOOR**2, 1 - FLOOR**2)) - log_color @ weights
+        parts, own = (hair, np.maximum(1 - other, FLOOR)), bright - log_lit.max(-1)
+        of_hair, of_skin = (np.average(own, weights=part) for part in parts)
+        weight = (of_hair - of_skin) / (sum(np.cov(own, aweights=part) for part in parts) + _OWN**2)
+    log_odds = logit(np.clip(hair, FLOOR**2, 1 - FLOOR**2)) - weight * bright
 
     rows, (i, j) = np.flatnonzero(~known), (graph.row, graph.col)
     alike = ((1 - other[i]) * (1 - other[j]) + other[i] * other[j]) * ~(apart[i] | apart[j])
@@ -274,7 +274,7 @@ def _beyond_face(
         steep *= 1 - other
     fields = base + found[:, :3], OUTSIDE_CONFIDENCE * found[:, 3], expected, steep, log_odds
     nearby = surface_query(points, faces).query(vertices)
-    return nearby.interpolated(np.column_stack(fields), faces), weights, 2 * detail
+    return nearby.interpolated(np.column_stack(fields), faces), weight, 2 * detail
 
 
 def _without_dark_spots(log_light: FloatArray) -> FloatArray:
