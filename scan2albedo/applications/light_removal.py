@@ -163,8 +163,8 @@ def _beyond_face(
     """Return what is known of a scan's vertices beyond the face (V, 9), and of all their texels.
 
     That is log light (3), how surely it is taken off, skin's expected log albedo (3), by how much log light
-    changes beside it, and log odds of hair, but for the texel's own log brightness times a weight. This weight
-    comes next; then how much skin's usual detail deviates. `on_chart` are places (V, 2) and weights (V,).
+    changes beside it, and log odds of hair, but for the texel's log brightness times a weight. The weight
+    comes next, then how much skin's usual detail deviates. `on_chart` are places (V, 2) and weights (V,).
 
     The light is a base (the usual one, or that of the estimate's lamps on the scan's own shape) plus an
     offset o, the least of
@@ -249,8 +249,9 @@ def _beyond_face(
         found = solved(np.hstack([chart - base, one]), fading, np.zeros((count, 4)))
         found *= found[:, 3:] > 2 / 255  # the least that a picture of the confidence shows
     else:
+        # Hair's and cloth's light is even. Skin's albedo goes on from the rim, then is half of what is left.
         smooth = log_lit
-        for _ in range(round(2 * (_EVEN_MM / edge_mm) ** 2)):
+        for _ in range(round(min(2 * (_EVEN_MM / edge_mm) ** 2, count))):
             smooth = mean @ smooth
         base = log_lit + other[:, None] * (smooth - log_lit)
         usual_skin = np.average(log_color - chart, axis=0, weights=skin + FLOOR)
@@ -260,6 +261,7 @@ def _beyond_face(
         )
         expected, wrong = usual_skin + own, (1 - other[:, None]) * (left - own)
         wrong += other[:, None] * np.maximum(left - _WHITE, 0)
+        # What stands out from around by more than detail does is a misplaced outline of light.
         around = wrong
         for _ in range(8):
             around = mean @ around
