@@ -56,7 +56,7 @@ _OWN = 0.2
 """Deviation of skin's log albedo beyond the face: of that the model's light leaves, half is its own, and the
 less the more it is beyond this."""
 _WHITE = 1.4
-"""By so much is log albedo at most above that of skin: white cloth is four times as bright."""
+"""By so much is log albedo at most above that of skin, on average: white cloth is four times as bright."""
 SURE_HAIR = 0.5
 """Where nothing is hair more surely, there is none."""
 _FACING = 0.3
@@ -260,7 +260,7 @@ def _beyond_face(
             log_color - chart - usual_skin, even, (1 - other[:, None]) * left / (2 + (left / _OWN) ** 2)
         )
         expected, wrong = usual_skin + own, (1 - other[:, None]) * (left - own)
-        wrong += other[:, None] * np.maximum(left - _WHITE, 0)
+        wrong += other[:, None] * np.maximum(left.mean(-1, keepdims=True) - _WHITE, 0)
         # What stands out from around by more than detail does is a misplaced outline of light.
         around = wrong
         for _ in range(8):
