@@ -1,11 +1,14 @@
 """The scan without its light, at its own texels, beside the chart; and colours on other people's templates.
 
-usage: python tools/bench_unlit.py [traced] [templates] [normals] [peers PYTHON]
+usage: python tools/bench_unlit.py [traced] [rim] [templates] [normals] [peers PYTHON]
 
 traced     path-traced raw scans with the true albedo on their own coordinates: relative RMSE of V =
            max(R, G, B) after the best single scale, what half of the texels and 95 in 100 err by at most, and
            100 x MSE, of the lit scan, of the chart's albedo and of the unlit scan's own texels on the face,
            and of the lit and the unlit scan beyond it.
+rim        path-traced raw scans with a person's skin and hair: by how much log colour of skin steps across
+           the face's rim more than the true albedo does, RMS over the rim, of the lit and both unlit scans;
+           relative RMSE of all that lies beyond the face; and which part of it is called hair and is, or not.
 templates  a real scan, its colours on the texture coordinates of a mask of 468 vertices and of a head: PSNR
            of the template's picture against the scan's, same camera, where the scan shows the template.
 normals    synthetic scans, coarse and fine: mean angle in degrees to the true normals, where the scan shows
@@ -40,7 +43,7 @@ import scan2albedo as s2a
 from scan2albedo.applications.light_removal import scan_on_chart, unlit_scan
 from scan2albedo.applications.template_baking import FineShape, TemplateTexture, template_texture
 from scan2albedo.geometry.closest_points import ClosestPointQuery
-from scan2albedo.geometry.mesh import face_areas, normalized, vertex_normals
+from scan2albedo.geometry.mesh import boundary_loops, face_areas, normalized, vertex_normals
 from scan2albedo.geometry.rasterization import bilinear, interpolate, pixels_from_uv, rasterize, rasterize_uv
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.geometry.tangents import tangent_mesh
@@ -53,6 +56,8 @@ LEAST_LIGHT = 0.03
 """Texels that got less of the usual light do not count: there is no colour in them."""
 INSIDE = 0.99
 """Weight of the face above which a texel counts as the face, and below 1 less which it does not."""
+SKIN = 0.5
+"""Log albedo of skin deviates less than this from the face's; hair is darker by more than twice as much."""
 HALF_WIDTH_MM, SIZE, SAMPLES = 110.0, 900, 3
 """Of the pictures, and rays along each side of a pixel."""
 PEERS_SIZE = 1024
@@ -63,7 +68,7 @@ def main(what: tuple[str, ...]) -> None:
     if what[:1] == ("peers",):
         print_peers(*what[1:])
         return
-    parts = {"traced": print_traced, "templates": print_templates, "normals": print_normals}
+    parts = {"traced": print_traced, "rim": print_rim, "templates": print_templates, "normals": print_normals}
     for part in what or tuple(parts):
         parts[part]()
 
@@ -132,6 +137,70 @@ def _chart_error(result: s2a.ProcessResult, true: NDArray[np.floating], weight: 
     counted = inside & image.seen[image.mask] & (wanted.min(-1) > 0.01)
     counted &= light > LEAST_LIGHT * np.median(light[counted])
     return errors(estimate.albedo_linear[image.mask][counted], wanted[counted])
+
+
+def print_rim() -> None:
+    """Print steps of colour across the face's rim, errors beyond it, and what is found as hair."""
+    print(" " * 18 + "step: lit   face    all    RMSE: lit  face   all    hair   not")
+    for file in sorted((DATA / "real_skin").glob("*.obj")):
+        result = s2a.process(file)
+        scan, fitted, estimate = result.scan, result.fitted, result.albedo
+        assert fitted is not None
+        assert estimate is not None
+        assert scan.texture_linear is not None
+        assert scan.uv is not None
+        everywhere = unlit_scan(scan, fitted, estimate, "all")
+        of_face = unlit_scan(scan, fitted, estimate).scan.texture_linear
+        shown = scan.texture_linear, of_face, everywhere.scan.texture_linear
+        shape = scan.texture_linear.shape[:2]
+        picture = read_image_linear(file.with_name(f"{file.stem}_albedo.png"))
+        true = cv2.resize(picture, shape[::-1], interpolation=cv2.INTER_LINEAR)
+        corners = pixels_from_uv(scan.uv.reshape(-1, 2), shape)
+        index = np.arange(len(corners)).reshape(-1, 3)
+        raster = rasterize(corners, np.zeros(len(corners)), index, shape)
+        placed = transform_points(fitted.model_from_scan, scan.vertices)[scan.faces].reshape(-1, 3)
+        own = scan_on_chart(scan, fitted, estimate.image)[1][scan.faces].reshape(-1, 1)
+        light = scan.texture_linear.max(-1) / np.maximum(true.max(-1), 1e-3)
+        weight = interpolate(raster, index, own)[..., 0]
+        lit = (
+            raster.covered & (true.min(-1) > 0.01) & (light > LEAST_LIGHT * np.median(light[weight > INSIDE]))
+        )
+        beyond, log_true = lit & (weight < 1 - INSIDE), np.log(np.maximum(true, 1e-3))
+        skin = np.abs(log_true - np.median(log_true[lit & (weight > INSIDE)], axis=0)).max(-1) < SKIN
+        place = interpolate(raster, index, placed)[lit & skin]
+        steps = [
+            _step(fitted, place, (np.log(np.maximum(one, 1e-4)) - log_true)[lit & skin]) for one in shown
+        ]
+        errs = [errors(one[beyond], true[beyond])[:7] for one in shown]
+        hair = np.zeros(shape) if everywhere.hair is None else everywhere.hair
+        dark = log_true.max(-1) < np.median(log_true[lit & (weight > INSIDE)], axis=0).max() - 2 * SKIN
+        found = [
+            (hair[beyond & part] > 0.5).mean() if (beyond & part).any() else np.nan for part in (dark, skin)
+        ]
+        print(
+            f"{file.stem:16}" + "".join(f"{step:{10 if k == 0 else 7}.2f}" for k, step in enumerate(steps))
+            + "     " + "".join(errs) + f"{found[0]:8.0%}{found[1]:6.0%}", flush=True
+        )  # fmt: skip
+
+
+def _step(fitted: s2a.FittedFace, place: NDArray[np.floating], value: NDArray[np.floating]) -> float:
+    """Return the RMS over the face's rim of the step of values (N, 3) at places (N, 3) of skin across it.
+
+    Medians within 15 mm of a point of the rim: beyond it, and of what lies 10 to 20 mm inside of it.
+    """
+    rim = max(boundary_loops(fitted.faces), key=len)
+    inner = np.ones((len(fitted.vertices), 1))
+    inner[rim] = 0
+    hits = ClosestPointQuery(fitted.vertices, fitted.faces).query(place)
+    off = cKDTree(fitted.vertices[rim]).query(place)[0]
+    out = (hits.interpolated(inner, fitted.faces)[:, 0] < 0.02) & (off < 10)
+    inside = ~out & (hits.distance < 3) & (off > 10) & (off < 20)
+    trees, steps = [cKDTree(place[part]) for part in (inside, out)], []
+    for point in fitted.vertices[rim[:: max(1, len(rim) // 60)]]:
+        near = [tree.query_ball_point(point, reach) for tree, reach in zip(trees, (20, 15), strict=True)]
+        if min(map(len, near)) > 30:
+            steps.append(np.median(value[out][near[1]], axis=0) - np.median(value[inside][near[0]], axis=0))
+    return float(np.sqrt(np.mean(np.square(steps)))) if steps else float("nan")
 
 
 def print_templates() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
-from scan2albedo.applications.light_removal import GUTTER
+from scan2albedo.applications.light_removal import GUTTER, UnlitScan
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.raw_scan import RawScan
@@ -58,6 +58,8 @@ class TemplateTile:
     seen: BoolArray
     normal: NDArray[np.floating]
     maps: Mapping[str, NDArray[np.floating]] = field(default_factory=dict)
+    hair: NDArray[np.floating] | None = None
+    """(S, S, 4): hair as it was lit, linear, and how surely a texel is hair; None where there is none."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,9 @@ class TemplateTexture:
         return cls(vertices, model.template_faces, model.template_uv)
 
 
-def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> TemplateTexture:
+def template_texture(
+    scan: RawScan, fitted: FittedFace, size: int = 1024, unlit: UnlitScan | None = None
+) -> TemplateTexture:
     """Return a scan's colours on the texture coordinates of the template that was fitted to it.
 
     Each texel gets the colour of the scan's point nearest to the template there, averaged over the texel's
@@ -106,20 +110,24 @@ def template_texture(scan: RawScan, fitted: FittedFace, size: int = 1024) -> Tem
         Of a model made from a template with texture coordinates (`AnnotatedFaceModel.from_file`).
     size : int
         Texels of a tile's side.
+    unlit : UnlitScan, optional
+        Whose hair is laid on the tiles, too.
     """
     require_type(scan, RawScan, "template_texture: scan", "load_scan(path) returns one")
     require_type(fitted, FittedFace, "template_texture: fitted", "fit(scan, model, pose) returns one")
     blank = TemplateTexture.of(fitted)
     if not scan.has_color:
         raise ApplicationError(f"{scan.name}: the scan has no colours to lay on a template")
-    return painted(blank, size, Appearance(fitted, scan))
+    return painted(blank, size, Appearance(fitted, scan, unlit))
 
 
 class Appearance:
     """Colour and fine normals of a scan, at places (N, 3) on a surface in the frame of the `fitted` face."""
 
-    def __init__(self, fitted: FittedFace, scan: RawScan) -> None:
-        self._shown = without_covers(fitted, scan)
+    def __init__(self, fitted: FittedFace, scan: RawScan, unlit: UnlitScan | None = None) -> None:
+        self._shown, self._hair = without_covers(fitted, scan), None
+        if unlit is not None and unlit.hair is not None and unlit.lit is not None:
+            self._hair = without_covers(fitted, unlit.lit), unlit.hair[..., None]
         self._scan_from_model = invert_rigid(fitted.model_from_scan)
         self._shape = FineShape(fitted, self._shown)
 
@@ -127,14 +135,25 @@ class Appearance:
         self, place: FloatArray, outward: FloatArray, tangents: FloatArray, steps: FloatArray
     ) -> Fields:
         """Return colour and normals there; arguments as `painted` gives them."""
-        found = sample_colors(
-            self._shown,
+        there = (
             transform_points(self._scan_from_model, place),
             transform_directions(self._scan_from_model, outward),
             np.einsum("ij,njk->nik", self._scan_from_model[:3, :3], steps),
         )
+        found = sample_colors(self._shown, *there)
         fine = tangent_normals(self._shape.normals(place), outward, tangents)
-        return {"color": (found.color_linear, found.seen), "normal": fine}
+        fields: dict[str, tuple[NDArray[np.floating], BoolArray]] = {
+            "color": (found.color_linear, found.seen),
+            "normal": fine,
+        }
+        if self._hair is not None and found.pixel is not None:
+            lit, share = self._hair
+            hair = np.column_stack([found.color_linear, rasterization.bilinear(share, found.pixel)])
+            hair[:, 3] *= found.seen
+            if (some := hair[:, 3] > 1 / 512).any():  # of 8 bits
+                hair[some, :3] = sample_colors(lit, *(each[some] for each in there)).color_linear
+            fields["hair"] = (hair, np.ones(len(hair), bool))
+        return fields
 
 
 def bake(
@@ -233,11 +252,11 @@ def painted(blank: TemplateTexture, size: int, look: Callable[..., Fields]) -> T
                     texels[wide][beside] = filled[beside]
         if not fields:
             continue  # its faces hold no texel's middle
-        color, normal = fields.pop("color"), fields.pop("normal")
+        color, normal, hair = fields.pop("color"), fields.pop("normal"), fields.pop("hair", None)
         for band in bands:
             normal[band] = normalized(normal[band].astype(np.float64))
         maps = {name: texels[..., 0] for name, texels in fields.items()}
-        tiles.append(TemplateTile(number, chosen, color, known["color"], normal, maps))
+        tiles.append(TemplateTile(number, chosen, color, known["color"], normal, maps, hair))
     return replace(blank, tiles=tuple(tiles))
 
 

@@ -12,12 +12,13 @@ fitted together with the classes by expectation maximisation. Neighbours are lik
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 from scipy.ndimage import map_coordinates, median_filter, uniform_filter
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
@@ -48,6 +49,8 @@ _FEWEST_TEXELS, _DARKEST, _GRAIN_MM, _FAINT = 64, 1e-3, 7.0, 0.004
 _CLOSE_MM, _FAR_MM, _RELIEF_MM, _SMOOTH_MM = 1.0, 3.0, 12.0, 0.05
 """Residuals of a good fit, and of hair or glasses over it; side of the squares over which they are averaged
 to relief, and that of skin without noise."""
+_HAIR_AND_CLOTH = np.array([[0, 0.8, -0.6], [0, -1, 0]]) / 30
+"""By how much log odds of hair, and of cloth, grow in a mm along x, y and z of the model's frame: a guess."""
 
 Image = NDArray[np.float32]
 
@@ -70,6 +73,11 @@ class AppearanceModel:
             arrays = np.load(file)
             share, mean, covariance = (arrays[n].astype(float) for n in ("share", "mean", "covariance"))
             return cls(share, mean, covariance, float(arrays["shaded"]))
+
+    def at_places(self, place: NDArray[np.floating]) -> FloatArray:
+        """Return the shares (C, ...) of the classes at places (..., 2), before they sum to one."""
+        spot = (np.moveaxis(place, -1, 0) * len(self.share[0])) - 0.5
+        return np.maximum([map_coordinates(one, spot, order=1, mode="nearest") for one in self.share], 1e-6)
 
     def log_likelihood(self, features: FloatArray, wider: float = 1.0) -> FloatArray:
         """Return (C, N) of features (N, 4), where the skin's spread is `wider` times as large."""
@@ -122,7 +130,7 @@ def appearance(
     grid = _Grid.of(position, seen)
     known = grid.part > 0.25
     if place is not None:
-        prior = _at_places(grid, place, learned)
+        prior = learned.at_places(grid.mean(place))
     else:
         skin = SURE * (np.ones(known.shape) if share is None else np.clip(grid.mean(share), 0.05, 1.0))
         others = len(learned.share) - 1
@@ -171,10 +179,67 @@ def placed(
     themselves, to be compared between parts of one texture.
     """
     model, grid = AppearanceModel.default(), _Grid.of(position, seen)
-    known, prior = grid.part > 0.25, _at_places(grid, place, model)
+    known, prior = grid.part > 0.25, model.at_places(grid.mean(place))
     log_prior, color = np.log(prior / prior.sum(0)), grid.mean(texture_linear)
     told, hue = _explained(grid, known, color, grid.mean(normal), log_prior, model)
     return _fitting(log_prior[:, known], told[:, known], hue, grid.independent)
+
+
+def beyond_chart(
+    log_color: FloatArray,
+    normal: FloatArray,
+    skin: FloatArray,
+    place: FloatArray,
+    offset_mm: FloatArray,
+    neighbour_mean: sparse.csr_matrix,
+    patch: float,
+) -> FloatArray:
+    """Return the shares (C, N) of the classes at points of a surface that goes on beyond a face's chart.
+
+    The likelihood is that of the chart without grain, relative to the face's own skin, and then to the
+    person's own hair. The prior is that of the nearest point of the chart, and of where hair and clothes are
+    from there: features end within a centimetre, odds of hair grow by e in 30 mm up and back, those of cloth
+    in 30 mm down.
+
+    Parameters
+    ----------
+    log_color : (N, 3)
+        Logarithms of linear colours less those of a model's light; what is left of the light is fitted.
+    normal, skin
+        (N, 3), and how surely (N,) skin by the chart's labels, where it reaches.
+    place, offset_mm
+        Nearest place (N, 2) on the chart (`appearance`), and offset (N, 3) from there in the model's frame.
+    neighbour_mean : (N, N)
+        `geometry.mesh.neighbour_mean` of the surface.
+    patch : float
+        Part of a `PATCH_MM` square that a point stands for.
+    """
+    learned = AppearanceModel.default()
+    mean, covariance = learned.mean[:, :3].copy(), learned.covariance[:, :3, :3].copy()
+    model = replace(learned, mean=mean, covariance=covariance)
+    prior = np.log(model.at_places(place))
+    prior[1:6] -= np.linalg.norm(offset_mm, axis=1) / 10
+    prior[6:] += _HAIR_AND_CLOTH @ offset_mm.T
+    prior -= np.logaddexp.reduce(prior)
+    colors = np.column_stack([log_color.max(-1), log_color[:, ::2] - log_color[:, 1:2]])
+    basis, every = light_basis(normal), -(-len(colors) // 2000)
+    start = np.median(colors[skin >= skin.max() / 2], axis=0)
+    few = colors[::every], basis[::every], prior[:, ::every]
+    light, often, _ = _fitted(*few, start, patch * every, model)
+    colors -= basis @ light
+    any_mean, any_covariance = mean[6].copy(), covariance[6].copy()
+    for _ in range(3):
+        logs = prior + often[:, None] + _POWER * model.log_likelihood(colors)
+        shares = np.exp(logs - np.logaddexp.reduce(logs))
+        # The person's own hair, beside one patch of any hair.
+        weight = patch * shares[6]
+        mean[6] = (weight @ colors + any_mean) / (weight.sum() + 1)
+        off = colors - mean[6]
+        covariance[6] = ((weight * off.T) @ off + any_covariance) / (weight.sum() + 1)
+    for _ in range(5):
+        agreeing = logs + 2 * (neighbour_mean @ shares.T).T
+        shares = np.exp(agreeing - np.logaddexp.reduce(agreeing))
+    return shares
 
 
 def _fitting(log_prior: FloatArray, likelihood: FloatArray, hue: float, independent: float) -> FloatArray:
@@ -184,12 +249,6 @@ def _fitting(log_prior: FloatArray, likelihood: FloatArray, hue: float, independ
     # Places weigh three times as much as the colours' own evidence, by right and wrong textures.
     told = np.array([3 * (here - anywhere), likelihood[0] - anywhere, here]).sum(1)
     return np.asarray(independent * told + (hue, np.log(_HIDDEN), 0.0))
-
-
-def _at_places(grid: _Grid, place: NDArray[np.floating], model: AppearanceModel) -> FloatArray:
-    """Return the shares (C, h, w) of the classes at places (H, W, 2), before they sum to one."""
-    spot = (np.moveaxis(grid.mean(place), -1, 0) * len(model.share[0])) - 0.5
-    return np.maximum([map_coordinates(one, spot, order=1, mode="nearest") for one in model.share], 1e-6)
 
 
 def features_of(
@@ -280,7 +339,7 @@ def _fitted(
     light[0], precision = start, 1 / model.covariance[0, 1, 1]
     # Skin is wider in the first rounds: light is known the less at first.
     for wider in (2.0, 1.5, 1.0, 1.0, 1.0):
-        features = values - np.pad(basis @ light, ((0, 0), (0, 1)))
+        features = values - np.pad(basis @ light, ((0, 0), (0, values.shape[1] - 3)))
         logs = (prior + often[:, None]) + _POWER * model.log_likelihood(features, wider)
         shares = np.exp(logs - np.logaddexp.reduce(logs))
         # A cap or a beard is one event, however large: its share is learned here, against one usual patch.
@@ -290,7 +349,7 @@ def _fitted(
         square = _square(features - model.mean[0], wider**2 * model.covariance[0])
         trust = shares[0] * (_FREEDOM + features.shape[1]) / (_FREEDOM + square)
         light = skin_in_light(basis, values[:, :3], trust * independent * precision, start)
-    features = values - np.pad(basis @ light, ((0, 0), (0, 1)))
+    features = values - np.pad(basis @ light, ((0, 0), (0, values.shape[1] - 3)))
     logs = (prior + often[:, None]) + _POWER * model.log_likelihood(features)
     turned = sum(float((light[1:, c] ** 2 / _LIGHT_SD[c > 0][1:] ** 2).sum()) for c in range(3))
     evidence = np.logaddexp.reduce(logs).sum() * independent + _hue_odds(light[0, 1:]) - turned / 2

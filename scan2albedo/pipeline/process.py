@@ -13,6 +13,7 @@ from types import SimpleNamespace
 from typing import Any, Never
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scan2albedo.albedo import AlbedoEstimate, estimate_albedo
 from scan2albedo.applications.engine_maps import engine_maps
@@ -383,8 +384,10 @@ def without_light(
             evidence = f"{' x '.join(map(str, size))} {'texels' if len(size) == 2 else 'vertices'}"
             what = "whole scan" if options.unlit == "all" else "face"
             steps.append(PlanStep("unlit", True, f"the light is taken off the {what}", evidence))
+            steps.append(_hair_row("unlit.hair", unlit.hair))
     lit = None if fitted is None or estimate is None else (fitted, estimate)
     painted = fitted is not None and fitted.model.template_uv is not None
+    everywhere = unlit if options.unlit == "all" else None
     for name, wanted in (("template_texture", painted), ("maps", options.maps is not None)):
         if not wanted:
             continue
@@ -395,17 +398,18 @@ def without_light(
             steps.append(PlanStep.wrong(name, f"{name} is left out: {late}", left))
         else:
             # A template may reach beyond the face, so its texture has no light anywhere.
-            everywhere = unlit if options.unlit == "all" else None
-            colors = (everywhere or unlit_scan(scan, *lit, "all")).scan
+            everywhere = everywhere or unlit_scan(scan, *lit, "all")
             if name == "maps":
-                baked = engine_maps(colors, *lit, str(options.maps), options.texture_size)
+                baked = engine_maps(everywhere.scan, *lit, str(options.maps), options.texture_size)
                 more["maps_of_skin"], reason = baked, f"asked for, on the {options.maps}"
             else:
-                baked = template_texture(colors, lit[0], options.texture_size)
+                baked = template_texture(everywhere.scan, lit[0], options.texture_size, everywhere)
                 more["template"], reason = baked, "the template has texture coordinates"
             seen = sum(float(tile.seen.mean()) for tile in baked.tiles) / max(len(baked.tiles), 1)
             evidence = f"{len(baked.tiles)} tile(s), {seen:.0%} of their texels seen"
             steps.append(PlanStep(name, True, reason, evidence))
+            if name == "template_texture":
+                steps.append(_hair_row("template_texture.hair", everywhere.hair))
     carriers = [name for name in more if name == "template" or options.maps != "scan"]
     if carriers and lit is not None and "eyes" in options.skip:
         steps.append(PlanStep("eyes", False, "skipped by the caller"))
@@ -416,3 +420,10 @@ def without_light(
             more[name] = on_template(inside, lit[0], usual_light(lit[1]), more[name])
         steps.append(PlanStep("eyes", bool(inside.eyes), inside.reason))
     return {"unlit": unlit, **more}, steps
+
+
+def _hair_row(stage: str, hair: NDArray[np.floating] | None) -> PlanStep:
+    if hair is None:
+        return PlanStep(stage, False, "no hair, beard or brows are found: nothing is kept apart")
+    reason = "hair, beard and brows as they were lit are kept apart"
+    return PlanStep(stage, True, reason, f"{hair.mean():.0%} of the colours")

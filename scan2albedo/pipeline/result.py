@@ -58,8 +58,13 @@ FILES = OwnFiles(
         *("sequence.glb", "frames.npz", "coefficients.json", "linear_model.npz"),
         *sorted(_LEFT_OUT),
         *(f"{mesh}{end}" for mesh in ("template", "unlit", "maps") for end in _MESH),
-        *("unlit_confidence.png", "unlit_confidence.*.png", "maps.usda"),
-        *(f"{name}{end}" for name in ("template_normal", *_MAPS) for end in (".png", ".*.png")),
+        "maps.usda",
+        *(f"unlit_{name}{end}" for name in ("confidence", "hair") for end in (".png", ".*.png")),
+        *(
+            f"{name}{end}"
+            for name in ("template_normal", "template_hair", *_MAPS)
+            for end in (".png", ".*.png")
+        ),
         *("maps_displacement.exr", "maps_displacement.*.exr"),
     ),
     whole_folder=True,
@@ -287,10 +292,12 @@ def write_result(
 def write_unlit(folder: Path, unlit: UnlitScan, samples: type = np.uint8, *, exr: bool = False) -> None:
     """Write the unlit scan: OBJ in the unit of the scan's file, GLB in metres, both in the scan's own frame.
 
-    Pictures, of uint8 or uint16 `samples`, and coordinates stay, with a picture of how sure each texel is;
-    without them colours of vertices. `exr`: the pictures as linear EXR, too.
+    Pictures, of uint8 or uint16 `samples`, and coordinates stay, with a picture of how sure each texel is,
+    and one of hair, where there is some, as it was lit, alpha: how surely hair; without them colours of
+    vertices. `exr`: the pictures as linear EXR, too.
     """
     scan, uv, texture = unlit.scan, unlit.scan.uv, unlit.scan.texture_linear
+    lit = None if unlit.lit is None or unlit.hair is None else unlit.lit.texture_linear
     if uv is None or texture is None:
         mesh = TexturedMesh(scan.vertices, scan.faces, vertex_color_linear=scan.vertex_color_linear)
     else:
@@ -302,16 +309,27 @@ def write_unlit(folder: Path, unlit: UnlitScan, samples: type = np.uint8, *, exr
             own_uv[chosen] = tile.own_uv(uv[chosen], whole)
             place = np.s_[tile.top : tile.top + tile.height, tile.left : tile.left + tile.width]
             write_png(folder / f"unlit_confidence.{number}.png", confidence[place])
+            if lit is not None and unlit.hair is not None:
+                _write_hair(folder / f"unlit_hair.{number}.png", lit[place], unlit.hair[place], samples)
             picture = _encoded(folder / f"unlit.{number}.exr", texture[place], samples, exr)
             pictures.append(MeshPicture(f"unlit.{number}.png", picture, chosen))
         if not pictures:
             write_png(folder / "unlit_confidence.png", confidence)
+            if lit is not None and unlit.hair is not None:
+                _write_hair(folder / "unlit_hair.png", lit, unlit.hair, samples)
             every = np.ones(len(scan.faces), bool)
             picture = _encoded(folder / "unlit.exr", texture, samples, exr)
             pictures.append(MeshPicture("unlit.png", picture, every))
         mesh = TexturedMesh(scan.vertices, scan.faces, own_uv, tuple(pictures))
     write_textured_obj(folder / "unlit.obj", mesh, mm_per_unit=scan.mm_per_unit)
     write_textured_glb(folder / "unlit.glb", mesh)
+
+
+def _write_hair(file: Path, linear: NDArray[np.floating], share: NDArray[np.floating], samples: type) -> None:
+    picture: NDArray[Any] = np.empty((*share.shape, 4), samples)
+    encode_srgb_integers(linear, samples, picture[..., :3])
+    picture[..., 3] = baking.integers(share, samples)
+    write_png(file, picture)
 
 
 def _encoded(exr_file: Path, linear: NDArray[np.float32], samples: type, exr: bool) -> bytes:
@@ -362,6 +380,8 @@ def write_template(
                 np.dstack([color[..., :3], ~inside * color.dtype.type(np.iinfo(samples).max)]), ".png"
             )
         del color  # beside the next tile's normals it would be the most that is kept
+        if tile.hair is not None:
+            _write_hair(folder / f"{stem}_hair{end}", tile.hair[..., :3], tile.hair[..., 3], samples)
         if tile.maps:
             write_png(
                 folder / f"{stem}_normal_directx{end}", baking.normal_bytes(tile.normal * (1, -1, 1), samples)

@@ -1,0 +1,167 @@
+"""What an unlit scan is beyond the face: skin without a step at the rim, and hair kept apart."""
+
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+import scan2albedo as s2a
+from scan2albedo.applications.light_removal import scan_on_chart, unlit_scan
+from scan2albedo.face_model.appearance import CLASSES, AppearanceModel, beyond_chart
+from scan2albedo.geometry.loop_subdivision import SurfacePoints
+from scan2albedo.geometry.mesh import neighbour_mean
+from scan2albedo.geometry.rasterization import interpolate, pixels_from_uv, rasterize
+from scan2albedo.io.images import read_image_linear, read_image_values
+
+BESIDE = 0.05, 0.95
+
+
+@pytest.fixture(scope="module")
+def result(shared_data, tmp_path_factory):
+    """Of a path-traced head with black hair between a window and a lamp of another colour; the model's own
+    control mesh is the template."""
+    file, out = shared_data / "real_skin" / "d_window_lamp.obj", tmp_path_factory.mktemp("out")
+    model = s2a.AnnotatedFaceModel.default()
+    face, corner = np.zeros((2, len(model.control_vertices)), np.int64)
+    for number, triangle in enumerate(model.control_faces):
+        face[triangle], corner[triangle] = number, np.arange(3)
+    template = {
+        "template_points": SurfacePoints(face, np.eye(3)[corner]),
+        "template_faces": model.control_faces,
+        "template_uv": model.uv[model.control_faces],
+    }
+    options = {"unlit": "all", "size": 256, "quality": "draft", "pictures": False, "texture_size": 256}
+    return s2a.process(file, out, model=replace(model, **template, name="mine"), **options)
+
+
+@pytest.fixture(scope="module")
+def texels(result, shared_data):
+    """True log albedo of the texels (N, 3), their weight on the face, and which they are."""
+    scan = result.scan
+    shape = scan.texture_linear.shape[:2]
+    picture = read_image_linear(shared_data / "real_skin" / "d_window_lamp_albedo.png")
+    true = cv2.resize(picture, shape[::-1], interpolation=cv2.INTER_LINEAR)
+    corners = pixels_from_uv(scan.uv.reshape(-1, 2), shape)
+    index = np.arange(len(corners)).reshape(-1, 3)
+    raster = rasterize(corners, np.zeros(len(corners)), index, shape)
+    own = scan_on_chart(scan, result.fitted, result.albedo.image)[1][scan.faces].reshape(-1, 1)
+    light = scan.texture_linear.max(-1) / np.maximum(true.max(-1), 1e-3)
+    there = raster.covered & (true.min(-1) > 0.01) & (light > 0.03 * np.median(light[raster.covered]))
+    return np.log(true[there]), interpolate(raster, index, own)[..., 0][there], there
+
+
+def test_skin_beyond_the_face_has_the_faces_colour(result, texels):
+    log_true, weight, there = texels
+    usual = np.median(log_true[weight > 0.99], axis=0)
+    skin = np.abs(log_true - usual).max(-1) < 0.5
+    beyond, face = skin & (weight < 0.01), skin & (weight > 0.99)
+    errors, steps = {}, {}
+    of_face = unlit_scan(result.scan, result.fitted, result.albedo)
+    for name, scan in (("lit", result.scan), ("face", of_face.scan), ("all", result.unlit.scan)):
+        off = np.log(np.maximum(scan.texture_linear[there], 1e-4)) - log_true
+        off -= np.median(off[face], axis=0)
+        errors[name] = np.median(np.abs(off[beyond]).max(-1))
+        # Across the rim: texels that just belong to the face, and those that wholly do.
+        steps[name] = np.abs(np.median(off[skin & (weight < BESIDE[0])], axis=0)).max()
+    assert errors["all"] < 0.3 < errors["face"] < 0.75 * errors["lit"]
+    assert steps["all"] < 0.2
+    # The last one is that of `all`: misplaced outlines of shadows, on ears and neck, are gone.
+    assert np.percentile(np.abs(off[beyond]).max(-1), 90) < 0.65
+    # On the face nothing depends on what is done beyond.
+    np.testing.assert_allclose(
+        of_face.scan.texture_linear[there][weight > 0.999],
+        result.unlit.scan.texture_linear[there][weight > 0.999],
+        rtol=0.2,
+        atol=0.02,
+    )
+
+
+def test_hair_is_found_beyond_the_chart_and_skin_is_not_hair(result, texels):
+    log_true, weight, there = texels
+    usual = np.median(log_true[weight > 0.99], axis=0)
+    share = result.unlit.hair[there]
+    beyond = weight < 0.01
+    dark = beyond & (log_true.max(-1) < usual.max() - 1)
+    skin = beyond & (np.abs(log_true - usual).max(-1) < 0.5)
+    assert dark.sum() > 1000 < skin.sum()
+    assert np.mean(share[dark] > 0.5) > 0.8
+    assert np.mean(share[skin] > 0.5) < 0.05
+
+
+def test_hairs_file_holds_its_lit_colours_and_how_surely_it_is_hair(result):
+    picture = read_image_values(result.out / "unlit_hair.png", alpha=True)
+    assert picture.shape[2] == 4
+    np.testing.assert_allclose(picture[..., 3] / 255, np.clip(result.unlit.hair, 0, 1), atol=0.003)
+    lit = read_image_linear(result.out / "unlit_hair.png")
+    np.testing.assert_allclose(lit[..., :3], np.clip(result.scan.texture_linear, 0, 1), atol=0.01)
+    record = json.loads((result.out / "result.json").read_text())
+    assert "unlit_hair.png" in record["files"]
+    assert next(step for step in record["plan"] if step["stage"] == "unlit.hair")["ran"]
+
+
+def test_a_template_has_hair_of_its_own(result):
+    (tile,) = result.template.tiles
+    assert tile.hair.shape == (256, 256, 4)
+    picture = read_image_values(result.out / "template_hair.png", alpha=True)
+    np.testing.assert_allclose(picture[..., 3] / 255, np.clip(tile.hair[..., 3], 0, 1), atol=0.003)
+    # Its chart is the face's: brows are hair, cheeks are not, and hair has the scan's own colours.
+    labels = result.geometry_image.labels
+    brow, skin = (cv2.erode((labels == k).astype(np.uint8), np.ones((5, 5))) > 0 for k in (2, 1))
+    assert np.mean(tile.hair[..., 3][brow] > 0.5) > 0.9
+    assert np.mean(tile.hair[..., 3][skin] > 0.5) < 0.02
+    lit = result.geometry_image.texture_linear
+    assert np.abs(tile.hair[..., :3] - lit)[brow].mean() < 0.5 * np.abs(tile.color_linear - lit)[brow].mean()
+
+
+def surface(direction):
+    """A surface that goes on for 8 cm beyond a point of the chart: offsets, and the mean of neighbours."""
+    v = np.repeat(np.arange(21) * 4.0, 21)
+    index = np.arange(21 * 21).reshape(21, 21)
+    faces = np.concatenate(
+        [
+            np.stack([index[:-1, :-1], index[1:, :-1], index[:-1, 1:]], -1).reshape(-1, 3),
+            np.stack([index[1:, 1:], index[:-1, 1:], index[1:, :-1]], -1).reshape(-1, 3),
+        ]
+    )
+    offset = v.reshape(-1, 1) * np.asarray(direction, float)
+    return offset, neighbour_mean(len(offset), faces)
+
+
+def shares_of(far, direction, place):
+    """Shares of the classes where colours differ from skin's by `far` (3,) beyond 4 cm."""
+    offset, mean = surface(direction)
+    beyond = np.linalg.norm(offset, axis=1) >= 40
+    rng = np.random.default_rng(0)
+    color = (
+        np.array([-1.0, -1.5, -1.8]) + 0.02 * rng.standard_normal((len(offset), 3)) + beyond[:, None] * far
+    )
+    normal, places = np.tile([0.0, 0, 1], (len(offset), 1)), np.tile(place, (len(offset), 1))
+    skin = (np.linalg.norm(offset, axis=1) < 20) * 1.0
+    return beyond_chart(color, normal, skin, places, offset, mean, (4 / 30) ** 2), beyond
+
+
+def test_dark_is_hair_above_the_forehead_and_white_is_cloth_below_the_chin():
+    hair, cloth = CLASSES.index("hair") - 1, CLASSES.index("cloth") - 1
+    found, beyond = shares_of([-2.2, -1.8, -1.5], (0, 1, 0), (0.02, 0.5))
+    assert found.shape == (len(AppearanceModel.default().share), len(beyond))
+    np.testing.assert_allclose(found.sum(0), 1)
+    assert np.median(found[hair, beyond]) > 0.9
+    assert np.median(found[0, ~beyond]) > 0.9
+    found, beyond = shares_of([0.7, 1.2, 1.5], (0, -1, 0), (0.98, 0.5))
+    assert np.median(found[cloth, beyond]) > 0.9
+    even, _ = shares_of([0, 0, 0], (0, 1, 0), (0.02, 0.5))
+    assert even[0].min() > 0.9
+
+
+def test_the_exposure_of_the_scan_decides_nothing():
+    found, _ = shares_of([-2.2, -1.8, -1.5], (0, 1, 0), (0.02, 0.5))
+    offset, mean = surface((0, 1, 0))
+    rng = np.random.default_rng(0)
+    beyond = np.linalg.norm(offset, axis=1)[:, None] >= 40
+    color = np.array([-1.0, -1.5, -1.8]) + 0.02 * rng.standard_normal((len(offset), 3))
+    color += beyond * np.array([-2.2, -1.8, -1.5]) - 1.3
+    rest = np.tile([0.0, 0, 1], (len(offset), 1)), (np.linalg.norm(offset, axis=1) < 20) * 1.0
+    darker = beyond_chart(color, *rest, np.tile((0.02, 0.5), (len(offset), 1)), offset, mean, (4 / 30) ** 2)
+    np.testing.assert_allclose(darker, found, atol=0.02)
