@@ -3,9 +3,9 @@
     python tools/make_gallery.py [-o docs/images/gallery]
     python tools/make_gallery.py --scan SCAN -o FOLDER
 
-Without SCAN everything is made by the package: its synthetic people and the examples; a minute of CPU. With
-it: what became of the scan (scan.jpg), the scan beside itself without its light (unlit.jpg), and the maps of
-a skin material (maps.jpg).
+Without SCAN everything is made by the package: its synthetic people, a linear model of them, synthetic
+eyeglasses and the examples; two minutes of CPU. With it: what became of the scan (scan.jpg), the scan beside
+itself without its light (unlit.jpg), and the maps of a skin material (maps.jpg).
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ from __future__ import annotations
 import argparse
 import runpy
 import tempfile
+from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +22,7 @@ import trimesh
 from make_readme_picture import (
     FINER,
     FLASH,
+    GAP,
     HEIGHT,
     QUALITY,
     TILT_DEG,
@@ -31,20 +34,35 @@ from make_readme_picture import (
     smaller,
 )
 from PIL import Image
+from scipy.special import expit
 
 import scan2albedo as s2a
 from scan2albedo.applications.template_baking import integers, normal_bytes
+from scan2albedo.core.arrays import FloatArray
+from scan2albedo.eyeglasses import KEY_POINT_NAMES, propose_keypoints
+from scan2albedo.face_model import default_model
+from scan2albedo.face_model.variation import EXPRESSION_BUMPS, displacement, identity_modes
+from scan2albedo.geometry.mesh import join
+from scan2albedo.geometry.pinhole import look_at
+from scan2albedo.geometry.rasterization import bilinear, pixels_from_uv
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.pipeline.result import ProcessResult
-from scan2albedo.rendering.pictures import View, render_mesh
-from scan2albedo.synthetic import Scanner
+from scan2albedo.rendering.pictures import DISTANCE_MM, View, auto_exposure, heat_colors, render_mesh
+from scan2albedo.report.eyeglasses_views import key_point_chart
+from scan2albedo.synthetic import GlassesBend, Scanner, eyeglasses
 
 ROOT = Path(__file__).resolve().parents[1]
 OUT = ROOT / "docs" / "images" / "gallery"
 SIDE_DEG = 40.0
 """Of the second view of a scan."""
 SEED = 6
+LAMP = s2a.PointLight(np.deg2rad(20), np.deg2rad(10), intensity=2.0)
+"""In front of eyes, where neither brow nor nose shades them."""
+EYES_MM, MOUTH_MM, MOUTH_PITCH_DEG = 108.0, 62.0, 12.0
+"""Widths of the pictures of both eyes and of a mouth, and how far the latter is seen from below."""
+JAW_MM = np.array([0.0, -17.0, -6.0])
+"""How far chin and lower lip move as the jaw opens."""
 Panels = list[tuple[str, Pixels]]
 
 
@@ -53,22 +71,35 @@ def main() -> None:
     parser.add_argument("-o", "--out", type=Path, default=OUT)
     parser.add_argument("--scan", type=Path)
     given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    linear_model = None
     if given.scan is not None:
         scan = s2a.load_scan(given.scan)
     else:
         scanner = Scanner(rotation_max_deg=TILT_DEG)
         scan, _ = s2a.synthetic.raw_scan(SEED, lights=[FLASH], scanner=scanner)
-    result = s2a.process(scan, unlit="all", maps="chart", texture_size=HEIGHT, seed=0)
-    pictures = {"scan": panels(result), "unlit": unlit_panels(result), "maps": maps_panels(result)}
-    if given.scan is None:
-        del pictures["scan"]  # README's picture
-        with tempfile.TemporaryDirectory() as folder:
-            pictures |= example_panels(Path(folder))
-    given.out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as name:
+        if given.scan is None:
+            linear_model = Path(name) / "people.npz"
+            write_linear_model(linear_model)
+        size = 2 * HEIGHT
+        result = s2a.process(
+            scan, unlit="all", maps="chart", texture_size=size, seed=0, linear_model=linear_model
+        )
+        pictures = {"scan": panels(result), "unlit": unlit_panels(result), "maps": maps_panels(result)}
+        if given.scan is None:
+            del pictures["scan"]  # README's picture
+            pictures["eyes_and_mouth"] = [*eyes_panels(result), mouth_panel(result)]
+            pictures["blendshapes"] = linear_model_panels(result)
+            pictures |= example_panels(Path(name))
+            save(given.out / "key_points.jpg", key_points_picture())
     for name, made in pictures.items():
-        file = given.out / f"{name}.jpg"
-        sheet(made).save(file, quality=QUALITY, optimize=True)
-        print(f"{file}: {file.stat().st_size / 1000:.0f} kB")
+        save(given.out / f"{name}.jpg", sheet(made))
+
+
+def save(file: Path, picture: Image.Image) -> None:
+    picture.save(file, quality=QUALITY, optimize=True)
+    print(f"{file}: {file.stat().st_size / 1000:.0f} kB")
 
 
 def unlit_panels(result: ProcessResult) -> Panels:
@@ -94,6 +125,123 @@ def maps_panels(result: ProcessResult) -> Panels:
     for name in ("displacement", "cavity", "occlusion", "specular"):
         shown[name] = np.repeat(integers(grey[name])[..., None], 3, axis=-1)
     return [(name, smaller(pixels)) for name, pixels in shown.items()]
+
+
+def eyes_panels(result: ProcessResult) -> Panels:
+    """Return a pair of eyes as a texture, and as eyeballs behind the lids, from the front and from a side."""
+    face = s2a.applications.load_result(result)
+    relit = s2a.applications.relight(face, [LAMP], ambient=0.6)
+    painted = replace(relit, face=replace(relit.face, inside=None))
+    assert face.landmarks is not None
+    middle, shape, made = face.landmarks[36:48].mean(0), (HEIGHT, 2 * HEIGHT - GAP), []
+    for title, shown, yaw_deg in (
+        ("the eyes in the texture", painted, 0.0),
+        ("eyeballs behind the lids", relit, 0.0),
+        ("and from the side", relit, 0.7 * SIDE_DEG),
+    ):
+        toward = s2a.PointLight(np.deg2rad(yaw_deg), 0.0).direction
+        focal_px = DISTANCE_MM * shape[1] / EYES_MM
+        camera = look_at(middle + DISTANCE_MM * toward, middle, focal_px=focal_px, shape=shape)
+        made.append((title, shown.picture(camera, shape=shape, samples=FINER).srgb()))
+    return made
+
+
+def mouth_panel(result: ProcessResult) -> tuple[str, Pixels]:
+    """Return the mouth, its jaw opened by a blendshape."""
+    assert result.linear_model is not None
+    assert result.template is not None
+    assert result.template.landmarks is not None
+    targets = result.linear_model.neutral_and_targets()[1]
+    x, y, z = result.template.vertices[result.template.landmarks[48:68]].mean(0) + JAW_MM / 2
+    view = View((x, y, z), MOUTH_MM / 2, pitch_deg=MOUTH_PITCH_DEG)
+    return "a mouth opened", template_picture(result, targets["jawOpen"], view)
+
+
+def linear_model_panels(result: ProcessResult) -> Panels:
+    """Return a scan, the linear model on it, what that leaves, and blendshapes of this person."""
+    fit, fitted = result.linear_model, result.fitted
+    assert fit is not None
+    assert fitted is not None
+    targets = fit.neutral_and_targets()[1]
+    view = View.around(np.concatenate([fit.vertices, fit.vertices + targets["jawOpen"]]))
+    upright = transform_points(fitted.model_from_scan, result.scan.vertices)
+    mesh, size = (fit.vertices, fit.model.faces), FINER * HEIGHT
+    left = heat_colors(fit.residual_mm, 0, 1)
+    made = [
+        ("a scan", scan_picture(result.scan, upright, view)),
+        ("model on it", smaller(render_mesh(*mesh, view=view, size=size))),
+        (
+            "0 to 1 mm off",
+            smaller(render_mesh(*mesh, vertex_color_srgb=left, view=view, size=size, shaded=False)),
+        ),
+    ]
+    for name in ("smile", "mouthPucker", "jawOpen"):
+        made.append((name, template_picture(result, targets[name], view)))
+    return [(title, narrow(pixels)) for title, pixels in made]
+
+
+def template_picture(result: ProcessResult, move: FloatArray, view: View) -> Pixels:
+    """Return the linear model's mesh at rest with its texture, eyes and mouth, moved by a blendshape."""
+    made, fit = result.template, result.linear_model
+    assert made is not None
+    assert fit is not None
+    assert made.cut_mm is not None
+    assert made.landmarks is not None
+    (tile,) = made.tiles
+    uv = np.zeros((len(made.vertices), 2))
+    uv[made.faces] = made.uv
+    skin = bilinear(tile.color_linear, pixels_from_uv(uv, tile.seen.shape))
+    parts = [(fit.neutral_and_targets()[0] + move, made.faces[~(made.cut_mm[made.faces] > 0).all(1)])]
+    colors = [skin]
+    for part in made.parts:
+        follows = np.zeros((len(part.vertices), 68)) if part.follows is None else part.follows
+        parts.append((part.vertices + follows @ move[made.landmarks], part.faces))
+        colors.append(np.broadcast_to(part.color_linear, part.vertices.shape))
+    bright = np.clip(auto_exposure(skin) * np.concatenate(colors), 0, 1)
+    srgb = encode_srgb_bytes(bright[None])[0] / 255
+    return smaller(render_mesh(*join(parts), vertex_color_srgb=srgb, view=view, size=FINER * HEIGHT))
+
+
+def write_linear_model(file: Path) -> None:
+    """Write a linear model of the synthetic people, with blendshapes, one of which opens the lips."""
+    model = default_model()
+    rest, marks, fine = model.control_vertices, model.landmarks, model.subdivision(3)
+    assert marks is not None
+    vertices, region = fine.matrix @ rest, model.region[fine.parent]
+    moves = {}
+    for name, kind in (("smile", "smile"), ("mouthPucker", "pout"), ("cheekPuff", "puff")):
+        moves[name] = fine.matrix @ sum(displacement(bump, rest, marks) for bump in EXPRESSION_BUMPS[kind])
+    # How far vertices lie below the line between the lips, mm: the jaw takes them along.
+    x, y, _ = vertices.T
+    upper, lower = marks[60:65], marks[[60, 67, 66, 65, 64]]
+    below = np.interp(x, upper[:, 0], (upper + lower)[:, 1] / 2) - y
+    for name, side in (("upper_lip", -1), ("lower_lip", 1)):
+        of_lip = np.unique(fine.faces[region == model.regions[name].index])
+        below[of_lip] = side * np.maximum(np.abs(below[of_lip]), 1)
+    away = np.abs(x) / upper[-1, 0]  # 1 at the corners of the mouth
+    share = expit(below / (0.3 + 2 * away**3)) * np.exp(-((away / 2.5) ** 4))
+    moves["jawOpen"] = share[:, None] * JAW_MM
+    np.savez(
+        file,
+        mean=vertices,
+        basis=np.stack([fine.matrix @ mode for mode in identity_modes(model)], -1),
+        faces=fine.faces[region != model.regions["between_lips"].index],
+        uv=model.refined_uv(3),
+        expression_basis=np.stack(list(moves.values()), -1),
+        expression_names=np.array(list(moves)),
+    )
+
+
+def key_points_picture() -> Image.Image:
+    """Return the key points proposed for a bent frame, each with its deviation."""
+    frame = eyeglasses(SEED, bend=GlassesBend(6.0, 2.0, 3.0))
+    found = propose_keypoints((frame.vertices, frame.faces))
+    deviations = dict(zip(KEY_POINT_NAMES, found.deviation.tolist(), strict=True))
+    mesh = s2a.RawScan(frame.vertices, frame.faces)
+    written = BytesIO()
+    key_point_chart(mesh, found.points, deviations).savefig(written, format="png", dpi=80)
+    with Image.open(written) as picture:
+        return picture.convert("RGB")
 
 
 def example_panels(folder: Path) -> dict[str, Panels]:
