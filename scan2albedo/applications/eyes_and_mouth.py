@@ -32,7 +32,7 @@ SIZES_MM: dict[str, Any] = {
     "globe": (12.0, 0.5), "iris": (5.85, 0.25), "cornea": 7.8, "pupil": 1.75, "ring": 0.25,
     "lid": (1.0, 0.7), "film": 2.0, "edge": 0.35, "aim": (0.36, 0.4),
     "outline": (0.8, 0.8, 0.8, 0.8, 1.5, 1.0, 1.2, 1.0, 2.5, 1.5, 0.25),
-    "lip": 8.0, "tooth": 7.5, "mouth": (22.0, 14.0, 40.0),
+    "lip": 8.0, "tooth": 7.5, "mouth": (29.0, 16.0, 40.0),
 }  # fmt: skip
 """Radii of an adult's eyeball [1]_ and iris [2]_, mean and deviation among people, of the cornea [3]_, and of
 a pupil in a room; steps of an eyeball's colours. How far a lid's rim, as a scan shows it, lies above the
@@ -63,8 +63,8 @@ iris's rim, as a part of the iris's."""
 def eyeball_mesh(eye: Eyeball) -> GlbPart:
     """Return an eyeball as a mesh: a sphere with the cornea's cap on it, one surface."""
     edge = math.asin(eye.iris_mm / eye.radius_mm)
-    behind = np.linspace(1.6 * edge, math.pi - 1e-3, 14)
-    polar = np.concatenate([np.linspace(1e-3, 1.6 * edge, 48), behind[1:]])
+    behind = np.linspace(1.6 * edge, math.pi - 1e-4, 20)
+    polar = np.concatenate([np.linspace(1e-4, 1.6 * edge, 48), behind[1:]])
     around = np.linspace(0, 2 * math.pi, 48, endpoint=False)
     # Where the cornea, a sphere about a point on the gaze, stands out of the eyeball.
     axial = math.sqrt(eye.radius_mm**2 - eye.iris_mm**2) - math.sqrt(SIZES_MM["cornea"] ** 2 - eye.iris_mm**2)
@@ -286,6 +286,7 @@ class _Opening:
 
         def off(globe: FloatArray) -> FloatArray:
             above = np.linalg.norm(rim - globe[:3], axis=1) - globe[3] - lid
+            above[above < 0] /= 3  # scans have dents at eyes, and no bumps
             return np.array([*above, *globe[:2] - middle, (globe[3] - usual) * unsure / spread]) / unsure
 
         return least_squares(off, [*middle, rim[:, 2].mean() - usual, usual]).x
@@ -295,12 +296,14 @@ class _Opening:
         ring, pupil_mm = SIZES_MM["ring"], SIZES_MM["pupil"]
         away, tone = ring * np.arange(math.ceil((iris_mm + 1) / ring) + 1), self.skin[0] * (1, 0, 0)
         # Lids shade the eye, and no light that was found does: what the white lacks all of the eye lacks.
-        white = np.exp(_log_rgb(tone + LOOKS["white"][0] + (LOOKS["shade"], 0, 0)))
+        usual = tone + LOOKS["white"][0] + (LOOKS["shade"], 0, 0)
+        brighter = not hole and self.classes[0, 0, 0] > usual[0]
+        white = np.exp(_log_rgb(self.classes[0, 0] if brighter else usual))
         off, within = np.hypot(*(self.place[:, :2] - iris_xy).T), _inside(self.outlines[hole], self.place)
         colored = (off > pupil_mm) & (off < iris_mm - 1) & (within[:2].min(0) > 1)
         iris = white * LOOKS["brown"]
         if not hole and colored.any():
-            shade = LOOKS["shade"] + (tone + LOOKS["white"][0] - self.classes[0, 0])[0]
+            shade = max(usual[0] - self.classes[0, 0, 0], 0.0)
             iris = np.exp(_log_rgb(np.median(self.color[colored], axis=0)) + shade)
         made = LOOKS["pupil"] * white + np.zeros((len(away), 1))
         changes = (pupil_mm, iris), (iris_mm - 3 * ring, iris * LOOKS["limbus"]), (iris_mm, white)
@@ -362,10 +365,10 @@ def _mouth(face: ProcessedFace, landmarks: FloatArray, white: FloatArray) -> lis
     angle = math.pi - 2 * math.pi * around
     circle = np.stack([np.cos(angle), np.sin(angle)], -1)
     lip_mm, (*half, depth) = SIZES_MM["lip"], SIZES_MM["mouth"]
-    wide = smoothstep(depth * back / lip_mm)
-    start = blend @ rim + np.column_stack([circle * lip_mm / 2, np.full(len(circle), -lip_mm / 2)])
+    wide = smoothstep(2 * depth * back / lip_mm)
+    start = blend @ rim + lip_mm / 4 * np.column_stack([circle * (0, 2), np.full(len(circle), -4)])
     xy = (1 - wide) * start[:, :2] + wide * (middle[:2] + np.sqrt(1 - back**2) * half * circle)
-    z = (1 - wide) * start[:, 2:] + wide * (rim[:, 2].min() - lip_mm / 2) - depth * back
+    z = (1 - back) * start[:, 2:] + back * middle[2] - depth * back
     bag = np.concatenate([xy, np.broadcast_to(z, (*xy.shape[:2], 1))], -1)
     follows = np.zeros((*bag.shape[:2], 68))
     follows[..., LANDMARKS["lips"]] = (1 - wide) * blend
@@ -375,7 +378,7 @@ def _mouth(face: ProcessedFace, landmarks: FloatArray, white: FloatArray) -> lis
     red = np.median(face.albedo_linear[lips], axis=0) if lips.any() else white * (0.5, 0.25, 0.2)
     faces = grid_faces(*bag.shape[:2], wrap=True)
     gums = 0.7 * red
-    colors = np.tile(gums, (bag[..., 0].size, 1))
+    colors = np.repeat((1 - 0.8 * np.sqrt(back[:, 0])) * gums, len(around), axis=0)  # dark inside
     parts = [_wet("mouth", bag.reshape(-1, 3), faces, colors, follows.reshape(-1, 68))]
     # Each row of teeth: half an ellipse from gums over the edges and back to the gums.
     turn = np.radians(np.linspace(-75, 75, 121))

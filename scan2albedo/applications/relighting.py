@@ -138,8 +138,8 @@ class RelitFace:
             self.face.mesh,
             self.face.image.occluder_mesh(),
         )
-        if len(vertices) == len(own.uv):  # what is cut away casts no shadow on what is behind it
-            gone = bilinear(cut_mm[..., None], pixels_from_uv(own.uv, cut_mm.shape))[:, 0] > 0
+        if len(vertices) == len(own.uv):  # what is cut away, with its ragged edge, casts no shadow behind it
+            gone = bilinear(cut_mm[..., None], pixels_from_uv(own.uv, cut_mm.shape))[:, 0] > -0.5
             faces = faces[~gone[faces].any(1)]
         caster = RayCaster(vertices, faces) if self.face.casts_shadows else None
         # Both sides of the bag of a mouth are seen.
