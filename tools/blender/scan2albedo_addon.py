@@ -128,12 +128,13 @@ def _pose(folder: Path) -> Matrix:
 
 
 def _imported(file: Path, name: str) -> list[bpy.types.Object]:
-    """Return the meshes of a file: the first is called `name`, others get numbers."""
+    """Return the meshes of a file: called `name`, with numbers; eyes and mouth by what they are, too."""
     before = set(bpy.data.objects)
     bpy.ops.import_scene.gltf(filepath=str(file))
     new = [item for item in bpy.data.objects if item not in before and item.type == "MESH"]
     for item in new:
-        item.name = name
+        part = item.name.partition(".")[0]
+        item.name = f"{name}, {part}" if part.startswith(("eye_", "mouth", "teeth_")) else name
     return new
 
 
