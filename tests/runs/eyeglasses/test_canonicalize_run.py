@@ -335,7 +335,7 @@ def test_usage_errors_and_nothing_done_are_2(done, tmp_path, monkeypatch):
     assert answer.stderr.count("error:") == 2
     assert "none.stl" in answer.stderr
     assert "no frame" not in answer.stderr
-    assert list(out.iterdir()) == []
+    assert not out.exists()
     missing = run(monkeypatch, first, "-o", out, "--mean", tmp_path / "none.json")
     assert missing.exit_code == 2
     assert "none.json" in missing.stderr
