@@ -131,7 +131,7 @@ def eyes_panels(result: ProcessResult) -> Panels:
     """Return a pair of eyes as a texture, and as eyeballs behind the lids, from the front and from a side."""
     face = s2a.applications.load_result(result)
     relit = s2a.applications.relight(face, [LAMP], ambient=0.6)
-    painted = replace(relit, face=replace(relit.face, inside=None))
+    painted = replace(relit, face=replace(relit.face))
     assert face.landmarks is not None
     middle, shape, made = face.landmarks[36:48].mean(0), (HEIGHT, 2 * HEIGHT - GAP), []
     for title, shown, yaw_deg in (

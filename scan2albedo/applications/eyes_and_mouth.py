@@ -14,6 +14,7 @@ from scipy.special import expit
 from scan2albedo.applications.face_features import FLOOR, named_texels, without_catchlights
 from scan2albedo.applications.processed_face import Eyeball, EyesAndMouth, ProcessedFace
 from scan2albedo.applications.template_baking import REACH_MM, TemplateTexture
+from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import FloatArray, IntArray, smoothstep
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.closest_points import surface_query
@@ -31,7 +32,7 @@ even where lips touch; chin and lower lip, between which the lower teeth move.""
 SIZES_MM: dict[str, Any] = {
     "globe": (12.0, 0.5), "iris": (5.85, 0.25), "cornea": 7.8, "pupil": 1.75, "ring": 0.25,
     "lid": (1.0, 0.7), "film": 2.0, "edge": 0.35, "aim": (0.36, 0.4),
-    "outline": (0.8, 0.8, 0.8, 0.8, 1.5, 1.0, 1.2, 1.0, 2.5, 1.5, 0.25),
+    "outline": (0.8, 0.8, 0.8, 0.8, 1.5, 1.0, 1.2, 1.0, 2.5, 1.5, 0.15),
     "lip": 8.0, "tooth": 7.5, "mouth": (29.0, 16.0, 40.0),
 }  # fmt: skip
 """Radii of an adult's eyeball [1]_ and iris [2]_, mean and deviation among people, of the cornea [3]_, and of
@@ -101,13 +102,14 @@ def eyes_and_mouth(face: ProcessedFace) -> EyesAndMouth:
     .. [1] A. Yuille, P. Hallinan, D. Cohen, "Feature extraction from faces using deformable templates",
        International Journal of Computer Vision 8(2), 1992.
     """
-    landmarks, cut_mm, eyes = face.landmarks, np.full(face.mask.shape, -1.0), list[Eyeball]()
+    require_type(face, ProcessedFace, "eyes_and_mouth: face", "load_result(folder) returns one")
+    landmarks, cut_mm, eyes = face.landmarks, np.full(face.mask.shape, -6.0), list[Eyeball]()
     if landmarks is None or not face.has_albedo:
         why = "the face has no landmarks" if landmarks is None else "there is no albedo"
         return EyesAndMouth((), (), cut_mm, np.full((2, 2), np.nan), f"eyes and mouth are left out: {why}")
     openings = {side: _Opening(face, landmarks[LANDMARKS[side]]) for side in ("right", "left")}
     odds = np.array([one.odds for one in openings.values()])
-    hole = int(np.argmax(odds.sum(0)))
+    hole = int(np.argmax(np.maximum(odds, 0.0).sum(0)))
     shown = {side: one for side, one in openings.items() if one.odds[hole] > 0}
     if hole and len(shown) > 1:  # lids around holes are as high as each other
         right, left = (one.outlines[hole] for one in shown.values())
@@ -117,31 +119,33 @@ def eyes_and_mouth(face: ProcessedFace) -> EyesAndMouth:
         # Both are alike and look the same way. What an iris lies beside its place is in part the eyeball's,
         # in part its own gaze's, in part an error. Unseen eyes look ahead.
         radius = float(np.mean([globe[3] for globe in globes.values()]))
-        iris_mm = float(np.mean([one.outlines[hole][10] for one in shown.values()]))
+        iris_mm = min(float(np.mean([one.outlines[hole][10] for one in shown.values()])), radius / 2 + 1)
         off = {side: one.outlines[hole][8:10] - globes[side][:2] for side, one in shown.items()}
         both = np.mean(list(off.values()), axis=0)
         variance = np.square([SIZES_MM["lid"][1], *SIZES_MM["aim"]])
         moved, turned, _ = (variance / variance.sum())[:, None] * (not hole)
         centers = {side: globe[:3] + [*moved * (off[side] - both), 0] for side, globe in globes.items()}
         aims = {side: ((not hole) * both + turned * (one - both)) / radius for side, one in off.items()}
-        places = {side: centers[side][:2] + radius * aims[side] for side in shown}
-        rings = np.mean([one.rings(hole, places[side], iris_mm) for side, one in shown.items()], axis=0)
+        rings = np.mean([one.rings(hole, iris_mm) for one in shown.values()], axis=0)
     for side, one in shown.items():
         aim, center = aims[side], centers[side]
         gaze = np.array([*aim, math.sqrt(1 - min(float(aim @ aim), 1.0))])
         eyes.append(Eyeball(side, one.middle + center, radius, iris_mm, gaze, not hole, rings))
         inside = _inside(one.outlines[hole], one.place)
         # Not where the skin stands far before the eyeball: a corner of the eye is the scan's.
-        behind = np.sqrt(np.maximum(radius**2 - ((one.place - center)[:, :2] ** 2).sum(1), 0.0))
-        inside[2] = SIZES_MM["film"] - (one.place[:, 2] - center[2] - behind)
-        cut_mm[one.rows, one.columns] = np.maximum(inside.min(0), -1)
-    seen = "as the texture shows them" if not hole else "which the scan left out: brown, looking ahead"
-    reason = f"{len(eyes)} eyes, {seen}" if eyes else "the eyes are shut"
+        off_axis = np.hypot(*(one.place - center)[:, :2].T)
+        behind = np.sqrt(np.maximum(radius**2 - off_axis**2, 0.0))
+        inside[2] = np.minimum(SIZES_MM["film"] - (one.place[:, 2] - center[2] - behind), radius - off_axis)
+        cut_mm[one.rows, one.columns] = np.maximum(inside.min(0), -6)
+    seen = "as the texture shows it" if not hole else "which the scan left out: brown, looking ahead"
+    reason = (
+        f"{'both eyes' if len(eyes) == 2 else 'one eye'}, {seen}" if eyes else "the eyes are shut or unseen"
+    )
     skin = math.exp(np.mean([one.skin[0, 0] for one in openings.values()]))
     white = eyes[0].rings_linear[-1] if eyes else skin * np.exp(_log_rgb(np.array(LOOKS["white"][0])))
     parts = [eyeball_mesh(eye) for eye in eyes] + _mouth(face, landmarks, white)
     cut_mm[named_texels(face, ["between_lips"]) & ~face.image.seen] = 1
-    return EyesAndMouth(tuple(eyes), tuple(parts), np.where(face.mask, cut_mm, -1), odds, reason)
+    return EyesAndMouth(tuple(eyes), tuple(parts), np.where(face.mask, cut_mm, -6), odds, reason)
 
 
 def on_template(
@@ -159,7 +163,7 @@ def on_template(
     made : TemplateTexture
         In the frame of the fitted face.
     """
-    parts, places, cut_mm = list[GlbPart](), made.vertices, np.full(len(made.vertices), -1.0)
+    parts, places, cut_mm = list[GlbPart](), made.vertices, np.full(len(made.vertices), -6.0)
     outward = vertex_normals(places, made.faces)
     for part in inside.parts:
         # An eyeball of a template's own is round behind, too; a mouth of its own lies where ours would.
@@ -171,7 +175,7 @@ def on_template(
             own &= np.einsum("nc,nc->n", outward, away) > 0
         if not own.any():
             parts.append(replace(part, color_linear=gain * np.asarray(part.color_linear)))
-    if any(part.name.startswith("eye") for part in parts):
+    if len(parts) == len(inside.parts):
         hits = surface_query(fitted.vertices, fitted.faces).query(places)
         pixels = pixels_from_uv(hits.interpolated(fitted.uv, fitted.faces), inside.cut_mm.shape)
         near = hits.distance < REACH_MM
@@ -193,7 +197,8 @@ class _Opening:
         near = np.abs(face.image.position - middle) < (20, 12, 25)
         rows, columns = np.nonzero(face.mask & near.all(-1))
         place = face.image.position[rows, columns] - middle
-        log_albedo = np.log(np.maximum(without_catchlights(face)[rows, columns], FLOOR * face.level()))
+        floor = FLOOR * max(face.level(), FLOOR)
+        log_albedo = np.log(np.maximum(without_catchlights(face)[rows, columns], floor))
         color = np.stack([log_albedo.mean(1), *(log_albedo[:, [0, 2]] - log_albedo[:, [1]]).T], 1)
         # An outline through the landmarks; skin is what lies beside it.
         corners = landmarks[:, :2] - middle[:2]
@@ -205,8 +210,9 @@ class _Opening:
         start = np.array([ax, ay, bx, by, up, 0, down, 0, 0, (up - down) / 3, SIZES_MM["iris"][0]])
         wide = start + [-3, 0, 3, 0, 3, 0, 3, 0, 0, 0, 0]
         seen, xy = face.image.seen[rows, columns], place[:, :2]
-        usual = [[math.log(max(face.level(), FLOOR)), 0, 0]]  # also where no skin is seen
-        beside = np.concatenate([color[seen & (_inside(wide, xy)[:2].min(0) < 0)], usual])
+        usual = [[math.log(floor / FLOOR), 0, 0]]  # also where no skin is seen
+        outside = _inside(wide, xy)[:2].min(0) < 0
+        beside, seen_beside = np.concatenate([color[seen & outside], usual]), (seen & outside).sum()
         middle_color = np.median(beside, axis=0)
         skin = np.stack([middle_color, 1.4826 * np.median(np.abs(beside - middle_color), axis=0)])
         skin[1] = np.maximum(skin[1], (0.12, 0.05, 0.05))
@@ -214,7 +220,9 @@ class _Opening:
         weight = float(np.median(face.image.texel_areas_mm2())) / 5 * len(rows) / max(len(chosen), 1)
         seen, xy, shade, tone = seen[chosen], xy[chosen], color[chosen], skin[0] * (1, 0, 0)
         # Log likelihood (N,) of what is seen, or not, on skin with its lashes.
-        part, lacking, skin_beside = LOOKS["lashed"], LOOKS["unseen"][0], skin[0] * [[1], [0]]
+        # As much of the skin is unseen between the lids as beside them: a part not scanned is no hole.
+        lacking = max(LOOKS["unseen"][0], 1 - (seen_beside + 1) / (outside.sum() + 1))
+        part, skin_beside = LOOKS["lashed"], skin[0] * [[1], [0]]
         bare = math.log(1 - part) + _log_normal(shade, skin)
         bare = np.logaddexp(bare, math.log(part) + _log_normal(shade, LOOKS["lashes"] + skin_beside))
         bare = np.where(seen, bare + math.log(1 - lacking), math.log(lacking))
@@ -251,7 +259,7 @@ class _Opening:
             return best.x, -best.fun, parts[1:] / parts.sum(0)
 
         found = []
-        for unseen, classes in zip(LOOKS["unseen"], kinds, strict=True):
+        for unseen, classes in zip((lacking, LOOKS["unseen"][1]), kinds, strict=True):
             outline = start
             for _ in range(2):
                 likely = [_log_normal(shade, one) + math.log(1 - unseen) for one in classes]
@@ -291,7 +299,7 @@ class _Opening:
 
         return least_squares(off, [*middle, rim[:, 2].mean() - usual, usual]).x
 
-    def rings(self, hole: int, iris_xy: FloatArray, iris_mm: float) -> FloatArray:
+    def rings(self, hole: int, iris_mm: float) -> FloatArray:
         """Return (K, 3) the eyeball's albedo away from the middle of its iris, as far as it is known."""
         ring, pupil_mm = SIZES_MM["ring"], SIZES_MM["pupil"]
         away, tone = ring * np.arange(math.ceil((iris_mm + 1) / ring) + 1), self.skin[0] * (1, 0, 0)
@@ -299,7 +307,10 @@ class _Opening:
         usual = tone + LOOKS["white"][0] + (LOOKS["shade"], 0, 0)
         brighter = not hole and self.classes[0, 0, 0] > usual[0]
         white = np.exp(_log_rgb(self.classes[0, 0] if brighter else usual))
-        off, within = np.hypot(*(self.place[:, :2] - iris_xy).T), _inside(self.outlines[hole], self.place)
+        off, within = (
+            np.hypot(*(self.place[:, :2] - self.outlines[hole][8:10]).T),
+            _inside(self.outlines[hole], self.place),
+        )
         colored = (off > pupil_mm) & (off < iris_mm - 1) & (within[:2].min(0) > 1)
         iris = white * LOOKS["brown"]
         if not hole and colored.any():

@@ -1,7 +1,7 @@
 """`ProcessedFace`: what the applications need of a processed scan, and whether faces share one chart."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Self
 
@@ -130,21 +130,22 @@ class ProcessedFace:
     """(H, W): relative error of the albedo, see `AlbedoEstimate`; None where it is not known."""
     landmarks: FloatArray | None = None
     """(68, 3): iBUG-68 order; None where they are not known."""
-    inside: EyesAndMouth | None = None
-    """What lies behind its openings, once it was looked for (`eyes_and_mouth`)."""
+    inside: EyesAndMouth | None = field(default=None, init=False)
+    """What lies behind its openings, where `relight` looked for it; a copy with changes has it no more."""
     notes: tuple[str, ...] = ()
     """What was decided in making it, one sentence each."""
 
     def __post_init__(self) -> None:
         albedo, shape = np.asarray(self.albedo_linear, np.float32), self.image.shape
         everywhere = np.ones(shape, bool)
-        for what, field, expected, where in (
+        for what, given, expected, where in (
             ("the albedo", albedo, (*shape, 3), self.mask),
             ("expected_error", self.expected_error, shape, everywhere),
+            ("landmarks", self.landmarks, (68, 3), slice(None)),
         ):
-            if field is not None and (field.shape != expected or not np.isfinite(field[where]).all()):
+            if given is not None and (given.shape != expected or not np.isfinite(given[where]).all()):
                 raise ApplicationError(
-                    f"{self.name}: {what} is {field.shape} or holds NaN, expected finite numbers {expected} "
+                    f"{self.name}: {what} is {given.shape} or holds NaN, expected finite numbers {expected} "
                     "like the geometry image; process the scan again"
                 )
         if (lowest := float(albedo[self.image.mask].min(initial=0.0))) < 0:
@@ -212,7 +213,7 @@ class ProcessedFace:
         if landmarks is not None:
             nearest = cKDTree(self.mesh.vertices).query(landmarks)[1]
             landmarks = landmarks + mesh.vertices[nearest] - self.mesh.vertices[nearest]
-        return replace(self, name=name, image=image, mesh=mesh, landmarks=landmarks, inside=None)
+        return replace(self, name=name, image=image, mesh=mesh, landmarks=landmarks)
 
 
 def on_common_chart(*faces: ProcessedFace) -> tuple[ProcessedFace, ...]:

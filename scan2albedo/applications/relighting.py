@@ -38,6 +38,10 @@ reflects F = 0.028; Beckmann's lobe of slope m = 0.2, which Phong's exponent 1 /
 at pi F / (4 pi m^2) = 0.17 of a white surface, and skin's albedo is 0.5 to 0.7."""
 
 
+_DENT_MM = 3.5
+"""How far the dents that scans have at eyes go into an eyeball at most."""
+
+
 @dataclass(frozen=True)
 class RelightOptions:
     """Settings of `relight`."""
@@ -105,19 +109,17 @@ class RelitFace:
             scale = bilinear(filled_from_nearest(gloss[..., None], mask), pixels)[:, 0]
         diffuse, specular = shade(shadows, self.light, face.reflectance, toward, scale)
         lit = np.column_stack([albedo * diffuse + specular, np.ones(len(albedo))])
-        if face.inside is not None and (parts := face.inside.parts):
+        eye = camera_centers(projection[None])[0]
+        if face.inside is not None and (parts := face.inside.parts) and eye[2] > mesh.vertices[:, 2].min():
             # Eyes and mouth, where they are nearer, or the face is cut away before them.
             vertices, faces = join([(part.vertices, part.faces) for part in parts])
-            behind, eye = (
-                pictures.seen_samples(vertices, faces, projection, shape, samples),
-                camera_centers(projection[None])[0],
-            )
+            behind = pictures.seen_samples(vertices, faces, projection, shape, samples)
             off = np.full((2, math.prod(shape) * samples**2), np.inf)
             off[0, seen.index] = lengths(seen.interpolated(mesh.vertices) - eye)
             off[1, behind.index] = lengths(behind.interpolated(vertices) - eye)
             cut = bilinear(face.inside.cut_mm[..., None], pixels)[:, 0] > 0
             off[0, seen.index[cut & np.isfinite(off[1, seen.index])]] = np.inf
-            nearer = off[0] < off[1]
+            nearer = off[0] < off[1] + _DENT_MM  # lids of a scan may be dented into an eyeball
             kept, behind = nearer[seen.index], behind.chosen(~nearer[behind.index])
             there = behind.interpolated(vertices)
             colors = behind.interpolated(np.concatenate([np.asarray(part.color_linear) for part in parts]))
@@ -236,9 +238,11 @@ def relight(
             raise ApplicationError(f"environment_linear holds {np.min(distant):.3g}; radiance is 0 or more")
         distant = DistantLights.from_environment(distant, 128, "important")
     light = SceneLight(lights, distant, base, environment)
-    face, notes = as_lit(face, options)
-    if face.inside is None:
-        face = replace(face, inside=eyes_and_mouth(face))
+    known, (face, notes) = face.inside, as_lit(face, options)
+    inside = eyes_and_mouth(face) if known is None else known
+    object.__setattr__(face, "inside", inside)
+    if inside.eyes and not inside.eyes[0].painted:
+        notes = (*notes, f"{inside.reason}; see docs/applications.md")
     view = np.asarray(face.view_direction, np.float64)
     image, mask = face.image, face.mask
     caster = RayCaster(*image.occluder_mesh()) if face.casts_shadows and light.casts else None

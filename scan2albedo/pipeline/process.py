@@ -418,7 +418,8 @@ def without_light(
         inside = eyes_and_mouth(load_result(SimpleNamespace(**stages)))
         for name in carriers:
             more[name] = on_template(inside, lit[0], usual_light(lit[1]), more[name])
-        steps.append(PlanStep("eyes", bool(inside.eyes), inside.reason))
+        there = ", ".join(part.name for part in more[carriers[0]].parts)
+        steps.append(PlanStep("eyes", bool(there), inside.reason, there))
     return {"unlit": unlit, **more}, steps
 
 

@@ -98,6 +98,21 @@ def test_holes_between_lids_get_usual_eyes_that_look_ahead(seen):
         np.testing.assert_allclose(eye.gaze, [0, 0, 1])
         red, green, blue = eye.rings_linear[len(eye.rings_linear) // 2]
         assert red > green > blue
+    assert any("left out" in note for note in relight(torn, [PointLight(0.3, 0.3)]).notes)
+    with pytest.raises(TypeError, match="load_result"):
+        eyes_and_mouth("out/subject")
+
+
+def test_a_side_that_was_not_scanned_has_no_eye_and_the_other_side_has(seen):
+    face = seen(1)
+    left = face.image.position[..., 0] > -5
+    half = replace(face, image=replace(face.image, texture_valid=face.mask & left))
+    found = eyes_and_mouth(half)
+    assert [(eye.side, eye.painted) for eye in found.eyes] == [("left", True)]
+    assert found.reason.startswith("one eye")
+    relit = relight(half, [PointLight(0.3, 0.3)])
+    assert relit.face.inside is not None
+    assert replace(relit.face, landmarks=None).inside is None  # a copy is looked at anew
 
 
 def test_without_landmarks_or_albedo_the_reason_is_told(person, seen):
@@ -141,7 +156,7 @@ def test_the_lower_teeth_follow_the_jaw_and_the_upper_ones_stay(seen):
 def test_relit_eyes_glint_and_stand_behind_the_lids(seen, tmp_path):
     face = seen(4)
     relit = relight(face, [PointLight(0.3, 0.3, intensity=2.0)])
-    plain = replace(relit, face=replace(relit.face, inside=None))
+    plain = replace(relit, face=replace(relit.face))
     with_eyes, without = (one.picture(shape=(300, 300)) for one in (relit, plain))
     np.testing.assert_array_equal(with_eyes.alpha, without.alpha)
     changed = np.abs(with_eyes.linear - without.linear).max(-1) > 0.01
