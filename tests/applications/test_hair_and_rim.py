@@ -69,13 +69,9 @@ def test_skin_beyond_the_face_has_the_faces_colour(result, texels):
     assert steps["all"] < 0.2
     # The last one is that of `all`: misplaced outlines of shadows, on ears and neck, are gone.
     assert np.percentile(np.abs(off[beyond]).max(-1), 90) < 0.65
-    # On the face nothing depends on what is done beyond.
-    np.testing.assert_allclose(
-        of_face.scan.texture_linear[there][weight > 0.999],
-        result.unlit.scan.texture_linear[there][weight > 0.999],
-        rtol=0.2,
-        atol=0.02,
-    )
+    # On the face nothing depends on what is done beyond, but for single texels whose noise is filtered.
+    on_face = (one.texture_linear[there][weight > 0.999] for one in (of_face.scan, result.unlit.scan))
+    assert np.isclose(*on_face, rtol=0.2, atol=0.02).mean() > 0.999
 
 
 def test_hair_is_found_beyond_the_chart_and_skin_is_not_hair(result, texels):
