@@ -160,11 +160,11 @@ def _beyond_face(
     usual: float,
     reach: str,
 ) -> tuple[FloatArray, float, float]:
-    """Return what is known of a scan's vertices beyond the face (V, 9), and of all their texels.
+    """Return what is known of a scan's vertices beyond the face (V, 9), and two numbers for their texels.
 
-    That is log light (3), how surely it is taken off, skin's expected log albedo (3), by how much log light
-    changes beside it, and log odds of hair, but for the texel's log brightness times a weight. The weight
-    comes next, then how much skin's usual detail deviates. `on_chart` are places (V, 2) and weights (V,).
+    Columns: log light (3), how surely it is taken off, skin's expected log albedo (3), by how much log light
+    changes beside it, log odds of hair. The numbers: the weight of a texel's log brightness in these odds,
+    and twice the deviation of skin's usual detail. `on_chart` are places (V, 2) and weights (V,).
 
     The light is a base (the usual one, or that of the estimate's lamps on the scan's own shape) plus an
     offset o, the least of

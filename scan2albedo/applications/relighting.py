@@ -133,14 +133,13 @@ class RelitFace:
     def _lit_parts(
         self, position: FloatArray, normal: FloatArray, toward: FloatArray, albedo: FloatArray
     ) -> FloatArray:
-        """Return (N, 3) light from points of eyes and mouth toward a viewer, all of it wet."""
+        """Return (N, 3) light from points (N, 3) of eyes and mouth, mm, toward a viewer, all of it wet."""
         assert self.face.inside is not None
-        cut_mm, own, (vertices, faces) = (
-            self.face.inside.cut_mm,
-            self.face.mesh,
-            self.face.image.occluder_mesh(),
-        )
-        if len(vertices) == len(own.uv):  # what is cut away, with its ragged edge, casts no shadow behind it
+        cut_mm, own = self.face.inside.cut_mm, self.face.mesh
+        vertices, faces = self.face.image.occluder_mesh()
+        # Where the fitted surface itself casts the shadows, what is cut away, and half a millimetre of its
+        # ragged edge, casts none on what is behind it.
+        if len(vertices) == len(own.uv):
             gone = bilinear(cut_mm[..., None], pixels_from_uv(own.uv, cut_mm.shape))[:, 0] > -0.5
             faces = faces[~gone[faces].any(1)]
         caster = RayCaster(vertices, faces) if self.face.casts_shadows else None
