@@ -28,11 +28,16 @@ from mutated_files.mutations import MUTATIONS, mutated
 
 from scan2albedo.errors import Scan2AlbedoError
 
-MEMORY_BYTES, CPU_S = 2e9, 20.0
+MEMORY_BYTES = 2e9
 """What loading a file may take."""
-HARD_MEMORY_BYTES, WALL_S = 6 << 30, 10 * CPU_S
-"""Where a worker is stopped, so that the machine goes on."""
-LOADED, REFUSED = "loaded", "refused"
+CPU_S = 20.0
+"""How long loading a file may take, in seconds of CPU."""
+HARD_MEMORY_BYTES = 6 << 30
+"""The memory at which a worker is stopped, so that the machine goes on."""
+WALL_S = 10 * CPU_S
+"""The time on the wall clock after which a worker is stopped, in seconds."""
+LOADED = "loaded"
+REFUSED = "refused"
 
 
 @dataclass(frozen=True)

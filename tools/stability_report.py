@@ -1,103 +1,137 @@
 """Print what every stage does in its named extremes: right answer, measured warning or named error.
 
     python tools/stability_report.py [STAGE ...] [--quick]
-    python tools/stability_report.py --page docs/stability.md    # the page's tables anew, below its marker
+    python tools/stability_report.py --write docs/stability.md    # the summary below its marker, and the CSV
 
-Exit status 1 when a case ends otherwise than it must, in NaN, in a crash, or takes over `--seconds`.
+The cases are the tables of tests/stability. With stages or `--quick`, `--write` leaves the other rows of the
+CSV as they are. Exit status 1 when a case ends otherwise than it must, in NaN, in a crash, or takes over
+`--seconds`.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import importlib
 import pkgutil
+import re
 import sys
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
-import stability_cases
-from stability_cases.case import Case, Outcome, run
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+import stability
+from stability.case import REFUSES, RIGHT, WARNS, run
 
 MARKER = "<!-- below: written by tools/stability_report.py -->"
+COLUMNS = ("stage", "extreme", "ends in", "what shows it")
+WORST = {
+    "albedo": r"albedo off by ([\d.]+) %",
+    "fit": r"^([\d.]+) mm",
+    "load_scan": r"([\d.]+) mm off",
+    "process": r"landmarks ([\d.]+) mm off",
+    "reflectance": r"albedo off by ([\d.]+) %",
+    "register": r"([\d.]+) mm off",
+}
+"""What in a right answer's figure says how far it is off, in the stages that have one such number."""
 
 
-def all_cases() -> Iterator[Case]:
-    """Yield the cases of every module of `stability_cases`."""
-    for module in pkgutil.iter_modules(stability_cases.__path__):
-        yield from getattr(importlib.import_module(f"stability_cases.{module.name}"), "CASES", ())
+def all_cases() -> Iterator[Any]:
+    """Yield the cases of every table of tests/stability."""
+    for module in pkgutil.iter_modules(stability.__path__):
+        if not module.name.startswith("test_"):
+            yield from getattr(importlib.import_module(f"stability.{module.name}"), "CASES", ())
 
 
 def main() -> int:
-    """Run the chosen cases and print a row for each, or write them all into a page."""
+    """Run the chosen cases and print a row for each, or write them into a page and its CSV."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("stages", nargs="*", help="such as fit or albedo; all when omitted")
     parser.add_argument("--quick", action="store_true", help="leave out the slow cases")
-    parser.add_argument("--page", type=Path, help="a page whose tables are written anew below its marker")
+    parser.add_argument(
+        "--write", type=Path, help="a page; its summary and the CSV beside it are written anew"
+    )
     parser.add_argument("--seconds", type=float, default=120.0, help="of CPU; a case that takes more hangs")
     options = parser.parse_args()
-    cases = [case for case in all_cases() if not (options.quick and case.slow)]
+    cases = list(all_cases())
     if unknown := set(options.stages) - {case.stage for case in cases}:
         parser.error(f"unknown stage {min(unknown)!r}; one of {', '.join(sorted({c.stage for c in cases}))}")
-    chosen = [case for case in cases if not options.stages or case.stage in options.stages]
-    rows = []
-    for case in chosen:
-        rows.append(ended(case, options.seconds))
-        print(rows[-1].line(), flush=True)
-    good = sum(row.good for row in rows)
-    verdict = f"{good} of {len(rows)} extremes end as they must"
-    print(f"\n{verdict}")
-    if options.page is not None:
-        intro, _, _ = options.page.read_text(encoding="utf-8").partition(MARKER)
-        options.page.write_text(f"{intro}{MARKER}\n\n{verdict}.\n{tables(rows)}", encoding="utf-8")
-    return 0 if good == len(rows) else 1
+    bad, rows = 0, {}
+    for case in cases:
+        if (options.stages and case.stage not in options.stages) or (options.quick and case.slow):
+            continue
+        ending, figure = ended(case, options.seconds)
+        print(f"{case.stage:16} {case.name:44} {ending:17} {figure}", flush=True)
+        bad += ending != case.ends_in
+        rows[case.stage, case.name] = (ending, figure)
+    print(f"\n{len(rows) - bad} of {len(rows)} extremes end as they must")
+    if options.write is not None:
+        write(options.write, cases, rows)
+    return 1 if bad else 0
 
 
-@dataclass(frozen=True)
-class Row:
-    """A case, how it ended, and whether it had to."""
-
-    case: Case
-    outcome: Outcome
-    good: bool
-
-    @property
-    def ending(self) -> str:
-        return self.outcome.ending if self.good else f"{self.outcome.ending} (FAILS: {self.case.expected})"
-
-    def line(self) -> str:
-        return f"{self.case.stage:16} {self.case.name:44} {self.ending:17} {self.outcome.figure}"
-
-
-def ended(case: Case, seconds: float) -> Row:
-    """Run a case; whatever it ends in is a row."""
+def ended(case: Any, seconds: float) -> tuple[str, str]:
+    """Return how a case ended, and its figure; whatever it ends in is a row."""
     begin = time.process_time()
     try:
         outcome = run(case)
     except Exception as error:  # noqa: BLE001 - a table shows every failure, whatever it is
-        return Row(case, Outcome("named error", f"BUG: {type(error).__name__}: {error}"), False)
-    in_time = time.process_time() - begin <= seconds
-    return Row(case, outcome, in_time and outcome.ending == case.expected)
+        return f"FAILS: {type(error).__name__}", str(error)
+    if time.process_time() - begin > seconds:
+        return "FAILS: too slow", outcome.figure
+    return outcome.ending, outcome.figure
 
 
-def tables(rows: Sequence[Row]) -> str:
-    """Return a heading and a Markdown table for each stage."""
-    text = ""
-    for stage in dict.fromkeys(row.case.stage for row in rows):
-        text += f"\n## {stage}\n\n| extreme | ends in | what shows it |\n|---|---|---|\n"
-        for row in (row for row in rows if row.case.stage == stage):
-            cells = (row.case.name, row.ending, row.outcome.figure)
-            text += f"| {' | '.join(map(_cell, cells))} |\n"
+def write(page: Path, cases: Iterable[Any], new: dict[tuple[str, str], tuple[str, str]]) -> None:
+    """Write the CSV beside a page, rows that are not new as they were, and the page's summary."""
+    table = page.with_suffix(".csv")
+    old = {(row["stage"], row["extreme"]): (row["ends in"], row["what shows it"]) for row in read(table)}
+    rows = [
+        (
+            case.stage,
+            case.name,
+            *(new | {k: v for k, v in old.items() if k not in new})[case.stage, case.name],
+        )
+        for case in cases
+    ]
+    with table.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([COLUMNS, *rows])
+    good = sum(row[2] == case.ends_in for row, case in zip(rows, cases, strict=True))
+    intro, _, _ = page.read_text(encoding="utf-8").partition(MARKER)
+    verdict = f"{good} of {len(rows)} extremes end as they must."
+    page.write_text(f"{intro}{MARKER}\n\n{verdict}\n\n{summary(rows)}", encoding="utf-8")
+
+
+def read(table: Path) -> list[dict[str, str]]:
+    """Return the rows of the CSV."""
+    if not table.is_file():
+        return []
+    with table.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def summary(rows: list[tuple[str, str, str, str]]) -> str:
+    """Return a Markdown table with a row a stage: how many end how, and the worst right answer."""
+    text = "| stage | right | warned | refused | the worst right answer |\n|---|---|---|---|---|\n"
+    for stage in sorted({row[0] for row in rows}):
+        of_stage = [row for row in rows if row[0] == stage]
+        counts = [str(sum(row[2] == ending for row in of_stage)) for ending in (RIGHT, WARNS, REFUSES)]
+        text += f"| {stage} | {' | '.join(counts)} | {worst(of_stage)} |\n"
     return text
 
 
-def _cell(text: str) -> str:
-    """Return text that Markdown shows as it is, in one cell."""
-    shown = " ".join(text.split())
-    for sign in "\\`*_<>[]|":
-        shown = shown.replace(sign, f"\\{sign}")
-    return shown
+def worst(rows: list[tuple[str, str, str, str]]) -> str:
+    """Return the figure and the name of the right answer that is furthest off; nothing without a measure."""
+    pattern = WORST.get(rows[0][0])
+    found = [
+        (float(match[1]), match[0].removeprefix("albedo "), name)
+        for _, name, ending, figure in rows
+        if pattern is not None and ending == RIGHT and (match := re.search(pattern, figure))
+    ]
+    return f"{max(found)[1]} ({max(found)[2]})" if found else ""
 
 
 if __name__ == "__main__":

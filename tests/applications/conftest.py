@@ -1,56 +1,26 @@
 """Synthetic people as processed faces, and the files of a processed one."""
 
-from functools import cache
-
 import numpy as np
 import pytest
+from helpers.processed_faces import MATERIAL, person_scene, processed_person
 
 import scan2albedo as s2a
-from scan2albedo.applications import ProcessedFace
 from scan2albedo.core import Trace
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.operators import linear_refinement
-from scan2albedo.lighting.shading import Reflectance
 from scan2albedo.pipeline.result import ProcessResult, write_result
-from scan2albedo.synthetic import Material, face, light_at
-
-SIZE = 64
-MATERIAL = Material(0.3, 0.15, 20.0)
-
-
-@cache
-def _scene(seed=0, expression="neutral", size=SIZE):
-    return face(
-        seed, expression=expression, size=size, material=MATERIAL, bits=None, lights=[light_at(30, 15)]
-    )
-
-
-@cache
-def _person(seed=0, expression="neutral", size=SIZE):
-    made = _scene(seed, expression, size)
-    reflectance = Reflectance(
-        "oren-nayar", MATERIAL.sigma_rad, MATERIAL.specular_strength, MATERIAL.specular_exponent
-    )
-    return ProcessedFace.of(
-        f"person{seed}",
-        made.image,
-        made.albedo_linear,
-        reflectance=reflectance,
-        lights=made.lights,
-        model_name=s2a.AnnotatedFaceModel.default().name,
-    )
 
 
 @pytest.fixture(scope="session")
 def scene():
     """Make a synthetic scene: (seed, expression, size) -> SyntheticScene."""
-    return _scene
+    return person_scene
 
 
 @pytest.fixture(scope="session")
 def person():
     """Make the truth of a scene as if it had been estimated: (seed, expression, size) -> ProcessedFace."""
-    return _person
+    return processed_person
 
 
 @pytest.fixture(scope="session")

@@ -69,8 +69,9 @@ def rows(ends_in, figure, calls, slow=False):
 
 
 def each(name, values, call):
-    """Return calls by name, one for each value, written as text."""
-    return {name.format(value): partial(call, float(value)) for value in values}
+    """Return calls by name, one for each value: numbers as text, or values by name."""
+    named = values if isinstance(values, dict) else {value: float(value) for value in values}
+    return {name.format(key): partial(call, value) for key, value in named.items()}
 
 
 class Measured(str):
@@ -94,6 +95,16 @@ def below(bound, text):
 def measured(text):
     """Return a figure of a result in trouble: the text with the values that say so."""
     return lambda found: Measured(text.format(*found if isinstance(found, tuple) else (found,)))
+
+
+def noted(words):
+    """Return a figure: the one note of a result that says this."""
+
+    def figure(found):
+        (note,) = (note for note in found.notes if words in note)
+        return Measured(note)
+
+    return figure
 
 
 def said(figure, plan):

@@ -30,13 +30,6 @@ def distance_gap(factor=1.0, offset=0.0, faces=FACES):
     return max(gap for gap, _ in gaps), gaps
 
 
-def sliver_gap():
-    """Return how far the distance to a sliver of aspect 1e6 is from its closed form."""
-    sliver = np.array([[0.0, 0, 0], [100, 0, 0], [50, 1e-4, 0]])
-    hits = [kind(sliver, np.array([[0, 1, 2]])).query(np.array([[30.0, 7, 0]])) for kind in QUERIES]
-    return max(float(abs(hit.distance[0] - 7)) for hit in hits), hits
-
-
 def with_one(array, value):
     """Return an array with a value in its fourth row."""
     spoilt = array.copy()
@@ -96,12 +89,6 @@ def rigid_gap(source):
     return float(np.abs(transform_points(found, source) - target).max())
 
 
-def far_rigid():
-    """Return how far points are from where they belong 2e9 mm away."""
-    far = procrustes(CLOUD + 1e9, CLOUD - 1e9)
-    return float(np.abs(transform_points(far, CLOUD + 1e9) - (CLOUD - 1e9)).max())
-
-
 def half_reversed():
     """Return how many of a ball's reversed faces are not found, or found without being so."""
     turned = np.random.default_rng(4).random(len(FACES)) < 0.4
@@ -133,10 +120,8 @@ CASES = table(
         below(1e-9, "{:.0e} of 100 off"),
         {
             **each("closest points: size of {} times 100 mm", ("1e-9", "1e9"), distance_gap),
-            "closest points: zero-area faces": lambda: distance_gap(faces=FLAT_FACES),
         },
     ),
-    ("closest points: a sliver of aspect 1e6", sliver_gap, RIGHT, below(1e-3, "{:.0e} mm off")),
     *rows(
         REFUSES,
         "^1 of 500 points are NaN, infinite",
@@ -208,7 +193,6 @@ CASES = table(
             "rigid transforms: one point alone": lambda: rigid_gap(CLOUD[:1]),
         },
     ),
-    ("rigid transforms: offset 1e9 mm", far_rigid, RIGHT, below(1e-5, "{:.0e} mm off")),
     *rows(
         REFUSES,
         "place nothing",

@@ -3,7 +3,6 @@
 import math
 from functools import cache, partial
 
-import igl
 import numpy as np
 import trimesh
 
@@ -46,18 +45,6 @@ def brightest(reflectance):
     return light.max()
 
 
-def grazing():
-    """Return the light at 89.99 degrees, and what comes from behind."""
-    glossy = Reflectance(roughness=0.3, specular_strength=1.0)
-    before, at, after = (
-        shade_points([[0, 0, 0]], [UP], [PointLight(math.radians(angle), 0.0)], glossy)
-        for angle in (89.99, 90.0, 90.01)
-    )
-    assert before.light[0] > 1
-    assert after.light[0] == 1
-    return before.light[0] - 1, at.light[0] - 1, after.light[0] - 1, before, at, after
-
-
 def pole_error():
     """Return how far a lamp at a pole is from straight above or below, whatever its azimuth."""
     return max(
@@ -70,7 +57,7 @@ def pole_error():
 def far_lamp():
     """Return how much a lamp at 1e9 mm differs from a distant one: in light, and in points in shadow."""
     lamps = [PointLight(0.3, 0.2, distance) for distance in (1e9, math.inf)]
-    far, distant = (shaded(lamp, reflectance=Reflectance("lambert", 0.0, 0.2)).light for lamp in lamps)
+    far, distant = (shaded(lamp).light for lamp in lamps)
     seen, seen_distant = (shadows().visible(LAMP.direction, lamp.distance_mm) for lamp in lamps)
     assert np.mean(seen != seen_distant) < 1e-3
     return float(np.abs(far - distant).max()), int((seen != seen_distant).sum())
@@ -94,30 +81,6 @@ def not_linear():
     )
 
 
-def not_additive():
-    """Return how far the light of five lamps, two of them at one place, is from the sum of each alone."""
-    lamps = [PointLight(a, 0.1 * a, 400.0, 1 + a) for a in (0.0, 0.5, -0.5, 1.5, 0.0)]
-    apart = sum(shaded(lamp).light - 1 for lamp in lamps)
-    return float(np.abs(shaded(*lamps).light - 1 - apart).max())
-
-
-def highlight_error():
-    """Return how far a highlight of strength 1e3 is from 1e3 times the plain one; of strength 0, none."""
-    none, unit, strong = (
-        shaded(LAMP, reflectance=Reflectance(specular_strength=strength)).specular for strength in (0, 1, 1e3)
-    )
-    assert not none.any()
-    return float(np.abs(strong - 1e3 * unit).max() / 1e3)
-
-
-def turned_round():
-    """Return the part of the ball's points that are lit with their normals both ways."""
-    normal = sphere()[1]
-    flipped = shaded(LAMP, reflectance=Reflectance(), normal=-normal).light > 1
-    assert np.array_equal(flipped, normal @ LAMP.direction < 0)
-    return float(np.mean(flipped & (shaded(LAMP, reflectance=Reflectance()).light > 1)))
-
-
 def dark(position, normal, *lamps):
     """Return how far Minnaert's light is from ambient light alone."""
     found = shade_points(position, normal, lamps, Reflectance("minnaert", 0.5, 1.0))
@@ -139,16 +102,6 @@ def twice():
     doubled = RayCaster(np.vstack([position, position]), np.vstack([faces, faces + len(position)]))
     lamp = PointLight(0.4, 0.3).direction
     return int((shadows(doubled).visible(lamp) != shadows().visible(lamp)).sum())
-
-
-def along_the_surface():
-    """Return the visible points of a flat grid under grazing light, from below and from behind."""
-    grid, faces = igl.triangulated_grid(41, 41)
-    flat = np.column_stack([100 * grid, np.zeros(len(grid))])
-    shadow_map = ShadowMap(RayCaster(flat, faces), flat, np.tile(UP, (len(flat), 1)))
-    lamps = [PointLight(math.radians(angle), 0.0) for angle in (90.01, 180.0, 89.99)]
-    below_it, behind, before = (int(shadow_map.visible(lamp.direction).sum()) for lamp in lamps)
-    return below_it + behind, before
 
 
 def spoilt_caster(vertex_scale=1.0, face_shift=0):
@@ -180,7 +133,6 @@ CASES = table(
         below(1e4, "finite, up to {:.0e}, none behind"),
         each("Minnaert exponent {}", ("0.1", "1e4"), lambda m: brightest(Reflectance("minnaert", m))),
     ),
-    ("light at 89.99, 90 and 90.01 degrees", grazing, RIGHT, below(3e-4, "diffuse {:.1e}, {:.0e}, {:.0f}")),
     (
         "light at the poles (elevation +-90)",
         pole_error,
@@ -195,9 +147,6 @@ CASES = table(
     ),
     ("lamp on the surface itself", touching, RIGHT, below(math.inf, "finite, at most {:.1e}")),
     ("intensity 0, 1e-12 and 1e12", not_linear, RIGHT, LINEAR),
-    ("five lamps, two of them at one place", not_additive, RIGHT, LINEAR),
-    ("specular strength 0 and 1e3", highlight_error, RIGHT, LINEAR),
-    ("normals flipped", turned_round, RIGHT, below(0.01, "the other side is lit, {:.0%} both ways")),
     *rows(
         RIGHT,
         AMBIENT_ALONE,
@@ -238,12 +187,6 @@ CASES = table(
         each("shadow map, head {} mm off the origin", ("1e6", "1e7"), wrong_shadows),
     ),
     ("shadow map, the surface itself twice (coincident)", twice, RIGHT, below(1, "{} points differ")),
-    (
-        "shadow map, light along the surface",
-        along_the_surface,
-        RIGHT,
-        below(1, "{} points lit from behind, {} of 1681 before"),
-    ),
     (
         "shadow map, one point as a mesh",
         lambda: 1 - ShadowMap(RayCaster(np.ones((3, 3)), [[0, 1, 2]]), 0 * UP[None], UP[None]).visible(UP)[0],

@@ -7,7 +7,7 @@ import trimesh
 
 from scan2albedo import Budget, RawScan, process
 from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_from_vector, transform_points
-from stability.case import BUDGETS, REFUSES, RIGHT, SLOW, WARNS, Measured, below, rows, table
+from stability.case import BUDGETS, REFUSES, RIGHT, SLOW, WARNS, Measured, below, each, noted, rows, table
 from stability.scenes import person
 
 FEW = Budget(evaluations=30)
@@ -42,16 +42,6 @@ def out_of_time(found):
     assert off < 4
     assert not any(stage.converged for stage in (result.registration, result.fitted, result.albedo))
     return Measured(f"landmarks {off:.1f} mm off, converged False in every stage")
-
-
-def noted(words):
-    """Return a figure: the one note of a result that says this."""
-
-    def figure(result):
-        (note,) = (text for text in result.notes if words in text)
-        return Measured(note)
-
-    return figure
 
 
 def uncoloured(**colour):
@@ -90,10 +80,7 @@ CASES = table(
     *rows(
         WARNS,
         out_of_time,
-        {
-            f"a budget of {name}": lambda budget=budget: landmarks(person(), budget=budget)
-            for name, budget in BUDGETS.items()
-        },
+        each("a budget of {}", BUDGETS, lambda budget: landmarks(person(), budget=budget)),
     ),
     *rows(
         RIGHT,

@@ -30,19 +30,7 @@ from scan2albedo.reflectance import (
     shade_environment,
 )
 from scan2albedo.synthetic import face_shape
-from stability.case import (
-    BUDGETS,
-    REFUSES,
-    RIGHT,
-    SLOW,
-    WARNS,
-    Measured,
-    below,
-    each,
-    measured,
-    rows,
-    table,
-)
+from stability.case import BUDGETS, REFUSES, RIGHT, SLOW, WARNS, Measured, below, each, measured, rows, table
 
 
 def quiet(call, *arguments, **options):
@@ -116,7 +104,7 @@ def inside_percent(fit):
     return 100 * float(((fit.low <= truth) & (truth <= fit.high))[known(fit)].mean())
 
 
-def one_pose(_=None):
+def one_pose():
     """Return the part of the lobes identified by 99 pairs of one pose, and the albedo's error."""
     fit = fit_reflectance(samples_of(of_pairs(capture(400), np.full(99, 49)), noise=0.01))
     sure = float(fit.identified[known(fit)][:, 3:].mean())
@@ -263,13 +251,6 @@ def one_direction():
     return fitted(harmonics(np.array([[0.3, 0.3, 1.0]]) / np.sqrt(1.18)).T @ np.full((1, 3), 3.0))
 
 
-def by_exposure(scale):
-    """Return by how much the albedo's error changes with the exposure, and the error."""
-    error, plain = (fitted(None, factor)[0] for factor in (scale, 1.0))
-    assert error < 80 * relative_rmse(model().diffuse.mean, people(1, 3)[0].diffuse_linear)
-    return abs(error - plain), error
-
-
 def one_seen():
     """Return the largest coefficient of a face of which one vertex is seen."""
     seen = np.zeros(len(NORMALS), bool)
@@ -414,10 +395,7 @@ CASES = table(
     *rows(
         WARNS,
         measured("converged=False, albedo off by {:.1f} %"),
-        {
-            f"vertex fit with a budget of {name}": lambda budget=budget: out_of_time(budget)
-            for name, budget in BUDGETS.items()
-        },
+        each("vertex fit with a budget of {}", BUDGETS, out_of_time),
     ),
     *rows(
         REFUSES,
@@ -452,12 +430,6 @@ CASES = table(
         ),
         SLOW,
     ),
-    *rows(
-        RIGHT,
-        below(1e-4, "as without the factor within {:.0e}: albedo off by {:.1f} %"),
-        each("photograph times {}", ("1e-6", "1e6"), by_exposure),
-        SLOW,
-    ),
     (
         "photograph that shows one vertex",
         one_seen,
@@ -473,14 +445,11 @@ CASES = table(
         "black where the face is",
     ),
     ("photograph with NaN where seen", lambda: shot(scale=NAN), REFUSES, "vertex 10 holds NaN"),
-    ("photograph that shows nothing", lambda: shot(seen=SEEN < 0), REFUSES, "no vertex of the face"),
+    ("photograph that shows nothing", lambda: shot(seen=SEEN & False), REFUSES, "no vertex of the face"),
     *rows(
         WARNS,
         COLOUR_OFF,
-        {
-            f"image fit with a budget of {name}": lambda budget=budget: photograph_out_of_time(budget)
-            for name, budget in BUDGETS.items()
-        },
+        each("image fit with a budget of {}", BUDGETS, photograph_out_of_time),
         SLOW,
     ),
     ("observing a photograph of 1 pixel", lambda: observed(side=1), REFUSES, "0 inside the picture"),
@@ -527,9 +496,6 @@ CASES = table(
     *rows(
         WARNS,
         measured("converged=False, landmarks off by {:.1f} px"),
-        {
-            f"geometry with a budget of {name}": lambda budget=budget: marks_out_of_time(budget)
-            for name, budget in BUDGETS.items()
-        },
+        each("geometry with a budget of {}", BUDGETS, marks_out_of_time),
     ),
 )

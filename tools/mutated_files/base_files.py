@@ -13,6 +13,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
 import scan2albedo as s2a
@@ -74,70 +75,81 @@ def _png() -> bytes:
     return encode_image(picture(), ".png")
 
 
+def _rows(pattern: str, table: NDArray[Any]) -> list[str]:
+    """Return a line of text for each row of a table."""
+    return [pattern.format(*row) for row in table]
+
+
+VERTEX = "{:.5f} {:.5f} {:.5f}"
+
+
 def _obj_files() -> Iterator[BaseFile]:
     xyz, faces, uv = ball()
-    rows = ["mtllib face.mtl", *("v {:.5f} {:.5f} {:.5f}".format(*p) for p in xyz)]
-    rows += [*("vt {:.5f} {:.5f}".format(*p) for p in uv), "usemtl skin"]
-    half = len(faces) // 2
-    rows += [*("f {0}/{0} {1}/{1} {2}/{2}".format(*f) for f in faces[:half] + 1), "usemtl hair"]
-    rows += ["f {0}/{0} {1}/{1} {2}/{2}".format(*f) for f in faces[half:] - len(xyz)]
+    corners = "f {0}/{0} {1}/{1} {2}/{2}"
+    first, last = np.array_split(faces, 2)
+    rows = ["mtllib face.mtl", *_rows(f"v {VERTEX}", xyz), *_rows("vt {:.5f} {:.5f}", uv)]
+    rows += ["usemtl skin", *_rows(corners, first + 1), "usemtl hair", *_rows(corners, last - len(xyz))]
     library = _lines(
         "newmtl skin", "Kd 0.8 0.6 0.5", "map_Kd -s 1 1 1 face.png", "newmtl hair", "map_Kd face.png"
     )
     whole = {"face.obj": _lines(*rows), "face.mtl": library, "face.png": _png()}
     yield _scan("obj", "face.obj", whole)
     yield _scan("mtl", "face.obj", whole, ("face.mtl",))
-    quads = np.column_stack([faces[: len(faces) // 2], faces[len(faces) // 2 :, 2]]) + 1
-    rows = ["v {:.4f} {:.4f} {:.4f} 0.5 0.25 1".format(*p) for p in xyz]
-    rows += ["f {} {} {} {}".format(*f) for f in quads]
+    quads = np.column_stack([first, last[:, 2]]) + 1
+    rows = _rows(f"v {VERTEX} 0.5 0.25 1", xyz) + _rows("f {} {} {} {}", quads)
     yield _scan("obj, colours and quads", "face.obj", {"face.obj": _lines(*rows)})
 
 
-def _ply_head(layout: str, vertices: int, faces: int, *, color: bool, corners: bool) -> list[str]:
-    head = ["ply", f"format {layout} 1.0", "comment TextureFile face.png", f"element vertex {vertices}"]
-    head += [f"property float {axis}" for axis in "xyz"]
-    head += [f"property uchar {name}" for name in ("red", "green", "blue")] if color else []
-    head += [f"element face {faces}", "property list uchar int vertex_indices"]
-    head += ["property list uchar float texcoord"] if corners else []
-    return [*head, "end_header"]
+PLY_HEAD = """\
+ply
+format {layout} 1.0
+comment TextureFile face.png
+element vertex {vertices}
+property float x
+property float y
+property float z
+{of_vertices}element face {faces}
+property list uchar int vertex_indices
+{of_faces}end_header
+"""
+PLY_COLORS = "property uchar red\nproperty uchar green\nproperty uchar blue\n"
+PLY_CORNERS = "property list uchar float texcoord\n"
 
 
 def _ply_files() -> Iterator[BaseFile]:
     xyz, faces, uv = ball()
+
+    def whole(layout: str, body: bytes, of_vertices: str = "", of_faces: str = "") -> dict[str, bytes]:
+        head = PLY_HEAD.format(
+            layout=layout, vertices=len(xyz), faces=len(faces), of_vertices=of_vertices, of_faces=of_faces
+        )
+        return {"face.ply": head.encode() + body, "face.png": _png()}
+
     for layout, order in (("binary_little_endian", "<"), ("binary_big_endian", ">")):
         vertex = np.zeros(len(xyz), [("xyz", order + "f4", 3), ("rgb", "u1", 3)])
         vertex["xyz"], vertex["rgb"] = xyz, 128
         rows = np.zeros(len(faces), [("n", "u1"), ("i", order + "i4", 3)])
         rows["n"], rows["i"] = 3, faces
-        head = _lines(*_ply_head(layout, len(xyz), len(faces), color=True, corners=False))
-        yield _scan(f"ply, {layout}", "face.ply", {"face.ply": head + vertex.tobytes() + rows.tobytes()})
-    body = b"".join(np.array(p, "<f4").tobytes() for p in xyz)
+        body = vertex.tobytes() + rows.tobytes()
+        yield _scan(f"ply, {layout}", "face.ply", whole(layout, body, PLY_COLORS))
+    body = xyz.astype("<f4").tobytes()
     for number, face in enumerate(faces):
         count = 3 if number % 2 else 0  # corners without coordinates: lists of two lengths
         body += struct.pack("<B3iB", 3, *face.tolist(), 2 * count)
         body += uv[face[:count]].astype("<f4").tobytes()
-    head = _lines(*_ply_head("binary_little_endian", len(xyz), len(faces), color=False, corners=True))
-    yield _scan("ply, lists", "face.ply", {"face.ply": head + body, "face.png": _png()})
-    text = _ply_head("ascii", len(xyz), len(faces), color=False, corners=True)
-    text += ["{:.4f} {:.4f} {:.4f}".format(*p) for p in xyz]
-    text += ["3 {} {} {} 6 ".format(*face) + " ".join(f"{x:.4f}" for x in uv[face].ravel()) for face in faces]
-    yield _scan("ply, ascii", "face.ply", {"face.ply": _lines(*text), "face.png": _png()})
+    yield _scan("ply, lists", "face.ply", whole("binary_little_endian", body, of_faces=PLY_CORNERS))
+    corners = np.hstack([faces.astype(object), uv[faces].reshape(-1, 6)])
+    text = _rows(VERTEX, xyz) + _rows("3 {} {} {} 6" + 6 * " {:.4f}", corners)
+    yield _scan("ply, ascii", "face.ply", whole("ascii", _lines(*text), of_faces=PLY_CORNERS))
 
 
 def _stl_and_off_files() -> Iterator[BaseFile]:
     xyz, faces, _ = ball()
-    rows = np.zeros(len(faces), [("normal", "<f4", 3), ("corner", "<f4", (3, 3)), ("bits", "<u2")])
-    rows["corner"] = xyz[faces]
-    yield _scan("stl", "face.stl", {"face.stl": bytes(80) + struct.pack("<I", len(faces)) + rows.tobytes()})
-    text = []
-    for corners in xyz[faces]:
-        text += ["facet normal 0 0 0", "outer loop"]
-        text += ["vertex {:.4f} {:.4f} {:.4f}".format(*p) for p in corners] + ["endloop", "endfacet"]
-    yield _scan("stl, ascii", "face.stl", {"face.stl": _lines("solid face", *text, "endsolid face")})
-    head = ["COFF", f"{len(xyz)} {len(faces)} 0"]
-    head += ["{:.4f} {:.4f} {:.4f} 200 100 50 255".format(*p) for p in xyz]
-    head += ["3 {} {} {}".format(*f) for f in faces]
-    yield _scan("off", "face.off", {"face.off": _lines(*head)})
+    mesh = trimesh.Trimesh(xyz, faces, process=False)
+    yield _scan("stl", "face.stl", {"face.stl": mesh.export(file_type="stl")})
+    yield _scan("stl, ascii", "face.stl", {"face.stl": mesh.export(file_type="stl_ascii").encode()})
+    rows = _rows(f"{VERTEX} 200 100 50 255", xyz) + _rows("3 {} {} {}", faces)
+    yield _scan("off", "face.off", {"face.off": _lines("COFF", f"{len(xyz)} {len(faces)} 0", *rows)})
 
 
 def _written(name: str, write: Callable[[Path], object]) -> bytes:
@@ -150,54 +162,50 @@ def _gltf_files() -> Iterator[BaseFile]:
     xyz, faces, uv = ball()
     whole = _written("face.glb", lambda path: write_glb(path, xyz, faces, uv, picture()))
     yield _scan("glb", "face.glb", {"face.glb": whole})
-    weights = np.clip(xyz[:, :1] / 180 + 0.5, 0, 1)
+    weight = np.clip(xyz[:, :1] / 180 + 0.5, 0, 1)
+    joints, weights = [[0, 0, 0], [50, 0, 0]], np.hstack([weight, 1 - weight])
     skinned = _written(
         "face.glb",
-        lambda path: write_skinned_glb(
-            path,
-            xyz,
-            faces,
-            [[0, 0, 0], [50, 0, 0]],
-            np.hstack([weights, 1 - weights]),
-            ["a", "b"],
-            parents=[-1, 0],
-        ),
+        lambda path: write_skinned_glb(path, xyz, faces, joints, weights, ["a", "b"], parents=[-1, 0]),
     )
     yield _scan("glb, skinned", "face.glb", {"face.glb": skinned})
     length = int.from_bytes(whole[12:16], "little")
     tree, rest = json.loads(whole[20 : 20 + length]), whole[20 + length + 8 :]
-    tree["buffers"][0]["uri"] = "face.bin"
-    yield _scan(
-        "gltf", "face.gltf", {"face.gltf": json.dumps(tree).encode(), "face.bin": rest}, ("face.gltf",) * 2
-    )
-    tree["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(rest).decode()
-    yield _scan("gltf, base64", "face.gltf", {"face.gltf": json.dumps(tree).encode()})
-    yield _scan("glb, draco", "face.glb", {"face.glb": _draco(tree, xyz, faces, uv)})
+    for kind, uri in (
+        ("gltf", "face.bin"),
+        ("gltf, base64", "data:application/octet-stream;base64," + base64.b64encode(rest).decode()),
+    ):
+        tree["buffers"][0]["uri"] = uri
+        files = {"face.gltf": json.dumps(tree).encode(), "face.bin": rest}
+        yield _scan(kind, "face.gltf", files, ("face.gltf",) * 2)
+    yield _scan("glb, draco", "face.glb", {"face.glb": _draco(xyz, faces, uv)})
 
 
-def _draco(
-    tree: dict[str, Any], xyz: NDArray[np.float64], faces: NDArray[np.int64], uv: NDArray[np.float64]
-) -> bytes:
+def _draco(xyz: NDArray[np.float64], faces: NDArray[np.int64], uv: NDArray[np.float64]) -> bytes:
+    """Return a GLB whose mesh is compressed."""
     import DracoPy
 
+    extension = "KHR_draco_mesh_compression"
     blob = DracoPy.encode(xyz / 1000, faces.astype(np.uint32), tex_coord=uv, preserve_order=True)
-    primitive = {"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "indices": 2}
     numbers = {part["attribute_type"]: part["unique_id"] for part in DracoPy.decode(blob).attributes}
-    kinds = DracoPy.AttributeType
-    names = {"POSITION": numbers[kinds.POSITION], "TEXCOORD_0": numbers[kinds.TEX_COORD]}
-    extension = {"KHR_draco_mesh_compression": {"bufferView": 0, "attributes": names}}
+    names = {
+        "POSITION": numbers[DracoPy.AttributeType.POSITION],
+        "TEXCOORD_0": numbers[DracoPy.AttributeType.TEX_COORD],
+    }
+    primitive = {
+        "attributes": {"POSITION": 0, "TEXCOORD_0": 1},
+        "indices": 2,
+        "extensions": {extension: {"bufferView": 0, "attributes": names}},
+    }
+    accessors = ((5126, len(xyz), "VEC3"), (5126, len(xyz), "VEC2"), (5125, faces.size, "SCALAR"))
     content = {
         "asset": {"version": "2.0"},
-        "extensionsUsed": ["KHR_draco_mesh_compression"],
-        "extensionsRequired": ["KHR_draco_mesh_compression"],
+        "extensionsUsed": [extension],
+        "extensionsRequired": [extension],
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [{**primitive, "extensions": extension}]}],
-        "accessors": [
-            {"componentType": 5126, "count": len(xyz), "type": "VEC3"},
-            {"componentType": 5126, "count": len(xyz), "type": "VEC2"},
-            {"componentType": 5125, "count": faces.size, "type": "SCALAR"},
-        ],
+        "meshes": [{"primitives": [primitive]}],
+        "accessors": [{"componentType": kind, "count": n, "type": shape} for kind, n, shape in accessors],
         "bufferViews": [{"buffer": 0, "byteLength": len(blob)}],
         "buffers": [{"byteLength": len(blob)}],
     }
@@ -212,8 +220,8 @@ def _pictures() -> Iterator[BaseFile]:
         return s2a.load_scan(path.with_name("face.obj"), unit="mm")
 
     xyz, faces, uv = ball()
-    rows = ["v {:.5f} {:.5f} {:.5f}".format(*p) for p in xyz] + ["vt {:.5f} {:.5f}".format(*p) for p in uv]
-    rows += ["f {0}/{0} {1}/{1} {2}/{2}".format(*f) for f in faces + 1]
+    rows = _rows(f"v {VERTEX}", xyz) + _rows("vt {:.5f} {:.5f}", uv)
+    rows += _rows("f {0}/{0} {1}/{1} {2}/{2}", faces + 1)
     linear = picture().astype(np.float32) / 255
     for extension in (".png", ".jpg", ".tif", ".bmp", ".webp", ".hdr", ".exr"):
         name = f"face{extension}"

@@ -1,0 +1,203 @@
+"""Extremes of `AnnotatedFaceModel.from_mesh`: the template comes back, or the message says what is wrong."""
+
+from functools import cache
+
+import numpy as np
+import trimesh
+
+from scan2albedo import AnnotatedFaceModel
+from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.geometry.operators import linear_refinement
+from scan2albedo.geometry.rigid import transform_points
+from stability.case import REFUSES, RIGHT, SLOW, WARNS, Measured, below, each, rows, table
+from stability.scenes import model, plane
+
+
+@cache
+def face():
+    """Return a face template of 950 vertices, mm."""
+    return model().surface(0)
+
+
+VERTICES, FACES = face()
+
+
+def modelled(vertices=VERTICES, faces=FACES, **settings):
+    """Make a model whose template comes back; return how far its surface is off (mean), its size, and it."""
+    xyz, index = np.asarray(vertices, float), np.asarray(faces)
+    made = AnnotatedFaceModel.from_mesh(xyz, index, **{"annotate": False, "control_size": 300, **settings})
+    assert 0 <= made.uv.min() <= made.uv.max() <= 1
+    used = np.unique(index)
+    back = transform_points(made.template_from_model, made.template_of(made.control_vertices))[used]
+    size = np.ptp(xyz[used], axis=0).max()
+    assert np.abs(back - xyz[used]).max() < 1e-6 * size + 1e-15 * np.abs(xyz[used]).max()
+    inner = transform_points(np.linalg.inv(made.template_from_model), xyz[used])
+    apart = ClosestPointQuery(*made.surface(2)).query(inner).distance
+    return apart.mean(), len(made.control_vertices), made
+
+
+def noted(words, bound=2.0):
+    """Return a figure: the note of a model that says this; its surface passes near the template."""
+
+    def figure(found):
+        assert found[0] < bound
+        return Measured(next(note for note in found[2].notes if words in note))
+
+    return figure
+
+
+def folded():
+    """Return the face with its chin folded through itself."""
+    vertices = VERTICES.copy()
+    chin = vertices[:, 1] < -40
+    vertices[chin, 1] = -80 - vertices[chin, 1]
+    vertices[chin, 2] -= 15
+    return vertices
+
+
+def damaged():
+    """Model the face with non-manifold edges, slivers and zero-area faces."""
+    fins = np.column_stack([FACES[:2, :2], FACES[500:502, 0]])
+    first, second, _ = VERTICES[FACES[900:903]].swapaxes(0, 1)
+    slivers = np.column_stack([FACES[900:903, :2], len(VERTICES) + np.arange(3)])
+    vertices = np.concatenate([VERTICES, first + 1e-6 * (second - first)])
+    return modelled(vertices, np.concatenate([FACES, fins, slivers, FACES[:40, [0, 0, 1]]]))
+
+
+def with_one(value):
+    """Return the face with one vertex moved."""
+    vertices = VERTICES.copy()
+    vertices[FACES[400, 0]] += value
+    return vertices
+
+
+def moebius():
+    """Return a Moebius strip."""
+    angle, across = np.meshgrid(np.linspace(0, 2 * np.pi, 80, endpoint=False), np.linspace(-30, 30, 5))
+    angle, across = angle.T.ravel(), across.T.ravel()
+    radius = 100 + across * np.cos(angle / 2)
+    points = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), across * np.sin(angle / 2)])
+    start = (5 * np.arange(80)[:, None] + np.arange(4)).ravel()
+    step, column = np.divmod(start, 5)
+    near = np.where(step < 79, start + 5, 4 - column)
+    far = np.where(step < 79, start + 6, 3 - column)
+    return points, np.concatenate(
+        [np.column_stack([start, near, start + 1]), np.column_stack([start + 1, near, far])]
+    )
+
+
+def flipped():
+    """Return the chart with one inner triangle turned over."""
+    uv = model().uv.copy()
+    corner = FACES[np.argmin(np.linalg.norm(uv[FACES].mean(1) - 0.5, axis=1))]
+    uv[corner] = uv[corner][[0, 2, 1]]
+    return uv
+
+
+def fine():
+    """Model the face with 100,000 vertices."""
+    finer = model().subdivision(3)
+    assert linear_refinement(len(VERTICES), FACES, 3).shape[0] == finer.matrix.shape[0]
+    return modelled(finer.matrix @ VERTICES, finer.faces, control_size=1000)
+
+
+def far_vertex():
+    """Model the face with one vertex at 1e5 mm."""
+    made = AnnotatedFaceModel.from_mesh(with_one(1e5), FACES, annotate=False)
+    assert made.notes[0] == "unit mm"
+    return 0.0, 0, made
+
+
+TORUS = trimesh.creation.torus(80.0, 30.0)
+MIXED = np.where((np.arange(len(FACES)) % 2 == 0)[:, None], FACES, FACES[:, ::-1])
+NEAR = below(1.0, "{:.2f} mm from the template, {} control vertices")
+BROKEN = "{} of .* vertices are NaN or infinite; repair"
+
+CASES = table(
+    "from_mesh",
+    *rows(
+        RIGHT,
+        NEAR,
+        {
+            **each("face times {}", ("1e3", "0.1", "1e-3"), lambda factor: modelled(factor * VERTICES)),
+            **each("{} mm away", ("1e6", "1e7", "1e9"), lambda far: modelled(VERTICES + far)),
+            "100,000 vertices": fine,
+        },
+        SLOW,
+    ),
+    *rows(
+        RIGHT,
+        NEAR,
+        {
+            "a plane": lambda: modelled(*plane(20, 200)),
+            "self-intersecting": lambda: modelled(folded()),
+            "every face twice, once reversed": lambda: modelled(
+                faces=np.concatenate([FACES, FACES[:, ::-1]])
+            ),
+            "a mixed orientation": lambda: modelled(faces=MIXED),
+            "a soup of triangles": lambda: modelled(
+                VERTICES[FACES].reshape(-1, 3), np.arange(FACES.size).reshape(-1, 3)
+            ),
+        },
+    ),
+    (
+        "a torus: cut open",
+        lambda: modelled(TORUS.vertices, TORUS.faces),
+        WARNS,
+        noted("faces cut off the back of a closed surface", 20.0),
+    ),
+    (
+        "non-manifold edges, slivers, zero-area faces",
+        damaged,
+        WARNS,
+        noted("faces dropped at edges with three faces"),
+    ),
+    ("one vertex at 1e5 mm", far_vertex, WARNS, noted("vertices far from the rest")),
+    (
+        "a control mesh of 25 vertices",
+        lambda: modelled(control_size=25),
+        WARNS,
+        noted("a greater control_size follows it better", 4.0),
+    ),
+    *rows(
+        WARNS,
+        noted("a new chart was drawn"),
+        {
+            "uv with a flipped triangle": lambda: modelled(control_size=1000, uv=flipped()),
+            "uv NaN": lambda: modelled(control_size=1000, uv=np.nan * model().uv),
+            "uv outside [0, 1]": lambda: modelled(control_size=1000, uv=5 * model().uv - 2),
+            "uv all in one place": lambda: modelled(control_size=1000, uv=0 * model().uv),
+        },
+    ),
+    (
+        "kilometres",
+        lambda: modelled(1e-6 * VERTICES),
+        REFUSES,
+        "which is not a head in mm, cm, m or um.*scale it to millimetres",
+    ),
+    (
+        "4 vertices",
+        lambda: modelled(
+            [[0, 0, 0], [100, 0, 0], [0, 120, 0], [50, 50, 50]], [[0, 1, 3], [1, 2, 3], [2, 0, 3]]
+        ),
+        REFUSES,
+        "template: only 4 vertices in faces, at least 100 needed",
+    ),
+    (
+        "a control mesh of 4 vertices",
+        lambda: modelled(control_size=4),
+        REFUSES,
+        "control_size is 4, but fewer than 20 control vertices hold no face",
+    ),
+    (
+        "a line of points",
+        lambda: modelled(
+            np.linspace(0, 200, 200)[:, None] * [1, 0, 0], np.arange(198)[:, None] + np.arange(3)
+        ),
+        REFUSES,
+        "template: every face has zero area",
+    ),
+    ("one vertex NaN", lambda: modelled(with_one(np.nan)), REFUSES, BROKEN.format(1)),
+    ("all vertices NaN", lambda: modelled(np.nan * VERTICES), REFUSES, BROKEN.format(len(VERTICES))),
+    ("a Moebius strip", lambda: modelled(*moebius()), REFUSES, "cannot be oriented.*use an orientable mesh"),
+)

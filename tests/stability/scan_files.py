@@ -1,0 +1,185 @@
+"""Extremes of `load_scan`: far away, damaged, odd textures."""
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from helpers.square import write_square_obj
+
+from scan2albedo import RawScan, load_scan, register
+from stability.case import REFUSES, RIGHT, WARNS, Measured, below, each, noted, rows, table
+from stability.scenes import model, person
+
+
+def loaded(vertices=None, faces=None, kind="obj"):
+    """Write a mesh, the person's by default, as OBJ or as PLY of single precision, and load it."""
+    vertices = person().scan.vertices if vertices is None else vertices
+    faces = person().scan.faces if faces is None else faces
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, f"scan.{kind}")
+        mesh.export(path, **({"digits": 12} if kind == "obj" else {}))
+        return load_scan(path)
+
+
+def far_away(distance):
+    """Return how far vertices are off that were written far away."""
+    vertices = person().scan.vertices
+    return float(np.abs(loaded(vertices + distance).vertices - distance - vertices).max())
+
+
+def turned(mask):
+    """Load the person's scan with some of its faces wound the wrong way."""
+    return loaded(faces=person().wound(mask).scan.faces)
+
+
+def registered():
+    """Return how far the pose of a scan is off, one of whose sides was inside out."""
+    degrees, millimetres = person().pose_error(
+        register(turned(person().centres[:, 0] > 0), model()).model_from_scan
+    )
+    return max(degrees, millimetres), degrees, millimetres
+
+
+def wrongly_wound(scan):
+    """Return the note on turned faces; loose pieces alone may stay reversed."""
+    assert (scan.faces != person().scan.faces).any(1).mean() < 0.01
+    return noted("wound against")(scan)
+
+
+def with_fins():
+    """Return how many of 50 faces on non-manifold edges are lost."""
+    faces = person().scan.faces
+    fins = np.column_stack([faces[:50, :2], np.roll(faces[:50, 0], 25)])
+    return len(faces) + 50 - len(loaded(faces=np.concatenate([faces, fins])).faces)
+
+
+BALL = trimesh.creation.icosphere(3, 100.0)
+x, y, z = BALL.vertices.T
+CHART = np.column_stack([np.arctan2(x, z) / 2 / np.pi + 0.5, y / 200 + 0.5])
+PICTURE = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
+
+
+def textured(uv=CHART, picture=True):
+    """Write a ball as OBJ with texture coordinates and a picture, and load it."""
+    lines = ["mtllib face.mtl", "usemtl skin"]
+    lines += ["v {!r} {!r} {!r}".format(*map(float, point)) for point in BALL.vertices]
+    lines += ["vt {} {}".format(*point) for point in ([] if uv is None else uv)]
+    corner = "{0}" if uv is None else "{0}/{0}"
+    lines += ["f " + " ".join(corner.format(i + 1) for i in face) for face in BALL.faces]
+    with tempfile.TemporaryDirectory() as folder:
+        path = write_square_obj(Path(folder), image=PICTURE)
+        path.write_text("\n".join(lines))
+        if not picture:
+            Path(folder, "face.png").unlink()
+        scan = load_scan(path)
+    assert scan.texture_linear is None or (
+        scan.texture_linear.size < 1e7 and 0 <= scan.uv.min() <= scan.uv.max() <= 1
+    )
+    return scan
+
+
+def without_colour(scan):
+    """Return the notes of a scan that has lost its texture."""
+    assert not scan.has_color
+    assert "no texture or vertex colours: geometry only" in scan.notes
+    return Measured("; ".join(scan.notes[1:]))
+
+
+def even(*shape):
+    """Return how far an even texture of a shape is from its colour."""
+    with tempfile.TemporaryDirectory() as folder:
+        scan = load_scan(write_square_obj(Path(folder), image=np.full((*shape, 3), 128, np.uint8)))
+    assert scan.texture_linear.shape == (*shape, 3)
+    return float(np.abs(scan.texture_linear - 0.2159).max())
+
+
+ONE_NAN = np.where(np.arange(len(CHART))[:, None] == 3, np.nan, CHART)
+
+CASES = table(
+    "load_scan",
+    *rows(
+        RIGHT,
+        below(2e-7, "{:.1e} mm off"),
+        each("{} mm away, double precision", ("1e6", "1e7", "1e9"), far_away),
+    ),
+    (
+        "1e7 mm away, single precision",
+        lambda: loaded(person().scan.vertices + 1e7, kind="ply"),
+        WARNS,
+        noted("positions are rounded to 1 mm"),
+    ),
+    (
+        "1e9 mm away, single precision",
+        lambda: loaded(person().scan.vertices + 1e9, kind="ply"),
+        REFUSES,
+        "scan.ply: positions are rounded to 64 mm.*move the scan to the origin",
+    ),
+    (
+        "a single triangle, 3 vertices",
+        lambda: loaded([[0, 0, 0], [100, 0, 0], [0, 120, 0]], [[0, 1, 2]]),
+        RIGHT,
+        lambda scan: f"{len(scan.vertices)} vertices, {scan.notes[0]}",
+    ),
+    (
+        "a line of points",
+        lambda: loaded(5.0 * np.arange(30)[:, None] * [1, 0, 0], np.arange(30).reshape(-1, 3)),
+        REFUSES,
+        "every face has zero area",
+    ),
+    (
+        "half of the faces wound the wrong way",
+        lambda: turned(np.random.default_rng(0).random(len(person().scan.faces)) < 0.4),
+        WARNS,
+        wrongly_wound,
+    ),
+    (
+        "one side of the face inside out, then registered",
+        registered,
+        RIGHT,
+        below(3, "{1:.1f} degrees, {2:.1f} mm off"),
+    ),
+    ("non-manifold edges", with_fins, RIGHT, below(10, "kept, all but {} of 50 faces")),
+    *rows(
+        RIGHT,
+        below(1e-3, "0.216 linear within {:.0e}"),
+        {
+            "a texture of 1 x 1": lambda: even(1, 1),
+            "a texture of 1 x 10000": lambda: even(1, 10000),
+            "a texture of 10000 x 1": lambda: even(10000, 1),
+        },
+    ),
+    *rows(
+        WARNS,
+        noted("clamped to one"),
+        each("texture coordinates of {}", ("1e9", "1e300"), lambda factor: textured(factor * CHART)),
+    ),
+    (
+        "texture coordinates NaN at one vertex",
+        lambda: textured(ONE_NAN),
+        WARNS,
+        noted("faces without texture"),
+    ),
+    *rows(
+        WARNS,
+        without_colour,
+        {
+            "texture coordinates all NaN": lambda: textured(np.nan * CHART),
+            "no texture coordinates": lambda: textured(None),
+            "no picture": lambda: textured(picture=False),
+        },
+    ),
+    (
+        "RawScan with a texture of no pixels",
+        lambda: RawScan(np.eye(3), [[0, 1, 2]], uv=np.zeros((1, 3, 2)), texture_linear=np.zeros((0, 0, 3))),
+        REFUSES,
+        "texture_linear has shape .* no pixel.*leave it out",
+    ),
+    (
+        "RawScan with coordinates of 1e200",
+        lambda: RawScan(1e200 * np.eye(3), [[0, 1, 2]]),
+        REFUSES,
+        r"a coordinate is 1e\+200, beyond 1e\+30.*re-export",
+    ),
+)
