@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 import trimesh
-from benchmarks.stereo_scan import StereoScanner, stereo_scan
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from worlds.stereo import StereoScanner, stereo_scan
 
 from scan2albedo.errors import ScanError
 from scan2albedo.geometry.mesh import vertex_components
