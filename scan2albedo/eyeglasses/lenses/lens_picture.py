@@ -141,17 +141,7 @@ def insert_lenses(
     placed = tuple(inserted.insert_lens(*given, k, own, center=middles[k], **seat) for k, own in sides)
     bare, glass_notes = inserted.without_glass(frame, placed, marks)
     scene, notes = LensScene(bare, surfaces), list(glass_notes)
-    # The rows and columns of the pixels that may see a lens, with one to spare around them.
-    size = np.array([width, height], np.float64)
-    low, high = np.zeros(2), np.zeros(2)
-    if placed:
-        pixels, depth = pinhole.project(matrix, np.concatenate([lens.vertices for lens in placed]))
-        if (depth > 0).all():
-            low, high = np.floor(pixels.min(0)) - 1, np.ceil(pixels.max(0)) + 2
-        elif (depth > 0).any():
-            high = size
-    (left, top), (right, bottom) = np.clip([low, high], 0, size).astype(int).tolist()
-    region = slice(top, bottom), slice(left, right)
+    region = _lens_region(matrix, placed, (height, width))
     colors: SceneColors
     if photograph is not None:
         # Outside the lenses a photograph stays as it is.
@@ -170,18 +160,7 @@ def insert_lenses(
     for whole, values in zip(wholes, (made.shaded, made.bare, made.unknown, made.lens), strict=True):
         whole[window] = values.reshape(whole[window].shape)
     for lens in placed:
-        if lens.rim.gaps != "none":
-            source = "its key points" if lens.rim.gaps == "subdivided" else "the rim on both sides"
-            share = f"{int((~lens.rim.measured).sum())} of {len(lens.rim.points)} points"
-            notes.append(f"the {lens.name}: {share} of its rim come from {source}")
-        if lens.rim.deviation is not None:
-            off = np.sqrt((lens.rim.deviation**2).mean())
-            notes.append(f"the {lens.name}: masks refine its outline, to {off:.2f} mm (standard deviation)")
-        elif len(rim_masks):
-            said = "no mask shows half of its outline and agrees with the rim, which stays"
-            notes.append(f"the {lens.name}: {said}")
-        if not (seen == lens.side).any():
-            notes.append(f"the {lens.name}: no pixel sees it")
+        notes += _lens_notes(lens, len(rim_masks) > 0, bool((seen == lens.side).any()))
     if made.glancing:
         notes.append(f"{made.glancing} rays run along a lens and pass it as if it were not there")
     if lost := int(unknown.sum()):
@@ -191,6 +170,40 @@ def insert_lenses(
     if around is None and any(lens.material.beta > 0 or lens.material.fresnel for lens in placed):
         notes.append("no environment is given: lenses mirror surfaces only, and black")
     return LensPicture(image, without, seen, unknown, placed, tuple(notes))
+
+
+def _lens_region(
+    camera: FloatArray, lenses: Sequence[inserted.InsertedLens], shape: tuple[int, int]
+) -> Window:
+    """Return rows and columns of the pixels that may see a lens, with one to spare around them."""
+    size = np.array(shape[::-1], np.float64)
+    low, high = np.zeros(2), np.zeros(2)
+    if lenses:
+        pixels, depth = pinhole.project(camera, np.concatenate([lens.vertices for lens in lenses]))
+        if (depth > 0).all():
+            low, high = np.floor(pixels.min(0)) - 1, np.ceil(pixels.max(0)) + 2
+        elif (depth > 0).any():
+            high = size
+    (left, top), (right, bottom) = np.clip([low, high], 0, size).astype(int).tolist()
+    return slice(top, bottom), slice(left, right)
+
+
+def _lens_notes(lens: inserted.InsertedLens, masked: bool, seen: bool) -> list[str]:
+    """Return where a lens's rim comes from, what masks that could refine it did, and if it is not seen."""
+    notes, rim = [], lens.rim
+    if rim.gaps != "none":
+        source = "its key points" if rim.gaps == "subdivided" else "the rim on both sides"
+        notes.append(
+            f"{int((~rim.measured).sum())} of {len(rim.points)} points of its rim come from {source}"
+        )
+    if rim.deviation is not None:
+        off = np.sqrt((rim.deviation**2).mean())
+        notes.append(f"masks refine its outline, to {off:.2f} mm (standard deviation)")
+    elif masked:
+        notes.append("no mask shows half of its outline and agrees with the rim, which stays")
+    if not seen:
+        notes.append("no pixel sees it")
+    return [f"the {lens.name}: {note}" for note in notes]
 
 
 def checked_image(name: str, values: ArrayLike) -> FloatArray:
