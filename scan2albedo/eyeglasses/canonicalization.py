@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray, checked_array
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import mean_keypoints as means
 from scan2albedo.eyeglasses import unbending
@@ -68,9 +68,7 @@ class CanonicalEyeglasses:
 
         The exact inverse of `apply`. Raises ValueError when there are not as many vertices as weights.
         """
-        xyz = np.asarray(vertices, np.float64)
-        if xyz.shape != (len(self.weights), 3):
-            raise ValueError(f"vertices must have shape ({len(self.weights)}, 3), got {xyz.shape}")
+        xyz = checked_array(vertices, (len(self.weights), 3), "vertices")
         blended = (self.weights @ self.handle_transforms[:, :3].reshape(-1, 12)).reshape(-1, 3, 4)
         back = np.linalg.solve(blended[:, :, :3], (xyz - blended[:, :, 3])[:, :, None])
         return np.asarray(back[:, :, 0])
@@ -276,11 +274,8 @@ class _Frame:
     def checked(cls, number: int, mesh: Any, keypoints: ArrayLike, weights: ArrayLike | None) -> Self:
         """Return what a caller gave as one frame; raises ValueError for shapes and numbers not finite."""
         vertices, faces = (mesh.vertices, mesh.faces) if hasattr(mesh, "vertices") else mesh
-        xyz = np.asarray(vertices, np.float64)
+        xyz = checked_array(vertices, ("V", 3), f"vertices of frame {number}", finite=ValueError)
         shares = None if weights is None else checked_weights(f"weights {number}", weights, len(xyz))
-        for name, array in (("vertices", xyz), ("weights", shares)):
-            if array is not None and not np.isfinite(array).all():
-                raise ValueError(f"frame {number}: {name} hold NaN or infinity; repair it or leave it out")
         marks = checked_keypoints(f"keypoints {number}", keypoints)
         return cls(number, getattr(mesh, "name", None), xyz, np.asarray(faces, np.int64), marks, shares)
 

@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
+from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import checked_keypoints
 from scan2albedo.eyeglasses.lenses import inserted_lenses as inserted
-from scan2albedo.eyeglasses.lenses.optics import LensMaterial, checked_array
+from scan2albedo.eyeglasses.lenses.optics import LensMaterial
 from scan2albedo.eyeglasses.lenses.scene_colors import LitScene, PhotographedScene, SceneColors
 from scan2albedo.eyeglasses.lenses.scenes import LensScene, Surface
 from scan2albedo.geometry import pinhole
@@ -117,8 +118,11 @@ def insert_lenses(
     not bounce otherwise. 256 lights are 1 % rms off 8,192 directions, 64 are 2.5 %; cost grows with them.
     """
     matrix = pinhole.normalized_cameras(np.asarray(camera, np.float64)[None])[0]
-    photograph = None if picture_linear is None else checked_image("picture_linear", picture_linear)
-    around = None if environment_linear is None else checked_image("environment_linear", environment_linear)
+    images: list[FloatArray | None] = [None, None]
+    for k, (name, image) in enumerate((("picture", picture_linear), ("environment", environment_linear))):
+        if image is not None:
+            images[k] = checked_array(image, ("H", "W", 3), f"{name}_linear", finite=EyeglassesError)
+    photograph, around = images
     if (shape is None) == (photograph is None):
         raise ValueError("give either shape, to draw the scene, or picture_linear, a photograph of it")
     height, width = photograph.shape[:2] if photograph is not None else shape or (0, 0)
@@ -134,7 +138,7 @@ def insert_lenses(
         raise ValueError(f"lenses must be one material or (left, right), got {len(materials)}")
     middles: list[FloatArray | None] = [None, None]
     if lens_centers is not None:
-        middles = list(checked_array("lens_centers", lens_centers, (2, 3)))
+        middles = list(checked_array(lens_centers, (2, 3), "lens_centers", finite=EyeglassesError))
     given = np.asarray(frame.vertices), np.asarray(frame.faces), marks
     sides = [(side, material) for side, material in enumerate(materials) if material is not None]
     seat: dict[str, Any] = {"seat_mm": _SEAT_MM, "rim_masks": rim_masks}
@@ -204,13 +208,6 @@ def _lens_notes(lens: inserted.InsertedLens, masked: bool, seen: bool) -> list[s
     if not seen:
         notes.append("no pixel sees it")
     return [f"the {lens.name}: {note}" for note in notes]
-
-
-def checked_image(name: str, values: ArrayLike) -> FloatArray:
-    """Return a finite image (H, W, 3). Raises EyeglassesError if not finite, ValueError for its shape."""
-    if np.ndim(values) != 3 or np.shape(values)[2] != 3 or np.size(values) == 0:
-        raise ValueError(f"{name} must have shape (H, W, 3), got {np.shape(values)}")
-    return checked_array(name, values, np.shape(values))
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import checked_mesh, checked_points
-from scan2albedo.eyeglasses.lenses.optics import checked_array
 from scan2albedo.eyeglasses.on_face.objective import BIAS_PX, ROBUST, VOTE
 from scan2albedo.eyeglasses.on_face.outline import REACH_PX, MaskDistance, search_edges
 from scan2albedo.geometry.closest_points import ClosestPointQuery
@@ -210,13 +209,13 @@ def find_lens_rim(
     ((128, 3), 'none')
     """
     xyz, index = checked_mesh(vertices, faces, "the frame")
-    middle = checked_array("center", center, (3,))
+    middle = checked_array(center, (3,), "center", finite=EyeglassesError)
     marks = None if rim_points is None else checked_points("rim_points", rim_points)
     if normal is None:
         if marks is None:
             raise EyeglassesError("a lens plane needs rim_points, three or more around the lens, or a normal")
         normal = fit_normal(marks, xyz)
-    plane = LensPlane.at(middle, checked_array("normal", normal, (3,)))
+    plane = LensPlane.at(middle, checked_array(normal, (3,), "normal", finite=EyeglassesError))
     angles = np.linspace(-np.pi, np.pi, _POINTS, endpoint=False)
     lens_radius = None if marks is None else float(plane.profile(marks)[0].mean())
     # A domed lens would stop the rays before they reach the rim.

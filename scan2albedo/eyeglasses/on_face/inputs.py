@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core import Plan, PlanStep, Trace
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, checked_keypoints, checked_mesh, checked_weights
 from scan2albedo.eyeglasses.mean_keypoints import require_posable, usual_size_factor
@@ -151,17 +151,15 @@ def checked_inputs(
     weights = None
     if parts[3] is not None:
         weights = checked_weights("the glasses' weights", parts[3], len(vertices))
-        if not np.isfinite(weights).all() or np.abs(weights.sum(1) - 1).max(initial=0.0) > 1e-6:
-            raise EyeglassesError("the glasses' weights must be finite, each row of sum 1; solve them again")
+        if np.abs(weights.sum(1) - 1).max(initial=0.0) > 1e-6:
+            raise EyeglassesError("the glasses' weights must have rows of sum 1; solve them again")
         if weights[:, ~np.isfinite(keypoints).all(1)].any():
             raise EyeglassesError("the glasses' weights give a share to key points that the frame lacks")
-    labels, matrices = np.asarray(keypoints_2d, np.float64), normalized_cameras(cameras)
+    matrices = normalized_cameras(cameras)
     count = len(matrices)
-    if labels.shape != (count, len(KEY_POINT_NAMES), 2) or count == 0:
-        raise ValueError(
-            f"keypoints_2d must have shape (C, {len(KEY_POINT_NAMES)}, 2) for C cameras of shape (C, 3, 4), "
-            f"got {labels.shape} and {matrices.shape}"
-        )
+    if count == 0:
+        raise ValueError("there is no camera; give one or more")
+    labels = checked_array(keypoints_2d, (count, len(KEY_POINT_NAMES), 2), "keypoints_2d")
     given_masks: list[Any] = [None] * count if masks is None else list(masks)  # type: ignore[arg-type]
     for name, listed in (("masks", given_masks), ("shapes", shapes), ("pictures", pictures)):
         if listed is not None and len(listed) != count:
@@ -187,9 +185,7 @@ def checked_inputs(
         skull = points / unit, index
     pose = None
     if start is not None:
-        pose = np.array(start, np.float64)
-        if pose.shape != (4, 4):
-            raise ValueError(f"start must have shape (4, 4), got {pose.shape}")
+        pose = np.array(checked_array(start, (4, 4), "start"))
         if not is_rigid(pose):
             raise EyeglassesError("start must be a rigid world_from_glasses: a rotation and a translation")
         pose[:3, 3] /= unit
@@ -219,7 +215,7 @@ def _checked_view(
         raise EyeglassesError(f"labels of view {number} reach {np.abs(found).max():.3g}: expected pixels")
     image = None if picture is None else np.asarray(picture)
     if image is not None:
-        if image.ndim != 3 or image.shape[2] != 3 or shape not in (None, image.shape[:2]):
+        if image.shape != (*(shape or image.shape[:2]), 3):
             raise ValueError(f"picture {number} has shape {image.shape}, expected (H, W, 3) of {shape}")
         if not np.isfinite(image).all():
             raise EyeglassesError(f"picture {number} holds numbers that are not finite")

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from scipy.special import xlogy
 
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
 from scan2albedo.errors import EyeglassesError, needs_extra
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR
 from scan2albedo.eyeglasses.mean_keypoints import BEHIND, is_posable, own_axes
@@ -284,11 +284,8 @@ def triangulate(labels_2d: ArrayLike, cameras: ArrayLike, *, noise_px: float = 2
     >>> found.points.round(6).tolist()
     [[1.0, 2.0, 10.0]]
     """
-    labels, matrices = np.asarray(labels_2d, np.float64), normalized_cameras(cameras)
-    if labels.ndim != 3 or labels.shape[2] != 2:
-        raise ValueError(f"labels_2d must have shape (C, K, 2), got {labels.shape}")
-    if len(matrices) != len(labels):
-        raise ValueError(f"cameras must have shape ({len(labels)}, 3, 4), got {matrices.shape}")
+    labels = checked_array(labels_2d, ("C", "K", 2), "labels_2d")
+    matrices = checked_array(normalized_cameras(cameras), (len(labels), 3, 4), "cameras")
     if not noise_px > 0:
         raise ValueError(f"noise_px must be > 0, got {noise_px}")
     points = np.full((labels.shape[1], 3), np.nan)
