@@ -23,7 +23,7 @@ from scan2albedo.core import Plan, PlanStep, RawScan
 from scan2albedo.pipeline import sequence, validation
 from scan2albedo.pipeline.sequence import SequenceResult
 from scan2albedo.sampling import geometry_image_of_scan
-from tests.io.meshes import write_square_obj
+from helpers.square import write_square_obj
 
 COMMAND = [sys.executable, "-m", "scan2albedo"]
 
