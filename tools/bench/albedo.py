@@ -16,11 +16,11 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from benchmarks.mitsuba_set import MitsubaScene, load_scenes, scene_names
-from benchmarks.traced_set import score
 from numpy.typing import NDArray
+from worlds.mitsuba_scenes import MitsubaScene, load_scenes, scene_names
 
 import scan2albedo as s2a
+from bench.judging import score
 from bench.peers.filters import homomorphic, multi_scale_retinex, robust_harmonics
 from bench.peers.light_search import SLOW_PEERS, PeerAnswer
 from bench.runner import Bench, Case, Row

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarks.scan_files import write_obj
+from worlds.files import write_obj
 
 import scan2albedo as s2a
 from bench.runner import Bench, Case, Timed

@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from benchmarks.scan_files import DATA
+from worlds.files import DATA
 
 from bench.runner import Bench, Case
 from scan2albedo import GeometryImage

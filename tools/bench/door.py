@@ -22,24 +22,23 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from benchmarks.door_objects import machined_part, wrong_object
-from benchmarks.door_scans import (
+from worlds.door import (
     UNSEEN,
     hard_person,
-    light_stage_head,
     light_stage_person,
     own_person,
-    random_relief,
     relief,
     scrap,
     with_landmarks,
 )
-from benchmarks.door_scans import (
+from worlds.door import (
     Case as DoorScan,
 )
-from benchmarks.raw_like import raw_like
-from benchmarks.scan_files import write_obj
-from benchmarks.stereo_scan import scrap_of, stereo_scan_of
+from worlds.files import write_obj
+from worlds.light_stage import light_stage_head
+from worlds.objects import machined_part, random_relief, wrong_object
+from worlds.raw_like import raw_like
+from worlds.stereo import scrap_of, stereo_scan_of
 
 from bench.runner import Bench, Case, Row
 from scan2albedo import AnnotatedFaceModel, process

@@ -18,13 +18,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarks.scan_files import DATA
 from numpy.typing import NDArray
+from worlds.files import DATA
 
 import scan2albedo as s2a
 from bench.runner import Bench, Case
 from scan2albedo.applications import ProcessedFace, load_result, relight
-from scan2albedo.applications.eyes_and_mouth import LANDMARKS, eyes_and_mouth
+from scan2albedo.applications.eyes import LID_LANDMARKS
+from scan2albedo.applications.eyes_and_mouth import eyes_and_mouth
 from scan2albedo.geometry.rasterization import bilinear, pixels_from_uv
 from scan2albedo.synthetic import face as synthetic_face
 from scan2albedo.synthetic.textures import landmark_uv
@@ -66,7 +67,7 @@ def painted(seed: int) -> Scene:
     uv = landmark_uv(model)
     middles = []
     for side in ("right", "left"):
-        corners = uv[LANDMARKS[side]]
+        corners = uv[LID_LANDMARKS[side]]
         middles.append(corners.mean(0) + [0, 0.04 * np.linalg.norm(corners[3] - corners[0])])
     points = bilinear(made.image.position, pixels_from_uv(np.concatenate([uv, middles]), made.image.shape))
     face = ProcessedFace.of(f"person{seed}", made.image, made.albedo_linear, model_name=model.name)

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from benchmarks.raw_like import with_holes
-from benchmarks.scan_files import face_data
-from benchmarks.scan_scenes import ScanScene, scan_scenes
+from worlds.files import face_data
+from worlds.raw_like import with_holes
+from worlds.synthetic_scans import ScanScene, scan_scenes
 
 import scan2albedo as s2a
 from bench.landmarks import KEY_POINTS

@@ -21,11 +21,11 @@ from functools import cache, partial
 from itertools import count
 
 import numpy as np
-from benchmarks.door_scans import PLACED, WRONG_BY_MM
-from benchmarks.glasses_on_head import worn_glasses
-from benchmarks.landmark_cases import LightStage, expressions_of_light_stage
-from benchmarks.raw_like import raw_like
-from benchmarks.scan_files import DATA, face_data
+from worlds.door import PLACED, WRONG_BY_MM
+from worlds.files import DATA, face_data
+from worlds.glasses_on_head import worn_glasses
+from worlds.light_stage import LightStage
+from worlds.raw_like import raw_like
 
 import scan2albedo as s2a
 from bench.peers.fit import deformed, peer_answer
@@ -106,7 +106,7 @@ def light_stage(person: str, move: str, weight: float, seed: int) -> Scene:
     people = LightStage.load()
     shape = people.shapes[person]
     if move:
-        shape = shape + weight * expressions_of_light_stage()[move]
+        shape = shape + weight * people.expressions[move]
     scan, scan_from_shape = raw_like(shape, people.faces, seed)
     return Scene(scan, transform_points(scan_from_shape, shape[people.landmarks]))
 
@@ -122,7 +122,7 @@ def cases(quick: bool) -> Iterator[Case]:
     people = list(LightStage.load().shapes)
     for seed, name in enumerate(people):
         yield Case(name, partial(light_stage, name, "", 0.0, seed), "neutral")
-    for seed, move in enumerate(expressions_of_light_stage()):
+    for seed, move in enumerate(LightStage.load().expressions):
         person = people[seed % len(people)]
         for weight in WEIGHTS:
             name = f"{move} {person} {weight}"

@@ -19,9 +19,9 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 
 import numpy as np
-from benchmarks.raw_like import raw_like
-from benchmarks.scan_files import face_data
 from scipy.optimize import least_squares
+from worlds.files import face_data
+from worlds.raw_like import raw_like
 
 import scan2albedo as s2a
 from bench.runner import Bench, Case

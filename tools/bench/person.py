@@ -25,12 +25,12 @@ from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
-from benchmarks.landmark_cases import LightStage
-from benchmarks.person_scans import face_area, moves_of_light_stage, person_scan
-from benchmarks.scan_files import write_obj
-from benchmarks.traced_set import VARIABLE, ScanTruth, judged_scan, score
+from worlds.files import write_obj
+from worlds.light_stage import LightStage
+from worlds.raw_like import raw_like
 
 import scan2albedo as s2a
+from bench.judging import VARIABLE, ScanTruth, judged_scan, score
 from bench.landmarks import INNER
 from bench.runner import Bench, Case, Timed
 from scan2albedo.albedo import albedo_error
@@ -48,6 +48,8 @@ DRAWS = 6
 COUNTS = (1, 2, 3, 5)
 ALBEDO_COUNTS = (1, 2, 3, 5, 8, 32)
 ALBEDO_SIZE = 256
+SCALE_SD = 0.02
+"""Of the logarithm of a scanner's unit."""
 EXPRESSIONS = ("neutral", "smile", "frown", "surprise")
 RIM = 0.8
 """Part of the chart's half width beyond which nothing counts: a head's photographs do not reach its rim."""
@@ -74,6 +76,20 @@ PEERS: dict[str, Callable[[Fits], FloatArray]] = {
 }
 
 
+def person_scan(people: LightStage, person: str, seed: int) -> s2a.RawScan:
+    """Return a scan of one or two random expressions of weights 0 to 1, one in three without a side."""
+    rng = np.random.default_rng([seed, *person.encode()])
+    moves = people.expressions | {"smile": people.smile}
+    names = rng.choice(sorted(moves), int(rng.integers(1, 3)), replace=False)
+    shape = people.shapes[person] + sum(float(rng.uniform()) * moves[str(name)] for name in names)
+    scale = float(np.exp(rng.normal(0, SCALE_SD)))
+    scan, scan_from_shape = raw_like(shape, people.faces, int(rng.integers(2**31)), scale=scale)
+    if rng.uniform() < 1 / 3:
+        x = transform_points(np.linalg.inv(scan_from_shape), scan.vertices)[:, 0] * rng.choice([-1, 1])
+        scan = scan.without_faces((x > rng.uniform(5, 40))[scan.faces].any(1))
+    return scan
+
+
 class Truth:
     """A person's neutral face, and how far an estimate is from it."""
 
@@ -82,7 +98,7 @@ class Truth:
         self.model = model
         self.landmarks = self.points[people.landmarks]
         self.query = ClosestPointQuery(self.points, people.faces)
-        self.inner = np.unique(face_area(people))
+        self.inner = np.unique(people.face_area)
         self.at_rim = boundary_vertex_mask(len(self.points), people.faces)[people.faces].any(1)
 
     def of(self, control: FloatArray) -> tuple[FloatArray, BoolArray, float]:
@@ -112,7 +128,7 @@ def generic_model() -> s2a.AnnotatedFaceModel:
     people = LightStage.load()
     rest = people.shapes["generic_neutral"]
     return s2a.AnnotatedFaceModel.from_mesh(
-        rest, face_area(people), landmarks=people.landmarks, name="generic face"
+        rest, people.face_area, landmarks=people.landmarks, name="generic face"
     )
 
 
@@ -120,9 +136,8 @@ def fits_of(
     people: LightStage, person: str, model: s2a.AnnotatedFaceModel, count: int
 ) -> Iterator[FittedFace]:
     """Fit `count` scans of a person; those that registration or fit refuse are left out."""
-    moves = moves_of_light_stage(people)
     for seed in range(count):
-        scan = person_scan(people, moves, person, seed).scan
+        scan = person_scan(people, person, seed)
         try:
             yield s2a.fit(scan, model, s2a.register(scan, model))
         except s2a.Scan2AlbedoError as error:

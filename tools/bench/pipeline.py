@@ -23,8 +23,8 @@ from functools import cache, partial
 from typing import Any
 
 import numpy as np
-from benchmarks.scan_files import DATA
-from benchmarks.scan_scenes import scanned_skin
+from worlds.files import DATA
+from worlds.synthetic_scans import scanned_skin
 
 import scan2albedo as s2a
 from bench.runner import Bench, Case

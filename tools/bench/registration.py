@@ -17,9 +17,9 @@ from dataclasses import dataclass, replace
 from functools import cache, partial
 
 import numpy as np
-from benchmarks.raw_like import raw_like
-from benchmarks.scan_files import face_data
-from benchmarks.scan_scenes import ScanScene, hard_scan_scenes, scan_scenes
+from worlds.files import face_data
+from worlds.raw_like import raw_like
+from worlds.synthetic_scans import ScanScene, hard_scan_scenes, scan_scenes
 
 import scan2albedo as s2a
 from bench.peers.registration import PEERS, Peer, Surface, fpfh_ransac_icp

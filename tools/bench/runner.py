@@ -147,13 +147,13 @@ def run(
     warm = bench.warm
     try:
         cases = [case for case in bench.cases(quick) if case.is_wanted(only)]
-    except FileNotFoundError as error:
+    except (FileNotFoundError, SystemExit) as error:
         yield Row("-", "", "-", {}, f"no data: {error}", failed=True)
         return
     for case in cases:
         try:
             scene = case.make()
-        except (FileNotFoundError, Scan2AlbedoError) as error:
+        except (FileNotFoundError, SystemExit, Scan2AlbedoError) as error:
             yield Row(case.name, case.group, "-", {}, str(error), failed=True)
             continue
         if warm:

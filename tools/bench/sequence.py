@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from benchmarks.takes import SCRIPTS, Take, take
+from worlds.takes import SCRIPTS, Take, take
 
 import scan2albedo as s2a
 from bench.runner import Bench, Case
