@@ -186,7 +186,10 @@ def james_errors(scan: s2a.RawScan, answer: tuple[FloatArray, FloatArray]) -> di
 
 
 def fitted(scene: ScanScene, options: FitOptions, budget: Budget | None = None) -> Answer:
-    found = s2a.fit(scene.scan, scene.model, scene.found_pose, budget, options=options)
+    return of_fit(scene, s2a.fit(scene.scan, scene.model, scene.found_pose, budget, options=options))
+
+
+def of_fit(scene: ScanScene, found: s2a.FittedFace) -> Answer:
     points = scene.model.subdivision(CORRESPONDENCE_LEVEL).matrix @ found.control_points
     return Answer(found.vertices, found.faces, points, found.model_from_scan)
 
