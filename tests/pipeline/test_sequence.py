@@ -205,7 +205,7 @@ def test_wrong_input_is_refused(frames, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("person", ["person1", "person4"])
 def test_measured_faces_keep_their_landmarks(shared_data: Path, person):
-    """Sixty frames of `tools/bench_sequence.py`, each resampled, with expressions there and back."""
+    """Sixty frames of `tools/bench/sequence.py`, each resampled, with expressions there and back."""
     if not (shared_data / "ict_expressions.npz").exists():
         pytest.skip("ict_expressions.npz is not among the real scans")
     figures, _ = followed(take(person, SCRIPTS[person], seed=1))

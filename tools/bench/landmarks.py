@@ -7,10 +7,11 @@ with one of these 25 mm off, and with those that MediaPipe finds (where the extr
 "MediaPipe" are these landmarks themselves; the other peers run in the Python that S2A_PEERS_PYTHON names:
 "nricp_amberg" deforms the default model from the pose that ours has found, "autofacemonker" finds five points
 on scans with texture. Errors are mean distances in mm over the 51 inner points of iBUG-68; "within 1" and "2"
-are shares of coordinates within one and two stated deviations: 68 % and 95 % where these are right. `mouths`
-asks of 200 scans of shut mouths with many expressions and of open jaws whether the jaw was judged rightly;
-`lamps` paints shapes in one colour under a lamp, and shows by how much landmarks get worse when colours are
-looked at; `glasses` puts glasses with lenses on shapes.
+are shares of coordinates within one and two stated deviations: 68 % and 95 % where these are right; "above"
+is by how much placed landmarks lie above the model's, mm. `mouths` asks of 200 scans of shut mouths with many
+expressions and of open jaws whether the jaw was judged rightly; `lamps` paints shapes in one colour under a
+lamp, and shows by how much landmarks get worse when colours are looked at; `glasses` puts glasses with lenses
+on shapes.
 """
 
 from __future__ import annotations
@@ -50,6 +51,9 @@ FEATURES = {
     "eyes": slice(36, 48),
     "lips": slice(48, 68),
 }
+NOSE_TOP = [27]
+BROW_ENDS = [21, 22]
+"""Points that those who place landmarks put at different heights."""
 KEY_POINTS = {0: 51, 133: 39, 362: 42, 61: 48, 291: 54}
 """autofacemonker's key points (MediaPipe's numbers) as iBUG-68 numbers."""
 WEIGHTS = (0.6, 1.0)
@@ -197,6 +201,8 @@ def errors(scene: Scene, found: Found) -> dict[str, float]:
     row |= {name: mean_of(error[part]) for name, part in FEATURES.items()}
     row["largest"] = float(np.max(error[INNER], initial=0, where=np.isfinite(error[INNER])))
     row["five points"] = mean_of(error[list(KEY_POINTS.values())])
+    row["nose above"] = mean_of(-found.offset_mm[NOSE_TOP, 1])
+    row["brows above"] = mean_of(-found.offset_mm[BROW_ENDS, 1])
     ratio = np.abs(found.offset_mm[INNER]) / found.deviation_mm[INNER, None]
     known = np.isfinite(ratio)
     row["stated mm"] = mean_of(found.deviation_mm[INNER])

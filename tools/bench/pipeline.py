@@ -94,7 +94,7 @@ def stages(quick: bool) -> Iterator[Case]:
     yield Case("fit", fit)
     yield Case("geometry image", lambda: partial(s2a.geometry_image, fitted_scan(), scan(), size))
     yield Case("light and albedo", albedo)
-    yield Case("whole run with files", lambda: partial(whole_run, size))
+    yield Case("whole run with files", lambda: partial(whole_run, size), "everything")
 
 
 @cache

@@ -174,7 +174,7 @@ def errors(scene: Scene, found: Found) -> dict[str, float]:
     if scene.truth is not None:
         degrees, mm = difference(found.pose, scene.truth @ invert_rigid(scene.pose))
         missed = degrees > BASIN_DEG or mm > BASIN_MM
-        row |= {"in basin %": 100.0 * (not missed), "deg": degrees, "mm": mm}
+        row |= {"in basin": float(not missed), "deg": degrees, "mm": mm}
     # Peers do not say how sure they are, and give no plan; only ours is repeated.
     if found.plan:
         straight = registered(scene.straight).pose
@@ -182,8 +182,8 @@ def errors(scene: Scene, found: Found) -> dict[str, float]:
         if straight is not None:
             apart = difference(found.pose, straight @ invert_rigid(scene.pose))
         repeated = apart[0] <= REPEAT_DEG and apart[1] <= REPEAT_MM
-        row |= {"repeated %": 100.0 * repeated, "repeat deg": apart[0], "repeat mm": apart[1]}
-        row["sure misses %"] = 100.0 * ((missed or not repeated) and found.confidence >= SURE)
+        row |= {"repeated": float(repeated), "repeat deg": apart[0], "repeat mm": apart[1]}
+        row["sure misses"] = float((missed or not repeated) and found.confidence >= SURE)
     return row
 
 
@@ -215,13 +215,13 @@ def same_person_cases(quick: bool) -> Iterator[Case]:
 def off_their_place(scene: ScanScene, found: Found) -> dict[str, float]:
     """Return the mean distance between the true face's points where the poses found and true put them."""
     if found.pose is None:
-        return {"mm": REFUSED_MM, "deg": 180.0, "in basin %": 0.0, "evaluations": 0.0}
+        return {"mm": REFUSED_MM, "deg": 180.0, "in basin": 0.0, "evaluations": 0.0}
     points = transform_points(invert_rigid(scene.truth.model_from_scan), scene.surface)
     apart = transform_points(found.pose, points) - transform_points(scene.model_from_scan, points)
     mm = min(float(np.linalg.norm(apart, axis=1).mean()), REFUSED_MM)
     degrees, _ = difference(found.pose, scene.model_from_scan)
     inside = degrees <= BASIN_DEG and mm <= BASIN_MM
-    return {"mm": mm, "deg": degrees, "in basin %": 100.0 * inside, "evaluations": float(found.evaluations)}
+    return {"mm": mm, "deg": degrees, "in basin": float(inside), "evaluations": float(found.evaluations)}
 
 
 def settings() -> dict[str, Callable[[ScanScene], Found]]:
