@@ -58,10 +58,11 @@ class Table:
                 cases.setdefault(name, {})[row["method"]] = row["values"]
         for group, name in self.means.items():
             cases[name] = {method: each["mean"] for method, each in record["summary"][group].items()}
-        rows = [list(self.cells), ["---"] * len(self.cells)]
+        rows = [list(self.cells)]
         for name, methods in cases.items():
             rows.append([_filled(cell, {"case": name, **methods}) for cell in self.cells.values()])
-        return ["| " + " | ".join(row) + " |" for row in rows]
+        head, *lines = ("| " + " | ".join(row) + " |" for row in rows)
+        return [head, "|---" * len(self.cells) + "|", *lines]
 
 
 def _filled(cell: str, values: dict[str, Any]) -> str:

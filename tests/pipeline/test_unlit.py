@@ -6,7 +6,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from benchmarks.texture_rims import LIMIT, exported_textures, rim_step
+from bench.applications import LIMIT, exported_textures, rim_step
 
 import scan2albedo as s2a
 from scan2albedo.applications import light_removal, load_result, swap_texture, write_face
