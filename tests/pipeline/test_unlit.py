@@ -6,7 +6,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from benchmarks.texture_rims import LIMIT, exported_textures, rim_step
+from bench.applications import LIMIT, exported_textures, rim_step
 
 import scan2albedo as s2a
 from scan2albedo.applications import light_removal, load_result, swap_texture, write_face
@@ -19,7 +19,7 @@ from scan2albedo.io.color import is_deep
 from scan2albedo.io.images import encode_image, read_image_linear, read_image_values
 from scan2albedo.io.textured_mesh import MeshPicture, TexturedMesh, write_textured_obj
 from scan2albedo.pipeline.demo import compare_with_truth
-from scan2albedo.pipeline.result import write_template, write_unlit
+from scan2albedo.pipeline.mesh_files import write_template, write_unlit
 
 SIZE = 128
 

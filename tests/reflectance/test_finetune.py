@@ -5,8 +5,8 @@ import sys
 
 import numpy as np
 import pytest
-from benchmarks.everyday_light import generated_environment
 from scipy.spatial import ConvexHull
+from worlds.environments import generated_environment
 
 from scan2albedo.core import Budget
 from scan2albedo.errors import ReflectanceError

@@ -5,7 +5,7 @@ import itertools
 
 import numpy as np
 import pytest
-from benchmarks.everyday_light import generated_environment
+from worlds.environments import generated_environment
 
 from scan2albedo.core import Budget, Meter
 from scan2albedo.errors import ReflectanceError

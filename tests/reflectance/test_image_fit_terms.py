@@ -7,7 +7,7 @@ import warnings
 
 import numpy as np
 import pytest
-from benchmarks.everyday_light import generated_environment, generated_lighting
+from worlds.environments import generated_environment, generated_lighting
 
 from scan2albedo.core import Meter
 from scan2albedo.errors import ReflectanceError
