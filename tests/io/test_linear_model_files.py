@@ -41,6 +41,11 @@ def npz(path, **arrays):
     return path
 
 
+def load(path, data):
+    path.write_bytes(data)
+    return LinearFaceModel.load(path)
+
+
 def assert_same(model, basis, shapes, faces=FACES):
     assert_allclose(model.mean, MEAN, rtol=1e-6)
     assert_allclose(model.basis, basis, rtol=1e-5, atol=1e-6)
@@ -101,10 +106,9 @@ def test_own_layout_in_hdf5_with_joints(tmp_path):
 
 
 def test_hdf5_without_its_library_names_what_to_install(tmp_path, monkeypatch):
-    (tmp_path / "bfm.h5").write_bytes(b"\x89HDF")
     monkeypatch.setitem(sys.modules, "h5py", None)
     with pytest.raises(MissingDependencyError, match=r"pip install 'scan2albedo\[hdf5\]'"):
-        LinearFaceModel.load(tmp_path / "bfm.h5")
+        load(tmp_path / "bfm.h5", b"\x89HDF")
 
 
 def eos_bytes(*matrices, version=1):
@@ -120,8 +124,7 @@ def eos_bytes(*matrices, version=1):
 def test_eos_models_hold_column_major_matrices(tmp_path, scaled_too):
     basis, mean, variance = orthonormal(BASIS), MEAN.reshape(-1, 1), DEVIATION.reshape(-1, 1) ** 2
     bases = [basis * DEVIATION, basis] if scaled_too else [basis]
-    (tmp_path / "sfm.bin").write_bytes(eos_bytes(mean, *bases, variance))
-    model = LinearFaceModel.load(tmp_path / "sfm.bin")
+    model = load(tmp_path / "sfm.bin", eos_bytes(mean, *bases, variance))
     assert_same(model, (basis * DEVIATION).reshape(V, 3, K), K)
 
 
@@ -160,10 +163,9 @@ def flame(monkeypatch, **changes):
 @pytest.mark.parametrize("protocol", [0, 1, 2, 3, 4, 5])
 def test_flame_is_read_without_chumpy(tmp_path, monkeypatch, protocol):
     text = pickle.dumps(flame(monkeypatch), protocol)
-    (tmp_path / "generic_model.pkl").write_bytes(text)
     for name in ("chumpy", "chumpy.ch"):
         monkeypatch.setitem(sys.modules, name, None)
-    model = LinearFaceModel.load(tmp_path / "generic_model.pkl")
+    model = load(tmp_path / "generic_model.pkl", text)
     assert_same(model, np.concatenate([BASIS, EXPRESSION], axis=2), K + E)  # below 300 all are shape
     assert model.joints == ("root", "neck", "jaw", "left_eye", "right_eye")
     assert model.parents.tolist() == [-1, 0, 1, 1, 1]
@@ -175,16 +177,14 @@ def test_flame_of_python_2_is_read(tmp_path):
     reduced = pickle.dumps({"v_template": MEAN, "shapedirs": BASIS, "f": FACES}, 2)
     reduced = reduced.replace(b"numpy._core.multiarray", b"numpy.core.multiarray")
     assert b"numpy.core.multiarray" in reduced
-    (tmp_path / "m.pkl").write_bytes(reduced)
-    assert_same(LinearFaceModel.load(tmp_path / "m.pkl"), BASIS, K)
+    assert_same(load(tmp_path / "m.pkl", reduced), BASIS, K)
 
 
 def test_flame_follows_the_skinning_of_smpl(tmp_path, monkeypatch):
     """Against a plain evaluation with 4 x 4 matrices along the chain (Loper et al., SMPL, 2015)."""
     from scipy.spatial.transform import Rotation
 
-    (tmp_path / "m.pkl").write_bytes(pickle.dumps(flame(monkeypatch)))
-    model = LinearFaceModel.load(tmp_path / "m.pkl")
+    model = load(tmp_path / "m.pkl", pickle.dumps(flame(monkeypatch)))
     c, vectors = RNG.normal(size=K + E), 0.3 * RNG.normal(size=(5, 3))
     turns = Rotation.from_rotvec(vectors).as_matrix()
     shaped = MEAN + np.concatenate([BASIS, EXPRESSION], axis=2) @ c
@@ -215,9 +215,9 @@ class Hostile:
 @pytest.mark.parametrize("protocol", [0, 2, 4])
 def test_hostile_pickles_run_nothing(tmp_path, monkeypatch, protocol):
     made = str(tmp_path / "made")
-    (tmp_path / "bad.pkl").write_bytes(pickle.dumps(flame(monkeypatch, extra=Hostile(made)), protocol))
+    hostile = pickle.dumps(flame(monkeypatch, extra=Hostile(made)), protocol)
     with pytest.raises(ModelError, match=r"bad\.pkl: the pickle asks for (posix|os|nt)\.mkdir"):
-        LinearFaceModel.load(tmp_path / "bad.pkl")
+        load(tmp_path / "bad.pkl", hostile)
     assert not os.path.exists(made)
 
 

@@ -442,10 +442,13 @@ def test_every_command_refuses_what_is_not_its_own_before_the_work(tmp_path, mon
     arguments, file = COMMANDS[name]
     monkeypatch.chdir(tmp_path)
     mine, said = tmp_path / "OUT" / file, "no run of scan2albedo"
-    if way == "a journal":
-        mine, said = mine.with_name(JOURNAL), "was edited or cut short, or is not ours"
     mine.parent.mkdir(parents=True)
-    mine.write_text(journal_with(made=["mine"]))
+    if way == "a journal":
+        said = "was edited or cut short, or is not ours"
+        for place in (mine.parent, tmp_path / "OUT"):
+            (place / JOURNAL).write_text(journal_with(made=["mine"]))
+    else:
+        mine.write_text("mine")
     before = folders.contents(tmp_path)
     done = invoke(*arguments)
     assert done.exit_code != 0
