@@ -65,7 +65,7 @@ def missing_mitsuba() -> str:
 
 def glasses_peers() -> list[Peer]:
     """Return Adam on the same loss, its outlines traced once from where labels alone lead."""
-    from benchmarks.eyeglasses_registration import SameLoss
+    from bench.eyeglasses.registration import SameLoss
 
     def peer(iterations: int) -> Peer:
         def run(scene: WornGlasses) -> Outcome:

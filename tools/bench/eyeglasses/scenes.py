@@ -1,27 +1,28 @@
-"""Frames that the bend's model does not know: real ones and others, bent by hand-made smooth deformations.
+"""Frames that no model knows: real ones and others, bent by hand-made smooth deformations, in pictures.
 
-Neither the deformations nor the errors of labels and masks are those that `register_on_face` assumes: labels
-miss the key point by an amount that all views share, by heavy-tailed errors of their own, and masks are too
-wide or too narrow throughout.
+Neither the deformations nor the errors of labels and masks are those that `register_on_face` assumes:
+labels miss the key point by an amount that all views share, by heavy-tailed errors of their own, and masks
+are too wide or too narrow throughout.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 
 import numpy as np
+from benchmarks.scan_files import DATA
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
+from bench.runner import Row
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.eyeglasses import KEY_POINT_NAMES, bounded_biharmonic_weights
 from scan2albedo.geometry.mesh import vertex_components
 from scan2albedo.geometry.pinhole import camera_centers, look_at, pixel_directions, pixel_grid, project
 from scan2albedo.geometry.rigid import rotation_from_vector
 from scan2albedo.io import load_scan
-from scan2albedo.synthetic import GlassesShape, eyeglasses
+from scan2albedo.synthetic import GlassesShape, SyntheticEyeglasses, eyeglasses
 from scan2albedo.synthetic.renderer import RayScene
 from scan2albedo.synthetic.sitter import join
 
@@ -97,9 +98,14 @@ def hand_placed(vertices: FloatArray) -> FloatArray:
     return np.array([points[name] for name in KEY_POINT_NAMES])
 
 
-def khronos(data: Path) -> BareFrame:
+GIRAUT_DEG = {"rim_top": 90, "rim_bridge": 155, "rim_inner": 205, "rim_bottom": 270, "rim_outer": 0}
+"""Of a left rim's key points around the lens's centre, seen from the front."""
+
+
+@cache
+def khronos() -> BareFrame:
     """Return real sunglasses of loose parts, lenses among them."""
-    scan = load_scan(data / "sunglasses_khronos.glb")
+    scan = load_scan(DATA / "sunglasses_khronos.glb")
     part = vertex_components(len(scan.vertices), scan.faces)
     glass = np.zeros(len(scan.faces), bool)
     for number in np.unique(part):
@@ -111,9 +117,10 @@ def khronos(data: Path) -> BareFrame:
     return BareFrame("khronos", scan.vertices, scan.faces, glass, hand_placed(scan.vertices))
 
 
-def giraut(data: Path) -> BareFrame:
+@cache
+def giraut() -> BareFrame:
     """Return a real front without temples and lenses: round rims, 33 mm off the middle."""
-    scan = load_scan(data / "frame_giraut.stl")
+    scan = load_scan(DATA / "frame_giraut.stl")
     vertices = scan.vertices[:, [0, 2, 1]]
     faces = scan.faces[:, ::-1]
     marks = np.full((20, 3), np.nan)
@@ -122,10 +129,7 @@ def giraut(data: Path) -> BareFrame:
         offset = vertices[:, :2] - [sign * 33.0, 0.0]
         angle, radius = np.arctan2(offset[:, 1], sign * offset[:, 0]), np.hypot(*offset.T)
         ring = (radius > 14) & (radius < 26) & (sign * vertices[:, 0] > 3)
-        for name, degrees in (
-            ("rim_top", 90.0), ("rim_bridge", 155.0), ("rim_inner", 205.0), ("rim_bottom", 270.0),
-            ("rim_outer", 0.0),
-        ):  # fmt: skip
+        for name, degrees in GIRAUT_DEG.items():
             turn = np.abs(np.angle(np.exp(1j * (angle - np.deg2rad(degrees)))))
             marks[index[f"{side}_{name}"]] = vertices[ring & (turn < 0.12)].mean(0)
         end = sign * vertices[:, 0] > 56.0
@@ -145,18 +149,37 @@ SHAPES = {
 """Measures at the ends of what opticians sell, and past them."""
 
 
+def fan(outline: FloatArray, lift_mm: float = 0.0) -> tuple[FloatArray, IntArray]:
+    """Return a lens in an outline (R, 3): triangles from its middle, which stands `lift_mm` before it."""
+    rim = 1 + np.arange(len(outline))
+    middle = outline.mean(0, keepdims=True) + [0, 0, lift_mm]
+    return np.concatenate([middle, outline]), np.stack([np.zeros_like(rim), rim, np.roll(rim, -1)], axis=1)
+
+
 @cache
-def synthetic(name: str, *, welded: bool = True) -> BareFrame:
+def synthetic(name: str) -> BareFrame:
     """Return one of `SHAPES` with flat lenses."""
-    glasses = eyeglasses(shape=SHAPES[name], welded=welded)
-    parts = [(glasses.vertices, glasses.faces)]
-    for outline in glasses.lens_outlines:
-        rim = 1 + np.arange(len(outline))
-        fan = np.stack([np.zeros_like(rim), rim, np.roll(rim, -1)], axis=1)
-        parts.append((np.concatenate([outline.mean(0, keepdims=True), outline]), fan))
-    vertices, faces = join(parts)
+    glasses = eyeglasses(shape=SHAPES[name])
+    lenses = [fan(outline) for outline in glasses.lens_outlines]
+    vertices, faces = join([(glasses.vertices, glasses.faces), *lenses])
     glass = np.arange(len(faces)) >= len(glasses.faces)
     return BareFrame(name, vertices, faces, glass, glasses.keypoints)
+
+
+def lensless(name: str, glasses: SyntheticEyeglasses) -> BareFrame:
+    """Return a frame of the package's own maker."""
+    none = np.zeros(len(glasses.faces), bool)
+    return BareFrame(name, glasses.vertices, glasses.faces, none, glasses.keypoints)
+
+
+def named(name: str, drawn: Callable[[int], GlassesShape | int] = int) -> BareFrame:
+    """Return a frame without lenses: "khronos", "giraut", one of `SHAPES`, or "drawn N"."""
+    if name == "giraut":
+        return giraut()
+    if name.startswith("drawn"):
+        made = drawn(int(name.split()[1]))
+        return lensless(name, eyeglasses(made) if isinstance(made, int) else eyeglasses(shape=made))
+    return without_lenses(khronos() if name == "khronos" else synthetic(name))
 
 
 def without_lenses(frame: BareFrame) -> BareFrame:
@@ -215,6 +238,10 @@ class Errors:
     """Deviation of how far a view's mask reaches beyond the frame, all around."""
     wander_px: float = 1.0
     """Deviation of its outline's smooth error."""
+
+
+EVEN = Errors(shared_mm=0.0, label_px=0.7, bias_px=0.0, wander_px=0.7)
+"""Errors that are not alike anywhere."""
 
 
 @dataclass(frozen=True)
@@ -285,3 +312,16 @@ def _mask(
     wander *= errors.wander_px / wander.std()
     inside = distance_transform_edt(shown) - distance_transform_edt(~shown) - np.where(shown, 0.5, -0.5)
     return np.asarray(inside + wander + errors.bias_px * rng.normal() > 0)
+
+
+def rms(errors: FloatArray) -> float:
+    """Return the root mean square of lengths (N,), NaN of none."""
+    return float(np.sqrt((errors**2).mean())) if len(errors) else float("nan")
+
+
+def root_mean_squares(columns: Sequence[str], rows: Sequence[Row]) -> Iterator[str]:
+    """Yield a line for each group and method: root mean squares of columns over its rows."""
+    for group, method in dict.fromkeys((row.group, row.method) for row in rows if not row.failed):
+        own = [row.values for row in rows if (row.group, row.method) == (group, method) and not row.failed]
+        parts = [f"{name} {rms(np.array([values[name] for values in own])):.3f}" for name in columns]
+        yield f"root mean squares over {len(own)} of {group}, {method}: {', '.join(parts)}"

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
+from benchmarks.scan_files import DATA
 
-from benchmarks.eyeglasses_rims import rims_of
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.eyeglasses import KEY_POINT_NAMES
+from scan2albedo.geometry.mesh import vertex_components
 from scan2albedo.io import load_scan
 from scan2albedo.synthetic import GlassesShape, eyeglasses
 
@@ -128,9 +128,9 @@ def synthetic_frame(
     )
 
 
-def real_frame(data: Path, file: str) -> WholeFrame:
+def real_frame(file: str) -> WholeFrame:
     """Return a frame of ../shared/data, upright, with key points at given angles around its lenses."""
-    scan = load_scan(data / file)
+    scan = load_scan(DATA / file)
     turn = _UPRIGHT[file]
     vertices = scan.vertices @ turn.T
     vertices[:, 0] -= (vertices[:, 0].min() + vertices[:, 0].max()) / 2
@@ -153,8 +153,25 @@ def real_frame(data: Path, file: str) -> WholeFrame:
         rims[side] = np.array([edge(degrees, 5) for degrees in range(0, 360, 10)])
         marks |= _temple(vertices, side, sign)
     numbers = np.array([marks.get(name, -1) for name in KEY_POINT_NAMES])
-    stem = Path(file).stem.split("_")[-1]
+    stem = file.partition(".")[0].split("_")[-1]
     return WholeFrame(stem, vertices, scan.faces, numbers, (rims["left"], rims["right"]), stem == "giraut")
+
+
+def rims_of(vertices: FloatArray, faces: IntArray, axis: int) -> dict[str, tuple[BoolArray, FloatArray]]:
+    """Return faces and centre of both rims: parts of lens width, or the halves of a front in one piece."""
+    if axis == 1:  # round rims, centred 33 mm off the middle
+        across = vertices[faces].mean(1)[:, 0]
+        sides = {"left": -33.0, "right": 33.0}
+        return {side: (x * across > 0, np.array([x, 0.0, 0.0])) for side, x in sides.items()}
+    part = vertex_components(len(vertices), faces)[faces[:, 0]]
+    found = {}
+    for number in np.unique(part):
+        own = part == number
+        corners = vertices[faces[own]].reshape(-1, 3)
+        if 50 < np.ptp(corners[:, 0]) < 75 and own.sum() > 1000:  # the lenses have fewer faces
+            side = "left" if corners[:, 0].mean() < 0 else "right"
+            found[side] = (own, (corners.min(0) + corners.max(0)) / 2)
+    return found
 
 
 def _bridge(vertices: FloatArray) -> dict[str, int]:
@@ -180,7 +197,7 @@ def _temple(vertices: FloatArray, side: str, sign: int) -> dict[str, int]:
     return {f"{side}_{name}": slice_middle(way * depth, 0.04 * depth) for name, way in places.items()}
 
 
-def frames_of_many_makers(data: Path) -> list[WholeFrame]:
+def frames_of_many_makers() -> list[WholeFrame]:
     """Return rectangular, round and usual synthetic frames, and the real ones where they are there."""
     frames = [
         synthetic_frame("rectangular", GlassesShape(lens_width=54, lens_height=28, squareness=6)),
@@ -188,5 +205,4 @@ def frames_of_many_makers(data: Path) -> list[WholeFrame]:
         synthetic_frame("usual", GlassesShape(temple_spread=1.0)),
         synthetic_frame("tall", GlassesShape(lens_width=52, lens_height=46, squareness=2.3, bridge_width=16)),
     ]
-    files = [name for name in _UPRIGHT if (data / name).exists()]
-    return frames + [real_frame(data, name) for name in files]
+    return frames + [real_frame(name) for name in _UPRIGHT if (DATA / name).exists()]

@@ -1,4 +1,4 @@
-"""Frames in pictures without labels: what is proposed, how sure it is, and what the registration gains.
+"""People with frames in pictures.
 
 Faces are painted and have brows, eyes and hair; the light has a lamp whose shadows the frame throws on the
 skin; lenses are clear with a faint mirror image, or dark. Neither bends (`own_bend`) nor seats are those of
@@ -7,24 +7,18 @@ the package.
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
-from scipy.spatial.transform import Rotation
 
-from benchmarks.eyeglasses_scenes import BareFrame, giraut, khronos, own_bend, synthetic, without_lenses
+from bench.eyeglasses.scenes import BareFrame, own_bend
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.eyeglasses import RegisteredEyeglasses, register_on_face
 from scan2albedo.face_model import default_model
 from scan2albedo.geometry.mesh import face_normals, normalized
 from scan2albedo.geometry.pinhole import camera_centers, look_at, pixel_directions, pixel_grid, project
-from scan2albedo.geometry.rigid import compose, procrustes, rotation_from_vector, transform_points
+from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
 from scan2albedo.io.color import encode_srgb_bytes
-from scan2albedo.synthetic import GlassesShape, eyeglasses
 from scan2albedo.synthetic.renderer import RayScene, toward
 from scan2albedo.synthetic.sitter import BodyPart, join, sit_down
 from scan2albedo.synthetic.textures import smooth_noise
@@ -54,25 +48,6 @@ class Pictured:
     masks: BoolArray
     labels: FloatArray
     """(C, 20, 2) without noise, NaN where the head hides a key point."""
-    seen: BoolArray
-    """(V,) vertices that the head leaves visible in a view."""
-
-
-@cache
-def drawn(seed: int) -> BareFrame:
-    """Return a synthetic frame of measures that opticians sell."""
-    glasses = eyeglasses(shape=GlassesShape.drawn(np.random.default_rng([seed, 77])))
-    none = np.zeros(len(glasses.faces), bool)
-    return BareFrame(f"drawn {seed}", glasses.vertices, glasses.faces, none, glasses.keypoints)
-
-
-def named(name: str, data: Path) -> BareFrame:
-    """Return a frame by name: "khronos", "giraut", "drawn N" or one of `SHAPES`."""
-    if name.startswith("drawn"):
-        return drawn(int(name.split()[1]))
-    return {"khronos": lambda: khronos(data), "giraut": lambda: giraut(data)}.get(
-        name, lambda: without_lenses(synthetic(name))
-    )()
 
 
 def pictured(
@@ -83,9 +58,8 @@ def pictured(
     sitter = sit_down(seed, expression="neutral", model=default_model())
     skull = RayScene(sitter.vertices, sitter.faces[sitter.part != BodyPart.HAIR])
     eyes = sitter.face.landmarks[36:48].mean(0)
-    bare = without_lenses(frame) if frame.glass.any() else frame
-    bent = own_bend(bare, rng)
-    rest, marks = bent(bare.vertices), bent(bare.keypoints)
+    bent = own_bend(frame, rng)
+    rest, marks = bent(frame.vertices), bent(frame.keypoints)
     # About where frames sit: a little below the eyes' middle, leaning, as far back as the nose lets them.
     middle = np.nanmean(marks[[2, 11, 5, 14]], axis=0)
     turn = rotation_from_vector(np.deg2rad(rng.normal([4.0, 0.0, 0.0], [2.5, 1.0, 1.0])))
@@ -112,11 +86,11 @@ def pictured(
     cameras = np.stack(
         [look_at(target + 600 * toward(*way), target, focal_px=1.75 * size, shape=shape) for way in ways]
     )
-    lens = [(placed[:0], bare.faces[:0])]
+    lens = [(placed[:0], frame.faces[:0])]
     if glass != "none":
         lens = [_flat_lens(points, side) for side in (0, 1)]
     pictures, masks = [], []
-    lit = _Lit(sitter, (placed, bare.faces), lens, COLORS[color], glass, rng)
+    lit = _Lit(sitter, (placed, frame.faces), lens, COLORS[color], glass, rng)
     for camera in cameras:
         linear, mask = lit.picture(camera, size)
         noisy = gaussian_filter(linear, (0.6, 0.6, 0)) + rng.normal(0, 0.004, linear.shape)
@@ -124,17 +98,14 @@ def pictured(
         masks.append(mask)
     head = sitter.vertices, sitter.faces[sitter.part < BodyPart.HAIR]
     labels = np.stack([project(camera, points)[0] for camera in cameras])
-    hidden, whole = [], RayScene(sitter.vertices, sitter.faces)
+    whole = RayScene(sitter.vertices, sitter.faces)
     for number, eye in enumerate(camera_centers(cameras)):
         known = np.isfinite(points).all(1)
         behind_head = np.ones(len(points), bool)
         behind_head[known] = whole.hidden(eye, points[known], 2.0)
         labels[number, behind_head] = np.nan
-        hidden.append(whole.hidden(eye, placed, 0.5))
     labels[((labels < 0) | (labels > size - 1)).any(2)] = np.nan
-    return Pictured(
-        bare, placed, points, head, cameras, np.stack(pictures), np.stack(masks), labels, ~np.all(hidden, 0)
-    )
+    return Pictured(frame, placed, points, head, cameras, np.stack(pictures), np.stack(masks), labels)
 
 
 def _flat_lens(points: FloatArray, side: int) -> tuple[FloatArray, np.ndarray]:
@@ -218,102 +189,3 @@ class _Lit:
             body, 18, 60
         )
         return 0.75 * (made + (gloss * lit * self.strength)[:, None])
-
-
-TUNED = (
-    ("drawn 1", 0, "black", "clear"),
-    ("aviator", 1, "steel", "clear"),
-    ("slab", 2, "tortoise", "clear"),
-    ("drawn 3", 3, "blue", "none"),
-)
-UNSEEN = (
-    ("khronos", 10, "black", "clear"),
-    ("giraut", 11, "red", "clear"),
-    ("round", 12, "black", "clear"),
-    ("shield", 13, "tortoise", "dark"),
-    ("drawn 14", 14, "steel", "clear"),
-    ("drawn 15", 15, "black", "dark"),
-)
-"""Frame, person, colour and lenses: looked at while the search was made, and not before the end."""
-LABEL_PX = 1.0
-
-
-def bench_pictures(data: Path, *, tuned: bool = False) -> None:
-    """Print pose errors by what is known, and true errors of proposals beside their deviations."""
-    print(
-        f"{'frame':10}{'known':18}{'front mm':>9}{'observed':>9}{'share':>6}{'turn deg':>9}{'shift mm':>9}",
-        end="",
-    )
-    print(f"{'proposed':>10}{'median px':>10}{'rms px':>7}{'stated':>7}{'in 1 s':>7}{'IoU':>6}")
-    every = []
-    for name, seed, color, glass in TUNED if tuned else UNSEEN:
-        scene = pictured(named(name, data), seed, color, glass)
-        frame = scene.frame
-        hand = scene.labels + np.random.default_rng(seed).normal(0, LABEL_PX, scene.labels.shape)
-        nothing, middle = np.full_like(hand, np.nan), hand.copy()
-        middle[[0, 2]] = np.nan
-        pictures, masks = list(scene.pictures), list(scene.masks)
-        cases = {
-            "head alone": (nothing, None, None),
-            "pictures": (nothing, None, pictures),
-            "one view's labels": (middle, None, None),
-            "and pictures": (middle, None, pictures),
-            "all labels": (hand, None, None),
-            "labels, pictures": (hand, None, pictures),
-            "labels, masks": (hand, masks, None),
-        }
-        for case, (labels, given_masks, shown) in cases.items():
-            found = register_on_face(
-                (frame.vertices, frame.faces, frame.keypoints, frame.weights()),
-                labels,
-                given_masks,
-                scene.cameras,
-                head=scene.head,
-                shapes=[scene.masks.shape[1:]] * 3,
-                pictures=shown,
-            )
-            row = _figures(found, scene)
-            every.append((case, row))
-            _print(name, case, row)
-    for case in dict(every):
-        rows = np.array([row for name, row in every if name == case])
-        with np.errstate(all="ignore"), warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)
-            _print("median", case, np.nanmedian(rows, axis=0))
-
-
-def _figures(found: RegisteredEyeglasses, scene: Pictured) -> FloatArray:
-    """Return the row's numbers, NaN where nothing is proposed."""
-    error = np.linalg.norm(found.vertices - scene.vertices, axis=1)
-    rest = scene.frame.vertices
-    front = rest[:, 2] > np.nanmax(scene.frame.keypoints[:, 2]) - 20
-    # The rigid motion between the found and the true front.
-    move = procrustes(scene.vertices[front], found.vertices[front])
-    turn = np.rad2deg(np.linalg.norm(Rotation.from_matrix(move[:3, :3]).as_rotvec()))
-    middle = scene.vertices[front].mean(0)
-    shift = np.linalg.norm(transform_points(move, middle[None])[0] - middle)
-    off = np.linalg.norm(found.proposed_labels - scene.labels, axis=2)
-    judged = np.isfinite(off)
-    off, stated = off[judged], found.proposed_deviation_px[judged]
-    pairs = [(a, b) for a, b in zip(found.proposed_masks, scene.masks, strict=True) if a is not None]
-    overlap = float(np.mean([(a & b).sum() / (a | b).sum() for a, b in pairs])) if pairs else np.nan
-
-    def rms(values: FloatArray) -> float:
-        return float(np.sqrt((values**2).mean())) if len(values) else np.nan
-
-    within = float((off <= np.sqrt(2) * stated).mean()) if len(off) else np.nan
-    proposed = [
-        judged.sum(),
-        np.median(off) if len(off) else np.nan,
-        rms(off),
-        np.sqrt(2) * rms(stated),
-        within,
-    ]
-    pose = [rms(error[front]), rms(error[found.observed]), found.observed.mean(), turn, shift]
-    return np.array([*pose, *proposed, overlap], np.float64)
-
-
-def _print(name: str, case: str, row: FloatArray) -> None:
-    front, observed, share, turn, shift, count, median, rms, stated, within, overlap = row
-    print(f"{name:10}{case:18}{front:9.2f}{observed:9.2f}{share:6.2f}{turn:9.2f}{shift:9.2f}", end="")
-    print(f"{count:10.0f}{median:10.2f}{rms:7.2f}{stated:7.2f}{within:7.2f}{overlap:6.2f}", flush=True)
