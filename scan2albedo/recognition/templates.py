@@ -221,6 +221,8 @@ def certainty(albedo: ArrayLike, expected_error: ArrayLike, mask: BoolArray) -> 
         The relative error e, as `AlbedoEstimate.expected_error`.
     mask : (H, W) bool
     """
+    if not mask.any():
+        return np.zeros(mask.shape)
     values = np.asarray(albedo, np.float64)
     of_mask = (values @ LUMINANCE if values.ndim == 3 else values)[mask]
     contrast = of_mask.var() / max(of_mask.mean() ** 2, LEAST_WEIGHT)

@@ -98,10 +98,6 @@ def fit_image(
     ray-traced shadows the albedo of new faces is 0.067 off with a transfer and 0.078 without; the mean face
     is 0.079 and the nearest one of the model 0.052 off (tools/bench_reflectance_model.py).
     """
-    seen = np.asarray(observation.seen)
-    require_one_topology("the observation", len(seen), "the model", len(model.known))
-    if not (seen & model.known).any():
-        raise ReflectanceError("no vertex is both seen and known to the model; check the mask")
     lighting = LightingModel.default() if lighting is None else lighting
     meter = Meter("reflectance.image", "objective", Budget.of(budget), on_progress)
     terms = ImageTerms(observation, model, lighting, meter, perceptual)
@@ -133,6 +129,15 @@ def fit_image(
         iterations=found.steps,
         trace=meter.trace,
     )
+
+
+def common_vertices(observation: ImageObservation, model: MorphableReflectanceModel) -> IntArray:
+    """Return the vertices (U,) both seen and known to the model; `ReflectanceError` when there is none."""
+    seen = np.asarray(observation.seen)
+    require_one_topology("the observation", len(seen), "the model", len(model.known))
+    if not (seen & model.known).any():
+        raise ReflectanceError("no vertex is both seen and known to the model; check the mask")
+    return np.flatnonzero(seen & model.known)
 
 
 def photometric_penalty(off: FloatArray) -> tuple[float, FloatArray]:
@@ -205,7 +210,7 @@ class ImageTerms:
         meter: Meter,
         perceptual: PerceptualDistance | None = None,
     ) -> None:
-        self.used: IntArray = np.flatnonzero(np.asarray(observation.seen) & model.known)
+        self.used = common_vertices(observation, model)
         self.observed: FloatArray = np.asarray(observation.observed_linear)[self.used]
         self.response = observation.response(self.used)
         self.mean = model.mean[self.used]

@@ -115,16 +115,20 @@ def test_backs_have_no_highlight_and_the_unknown_no_number():
         np.testing.assert_array_equal(np.isnan(shading.radiance_linear).any(1), ~known)
 
 
-def test_what_cannot_be_shaded_is_refused():
-    reflectance, normals, view = scene([10, 20])
-    light = smooth_light(0)
-    with pytest.raises(ReflectanceError, match=r"vertex 1 .*no unit vector"):
-        shade_environment(reflectance, np.array([normals[0], [0, 0, 0]]), view, light)
-    with pytest.raises(ReflectanceError, match=r"vertex 0 .*no unit vector"):
-        shade_environment(reflectance, normals, np.array([[np.nan, 0, 1], view[1]]), light)
-    with pytest.raises(ValueError, match=r"\(81, 3\)"):
-        shade_environment(reflectance, normals, view, light[:9])
-    with pytest.raises(ValueError, match="lobe must be"):
-        shade_environment(reflectance, normals, view, light, lobe="phong")
-    with pytest.raises(ValueError, match="normals"):
-        shade_environment(reflectance, normals[:1], view[:1], light)
+UP = np.array([[0.0, 0, 1], [0, 0, 1]])
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "words"),
+    [
+        ({"normals": UP * [[1], [0]]}, ReflectanceError, r"vertex 1 .*no unit vector"),
+        ({"toward_camera": UP * [[np.nan], [1]]}, ReflectanceError, r"vertex 0 .*no unit vector"),
+        ({"light": np.zeros((9, 3))}, ValueError, r"\(81, 3\)"),
+        ({"lobe": "phong"}, ValueError, "lobe must be"),
+        ({"normals": UP[:1], "toward_camera": UP[:1]}, ValueError, "normals"),
+    ],
+)
+def test_what_cannot_be_shaded_is_refused(changes, error, words):
+    given = {"normals": UP, "toward_camera": UP, "light": smooth_light(0)} | changes
+    with pytest.raises(error, match=words):
+        shade_environment(scene([10, 20])[0], **given)

@@ -107,18 +107,19 @@ def test_vertices_without_a_surface_receive_nothing():
     assert np.isfinite(transfer.specular).all()
 
 
-def test_what_is_no_surface_is_refused():
-    with pytest.raises(ValueError, match="directions"):
-        light_transfer(BALL, FACES, BALL, VIEW, directions=63)
-    with pytest.raises(ReflectanceError, match="no triangles"):
-        light_transfer(BALL, np.zeros((0, 3), int), BALL, VIEW)
-    with pytest.raises(ReflectanceError, match="finite"):
-        light_transfer(BALL * np.nan, FACES, BALL, VIEW)
-    with pytest.raises(ReflectanceError, match="length 2"):
-        light_transfer(BALL, FACES, 2 * BALL, VIEW)
-    with pytest.raises(ReflectanceError, match="toward_camera of vertex 0"):
-        light_transfer(BALL, FACES, BALL, 2 * VIEW)
-    with pytest.raises(ValueError, match="normals"):
-        light_transfer(BALL, FACES, BALL[:5], VIEW)
-    with pytest.raises(ValueError, match="toward_camera"):
-        light_transfer(BALL, FACES, BALL, VIEW[:5])
+@pytest.mark.parametrize(
+    ("changes", "error", "words"),
+    [
+        ({"directions": 63}, ValueError, "directions"),
+        ({"faces": np.zeros((0, 3), int)}, ReflectanceError, "no triangles"),
+        ({"vertices": BALL * np.nan}, ReflectanceError, "finite"),
+        ({"normals": 2 * BALL}, ReflectanceError, "length 2"),
+        ({"toward_camera": 2 * VIEW}, ReflectanceError, "toward_camera of vertex 0"),
+        ({"normals": BALL[:5]}, ValueError, "normals"),
+        ({"toward_camera": VIEW[:5]}, ValueError, "toward_camera"),
+    ],
+)
+def test_what_is_no_surface_is_refused(changes, error, words):
+    given = {"vertices": BALL, "faces": FACES, "normals": BALL, "toward_camera": VIEW} | changes
+    with pytest.raises(error, match=words):
+        light_transfer(**given)
