@@ -37,20 +37,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from bench.judging import relative_rmse
 from benchmarks.reflectance_bounce import print_bounce
-from benchmarks.reflectance_captures import (
-    Capture,
-    head_capture,
-    of_pairs,
-    radiance,
-    relative_rmse,
-    samples_of,
-)
 from benchmarks.reflectance_heads import print_heads
 from benchmarks.reflectance_pictures import EXPOSURE, albedo_at, build_scene
 from scipy.optimize import nnls
 from skimage.metrics import structural_similarity
 from threadpoolctl import threadpool_limits
+from worlds.flash_captures import Capture, head_capture, of_pairs, radiance, samples_of
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.reflectance import (

@@ -22,8 +22,8 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from benchmarks.everyday_light import generated_environment
-from benchmarks.reflectance_scenes import Surface, albedo_error, person, surface
+from worlds.environments import generated_environment
+from worlds.model_faces import Surface, albedo_error, person, surface
 
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.operators import surface_diffusion

@@ -23,10 +23,10 @@ from typing import get_args
 from unittest.mock import patch
 
 import numpy as np
-from benchmarks.everyday_light import generated_environment
-from benchmarks.reflectance_scenes import learned, person, shape_model, surface
 from numba import njit
 from scipy.spatial import cKDTree
+from worlds.environments import generated_environment
+from worlds.model_faces import learned, person, shape_model, surface
 
 import scan2albedo as s2a
 from scan2albedo.geometry.mesh import normalized, vertex_normals

@@ -7,9 +7,9 @@
 
 Faces are painted by `scan2albedo.synthetic`, with random lobes, on the default face model's surface. Light
 is generated; it casts shadows in `shadows` and `photograph` only, ray-traced as
-tools/benchmarks/shadowed_shots.py tells.
+`worlds.model_faces` tells.
 `unknown` shares nothing with the fit: light-stage shapes of ../shared/data, skin painted in space, traced
-by Mitsuba (tools/benchmarks/unknown_faces.py). The model is that of 200 synthetic people, the mesh one fitted
+by Mitsuba (`worlds.unknown_faces`). The model is that of 200 synthetic people, the mesh one fitted
 to the shape. Pictures, 25 s each, are kept in the folder that --traced names. "left" is what light and
 coefficients, without details, leave of the photograph.
 With --landmarks the shape, too, is found from the photograph (68 landmarks, a pixel off): six people from
@@ -27,16 +27,8 @@ from functools import cache
 from unittest.mock import patch
 
 import numpy as np
-from benchmarks.everyday_light import generated_environment
-from benchmarks.reflectance_scenes import (
-    CAMERA_MM,
-    albedo_error,
-    learned,
-    person,
-    shot,
-    surface,
-)
-from benchmarks.shadowed_shots import ShadowedSurface, sent
+from worlds.environments import generated_environment
+from worlds.model_faces import CAMERA_MM, ShadowedSurface, albedo_error, learned, person, sent, shot, surface
 
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import look_at, project
@@ -295,8 +287,8 @@ def print_speed() -> None:
 
 def print_unknown(count: int, folder: str | None, picture: str | None, landmarks: bool) -> None:
     """Print errors of the mean face, of the fit alone and of `fit_face` on faces nobody here made."""
-    from benchmarks.unknown_faces import faces_with_landmarks, unknown_faces
     from benchmarks.unknown_judged import judged, sheet
+    from worlds.unknown_faces import faces_with_landmarks, unknown_faces
 
     start = time.process_time()
     models = synthetic_model(200)

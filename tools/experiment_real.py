@@ -44,13 +44,13 @@ def say(text: str) -> None:
 def make(kind: str, manifest: Path, persons: int, seed: int) -> None:
     """Write the scans of synthetic people that are not there yet, and their manifest."""
     if kind == "traced":
-        from recognition_experiment.traced_people import build_people
+        from worlds.traced_sessions import build_people
 
         for path in build_people(manifest, persons, seed):
             say(f"{path.name} is there")
         return
-    from benchmarks.scan_files import write_obj
-    from recognition_experiment.population import population_scan
+    from worlds.files import write_obj
+    from worlds.population import population_scan
 
     manifest.parent.mkdir(parents=True, exist_ok=True)
     population, rows = RecognitionExperimentOptions().population, []

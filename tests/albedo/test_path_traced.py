@@ -2,7 +2,7 @@
 
 import pytest
 from benchmarks.albedo_peers import robust_harmonics
-from benchmarks.mitsuba_set import load_scenes, scene_names
+from worlds.mitsuba_scenes import load_scenes, scene_names
 
 from scan2albedo.albedo import albedo_error, estimate_albedo
 

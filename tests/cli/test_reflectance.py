@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
-from benchmarks.everyday_light import generated_environment
 from typer.testing import CliRunner
+from worlds.environments import generated_environment
 
 from scan2albedo.cli.commands import app
 from scan2albedo.errors import ReflectanceError

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from benchmarks.everyday_light import generated_environment
+from worlds.environments import generated_environment
 
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.lighting.environment import distant_directions

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bench_sequence import followed
-from benchmarks.raw_like import raw_like
 from benchmarks.takes import SCRIPTS, take
+from worlds.raw_like import raw_like
 
 from scan2albedo.errors import OutputError, ScanError
 from scan2albedo.fitting.tracking import FaceTracker

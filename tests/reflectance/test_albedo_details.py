@@ -1,7 +1,7 @@
 """Details of the albedo: what is shared with the light, and what is not said."""
 
 import numpy as np
-from benchmarks.everyday_light import generated_environment
+from worlds.environments import generated_environment
 
 from scan2albedo.lighting.harmonics import project_environment
 from scan2albedo.reflectance import (

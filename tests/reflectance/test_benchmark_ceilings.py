@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from bench_reflectance import cases, end_to_end_cpu_s, solver_speed
-from benchmarks.reflectance_captures import head_capture
+from worlds.flash_captures import head_capture
 
 pytestmark = pytest.mark.slow
 

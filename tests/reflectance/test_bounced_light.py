@@ -138,7 +138,7 @@ def test_other_shapes_are_refused(dug):
 def test_intervals_hold_the_truth_on_a_pale_head_that_lights_itself():
     pytest.importorskip("mitsuba")
     from benchmarks.reflectance_bounce import SKINS, bounce_fits, interval_figures
-    from benchmarks.reflectance_mitsuba import mitsuba_capture
+    from worlds.traced_captures import mitsuba_capture
 
     capture = mitsuba_capture("person2", views=4, flashes=7, size=128, bounces=True, skin=SKINS["pale"])
     before, after = (interval_figures(capture, fit) for fit in bounce_fits(capture, 24))

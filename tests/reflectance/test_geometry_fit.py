@@ -7,7 +7,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from benchmarks.everyday_light import generated_environment
+from worlds.environments import generated_environment
 
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core import Budget, Meter

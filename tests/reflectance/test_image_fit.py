@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.everyday_light import generated_lighting
 from helpers.half_ball import HalfBall
+from worlds.environments import generated_lighting
 
 from scan2albedo.core import Budget, Meter
 from scan2albedo.errors import ReflectanceError

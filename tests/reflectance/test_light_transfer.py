@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from benchmarks.everyday_light import generated_environment
 from scipy.spatial import ConvexHull
+from worlds.environments import generated_environment
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.lighting.environment import distant_directions

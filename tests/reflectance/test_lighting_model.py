@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from benchmarks.everyday_light import generated_environment, generated_lighting
+from worlds.environments import generated_environment, generated_lighting
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.lighting.harmonics import project_environment

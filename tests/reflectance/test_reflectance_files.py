@@ -4,8 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from benchmarks.reflectance_captures import head_capture, samples_of
 from helpers.npz import cut
+from worlds.flash_captures import head_capture, samples_of
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance import (

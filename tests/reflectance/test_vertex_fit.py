@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench.judging import relative_rmse
 from bench_reflectance import design
-from benchmarks.reflectance_captures import head_capture, of_pairs, radiance, relative_rmse, samples_of
+from worlds.flash_captures import head_capture, of_pairs, radiance, samples_of
 
 from scan2albedo.core import Budget
 from scan2albedo.errors import ReflectanceError

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from bench_reflectance import MEAN, PRIOR, design, normal_equations
-from benchmarks.reflectance_captures import head_capture, of_pairs, samples_of
 from scipy.optimize import nnls
+from worlds.flash_captures import head_capture, of_pairs, samples_of
 
 from scan2albedo.reflectance import VertexSamples
 from scan2albedo.reflectance.vertex_kernels import reweigh, solve_bounded, solve_free

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from recognition_experiment.population import Population, population_scan, random_lights
+from worlds.files import face_data
+from worlds.population import Population, population_scan, random_lights
 
 from benchmarks.light_normalization import multi_scale_retinex
-from benchmarks.scan_files import face_data
 from scan2albedo import GeometryImage, estimate_albedo, process
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import Scan2AlbedoError

@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from worlds.traced_captures import DISTANCE_MM, MitsubaCapture, Skin, mitsuba_capture
 
 from benchmarks.reflectance_heads import LEAST_PAIRS
-from benchmarks.reflectance_mitsuba import DISTANCE_MM, MitsubaCapture, Skin, mitsuba_capture
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.reflectance import ReflectanceFit, ReflectanceFitOptions, fit_reflectance, sample_vertices
 

@@ -15,9 +15,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from bench.judging import relative_rmse
+from worlds.flash_captures import unit
+from worlds.traced_captures import DISTANCE_MM, MitsubaCapture, mitsuba_capture, write_files
 
-from benchmarks.reflectance_captures import relative_rmse, unit
-from benchmarks.reflectance_mitsuba import DISTANCE_MM, MitsubaCapture, mitsuba_capture, write_files
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.mesh import edges_with_faces, vertex_normals
 from scan2albedo.reflectance import (

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from worlds.raw_like import raw_like
 
 import scan2albedo as s2a
 from benchmarks.landmark_cases import LightStage, expressions_of_light_stage
-from benchmarks.raw_like import raw_like
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
 

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
-
-from benchmarks.unknown_faces import (
+from worlds.unknown_faces import (
     BLUR_PX,
     SIZE,
     UnknownFace,
@@ -19,6 +18,7 @@ from benchmarks.unknown_faces import (
     photographed,
     seen_albedo,
 )
+
 from scan2albedo.albedo import albedo_error
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.pinhole import project

@@ -8,8 +8,9 @@ from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
 
+from worlds.population import Population
+
 import scan2albedo
-from recognition_experiment.population import Population
 from scan2albedo.albedo.estimate import BRDFS
 from scan2albedo.core.geometry_image import SMALLEST_SIZE
 from scan2albedo.recognition import TemplateOptions
@@ -98,9 +99,9 @@ class RecognitionExperimentOptions:
 
 @cache
 def _code_hash() -> str:
-    package, here = Path(scan2albedo.__file__).parent, Path(__file__).parent
+    package, worlds = Path(scan2albedo.__file__).parent, Path(__file__).parents[1] / "worlds"
     digest = hashlib.sha256()
-    for file in (here / "population.py", here.parent / "benchmarks" / "room_light.py"):
+    for file in (worlds / "population.py", worlds / "rooms.py"):
         digest.update(file.name.encode() + file.read_bytes())
     for name in _PROCESSING:
         for file in sorted(f for f in (package / name).rglob("*") if f.suffix in (".py", ".npz", ".json")):

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from worlds.population import population_scan
 
 from recognition_experiment.options import RecognitionExperimentOptions
-from recognition_experiment.population import population_scan
 from scan2albedo.albedo import estimate_albedo
 from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.io.atomic import make_folder

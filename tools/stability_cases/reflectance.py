@@ -11,9 +11,10 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from benchmarks.everyday_light import generated_environment
-from benchmarks.reflectance_captures import Capture, head_capture, of_pairs, relative_rmse, samples_of
+from bench.judging import relative_rmse
 from benchmarks.reflectance_pictures import Scene, build_scene
+from worlds.environments import generated_environment
+from worlds.flash_captures import Capture, head_capture, of_pairs, samples_of
 
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core import Budget

@@ -4,12 +4,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from benchmarks.door_objects import wrong_object, wrong_objects
 from benchmarks.door_repeat import about_their_mean
 from benchmarks.door_rows import Reliability, Row, judged
-from benchmarks.door_scans import Case, random_body, random_relief, relief
 from benchmarks.door_told import false_faces
-from benchmarks.stereo_scan import SCRAPS
+from worlds.door import Case, relief
+from worlds.objects import random_body, random_relief, wrong_object, wrong_objects
+from worlds.stereo import SCRAPS
 
 from scan2albedo import RawScan
 from scan2albedo.errors import NoFaceError

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from benchmarks.lit_people import Surface, photographed, slopes
 from benchmarks.people_in_lights import (
     KINDS,
     Judged,
@@ -13,6 +12,7 @@ from benchmarks.people_in_lights import (
     robust_harmonics,
     verified,
 )
+from worlds.lit_heads import Surface, photographed, slopes
 
 from scan2albedo.recognition import Calibration
 from scan2albedo.recognition.result_identification import CALIBRATION

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from recognition_experiment import RecognitionExperimentOptions
-from recognition_experiment.population import Population
 from recognition_experiment.sessions import TEXTURE, Session, keep_session
+from worlds.population import Population
 
 from scan2albedo.synthetic import Scanner, face, light_at
 
