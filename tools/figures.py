@@ -242,7 +242,7 @@ SOURCES = {
         },
     ),
     "finetune": Source(
-        "python tools/bench_reflectance_finetune.py people",
+        "python tools/bench finetune/people",
         "none of these people and lights, while fine-tuning was made",
         tables={
             "table": Table(

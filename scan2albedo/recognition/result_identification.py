@@ -59,7 +59,7 @@ CALIBRATION = Calibration(
     0.003509,
 )
 """Of the default templates, by scans and photographs of sixteen heads under rendered lights and three scans
-each of twelve synthetic people: `python tools/bench_recognition.py --calibrate FOLDER`."""
+each of twelve synthetic people: `python tools/build recognition_calibration FOLDER`."""
 
 
 def log_odds_by_kind(

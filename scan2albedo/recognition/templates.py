@@ -32,7 +32,7 @@ LEAST_WEIGHT = float(np.finfo(np.float32).eps)
 """Of what lies inside the mask, however uncertain: nothing is left of a pair otherwise."""
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 """Of linear colour. The brightest channel of skin is red, which pigment and blood hardly darken; luminance
-separates persons better (`tools/bench_recognition.py --faces`)."""
+separates persons better (`python tools/bench templates/slips`)."""
 
 
 class NothingToCompareError(RecognitionError):

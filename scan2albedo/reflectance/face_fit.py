@@ -109,7 +109,7 @@ def fit_face(
     Notes
     -----
     On 16 path-traced photographs that share nothing with the fit the albedo is 0.120 off, that of the mean
-    face 0.176, and that of `fit_image` 0.165 (tools/bench_reflectance_model.py unknown). A photograph without
+    face 0.176, and that of `fit_image` 0.165 (`python tools/bench photographs/unknown`). A photograph without
     colour gives no evidence, and so the mean face.
     """
     lighting = LightingModel.default() if lighting is None else lighting
@@ -166,7 +166,7 @@ def fit_face(
     factor = np.where(reflectance.known[:, None], np.exp(field), 1.0)
     reflectance = replace(reflectance, diffuse_linear=reflectance.diffuse_linear * factor)
     made = observation.response(used).shade(reflectance.chosen(used), fit.light).radiance_linear
-    observed = np.asarray(observation.observed_linear)[used]
+    observed = observation.observed_linear[used]
     radiance = among_all(used, len(xyz), made)
     rmse = float(np.linalg.norm(made - observed) / np.linalg.norm(observed))
     return FaceFit(reflectance, fit, radiance, rmse, better, badly_explained, field, plan)
@@ -198,7 +198,7 @@ def errors_left_out(
     The descriptions are "mean" and, where normals are right, "person", and both with "+details". An error is
     the mean absolute logarithm of predicted over observed colours, less its mean over the channels.
     """
-    used, block = np.asarray(observation.seen) & model.known, np.full(len(vertices), -1)
+    used, block = observation.seen & model.known, np.full(len(vertices), -1)
     cells = np.floor(vertices[used] / _BLOCK_MM).astype(np.int64)
     block[used] = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
     count, folds = int(block.max(initial=-1)) + 1, 3
@@ -319,7 +319,7 @@ class ShadingDivided:
         received = response.diffuse @ light
         made = response.shade(reflectance.chosen(used), light)
         diffuse, highlight = made.diffuse_linear, made.specular_linear
-        observed = np.asarray(observation.observed_linear)[used]
+        observed = observation.observed_linear[used]
         floor = _TINY + 1e-3 * float(np.median(diffuse))
         spread = partial(among_all, used, len(model.known))
 
@@ -328,15 +328,15 @@ class ShadingDivided:
             # Larger residuals are holes, hair or other surfaces.
             return spread(np.clip(ratio, -1.5, 1.5), 0.0)
 
-        free = diffuse_response(np.asarray(observation.normals)[used])[:, 0]
+        free = diffuse_response(observation.normals[used])[:, 0]
         open_share = response.diffuse[:, 0] / np.maximum(free, _TINY)
         usable, lit = np.zeros((2, len(model.known)), bool)
         bright = received.min(1) > _LEAST_LIGHT * np.median(received)
         lit[used] = bright & (open_share > _LEAST_OPEN)
         usable[used] = lit[used] & (observed - highlight > _LEAST_DIFFUSE * observed).all(1)
         part = replace(reflectance.chosen(used), known=lit[used])
-        normals, toward = np.asarray(observation.normals)[used], np.asarray(observation.toward_camera)[used]
-        by_normal, _ = shading_gradient(part, normals, toward, light)
+        ways = observation.normals[used], observation.toward_camera[used]
+        by_normal, _ = shading_gradient(part, *ways, light)
         slopes = by_normal / np.maximum(diffuse + np.maximum(highlight, 0), floor)[..., None]
         by_tilt = np.where(usable[used, None, None], slopes @ slopes.transpose(0, 2, 1) / 2, 0.0)
         return cls(

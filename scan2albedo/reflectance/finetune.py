@@ -214,7 +214,7 @@ def best_change(
         diffuse[used, i] = response.diffuse @ fit.light
         albedo, total, share = np.split(model.at(b)[used], [3, 4], axis=1)
         specular[used, i] = np.einsum("vk,vkj->vj", share, response.specular @ fit.light)
-        colors = np.asarray(observation.observed_linear)[used]
+        colors = observation.observed_linear[used]
         error = colors - albedo * diffuse[used, i] - total * specular[used, i]
         off[used, i] = error
         spread = max(1.4826 * float(np.median(np.abs(error))), 1e-6 * float(np.abs(colors).mean()))

@@ -115,7 +115,7 @@ def refine_geometry(
     Notes
     -----
     Cast shadows are not modelled. Only the prior separates how far away a face is from how large it is.
-    tools/bench_reflectance_geometry.py compares weights of landmarks.
+    `python tools/bench face_geometry` compares weights of landmarks.
     """
     matrix = normalized_cameras(np.asarray(camera, np.float64)[None])[0]
     landmarks = checked_array(landmarks_px, (LANDMARKS, 2), "landmarks_px").copy()

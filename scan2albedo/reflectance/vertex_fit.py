@@ -127,7 +127,7 @@ def fit_reflectance(
     slopes, wrong normals: two tilts of each normal are found with the six numbers, their prior Student's t.
     They widen with the misfit, by 1 / max n.l where no flash stands above the vertex, and with what is not
     known of the light that the face throws on itself, whose part of the model is in `plan`. ``python
-    tools/bench_reflectance.py --heads`` counts how many hold the truth: 90 to 97 %.
+    tools/bench flash_heads/heads`` counts how many hold the truth: 90 to 97 %.
     """
     rows = _rows_to_fit(samples, options)
     count = samples.lobes.shape[1]

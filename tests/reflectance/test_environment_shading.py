@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from helpers.lobes import lobes_under
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics
-from scan2albedo.reflectance import EXPONENTS, VertexReflectance, shade_environment
+from scan2albedo.reflectance import VertexReflectance, shade_environment
 
 LIGHTS = 20000
 
@@ -27,15 +28,10 @@ def brute_force(reflectance, normals, view, light, horizon=True):
     assert radiance.min() > 0
     diffuse, specular = np.zeros_like(normals), np.zeros_like(normals)
     for vertex, (n, v) in enumerate(zip(normals, view, strict=True)):
-        half = toward + v
-        n_h = np.maximum(half @ n, 0) / np.maximum(np.linalg.norm(half, axis=1), 1e-12)
-        n_l = toward @ n
-        diffuse[vertex] = reflectance.diffuse_linear[vertex] / np.pi * (np.maximum(n_l, 0) @ radiance)
-        lobe = sum(
-            w * (s + 2) / (8 * np.pi) * n_h**s
-            for w, s in zip(reflectance.weights[vertex], EXPONENTS, strict=True)
-        )
-        specular[vertex] = (lobe * (n_l > 0) if horizon else lobe) @ radiance
+        white, *lobes = lobes_under(n, v, toward)
+        diffuse[vertex] = reflectance.diffuse_linear[vertex] * (white @ radiance)
+        gloss = reflectance.weights[vertex] @ lobes
+        specular[vertex] = (gloss * (toward @ n > 0) if horizon else gloss) @ radiance
     return diffuse, specular
 
 

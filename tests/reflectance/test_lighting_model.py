@@ -48,13 +48,6 @@ def test_places_not_seen_are_near_the_model(lighting):
     assert np.sum(lighting.deviation**2) > 0.99 * np.sum(whole.deviation**2)
 
 
-def test_light_of_the_model_is_found_again(lighting):
-    truth = np.random.default_rng(0).normal(size=80)
-    gamma, scale = projected(lighting, lighting.light(truth, scale_rgb=[1.0, 2.0, 3.0]))
-    np.testing.assert_allclose(gamma, truth, atol=1e-9)
-    np.testing.assert_allclose(scale, [1, 2, 3], rtol=1e-12)
-
-
 def test_few_maps_of_your_own_make_a_small_model():
     maps = np.stack([generated_environment(seed) for seed in (1, 2)])
     assert LightingModel.from_coefficients(project_environment(maps)).components == 1

@@ -108,11 +108,3 @@ SPOILT[1, 5] = np.nan
 def test_what_cannot_be_learned_from_is_refused(neutral, offsets, faces, message):
     with pytest.raises(ReflectanceError, match=message):
         MorphableShapeModel.from_samples(neutral, offsets, faces, MARKS)
-
-
-def test_coefficients_that_do_not_fit_are_refused():
-    model = learned()
-    with pytest.raises(ValueError, match="coefficients"):
-        model.at(np.zeros(5))
-    with pytest.raises(ReflectanceError, match="coefficients"):
-        model.at([np.nan, *np.zeros(7)])

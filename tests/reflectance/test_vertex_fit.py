@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench.flash_captures import design
 from bench.judging import relative_rmse
-from bench_reflectance import design
 from worlds.flash_captures import head_capture, of_pairs, radiance, samples_of
 
 from scan2albedo.core import Budget

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from bench_reflectance import MEAN, PRIOR, design, normal_equations
+from bench.flash_captures import MEAN, PRIOR, design, normal_equations
 from scipy.optimize import nnls
 from worlds.flash_captures import head_capture, of_pairs, samples_of
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.reflectance_pictures import (
+from worlds.two_balls import (
     BALL,
     BALL_RADIUS,
     EXPOSURE,

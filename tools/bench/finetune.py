@@ -12,7 +12,7 @@ anchors, or without smoothing. Nothing was chosen on seed 20; `seeds` are five o
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any
@@ -22,7 +22,7 @@ from worlds.environments import generated_environment
 from worlds.model_faces import albedo_error, person, surface
 
 from bench.patched import with_constants
-from bench.runner import Bench, Case
+from bench.runner import Bench, Case, Row
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.lighting.harmonics import harmonics, project_environment
@@ -44,6 +44,7 @@ NEW = 20
 """A seed that nothing was chosen on."""
 LEVELS = 0
 """Subdivisions of the face model: 931 vertices."""
+ERRORS = ("albedo %", "relit %", "photometric %")
 ANCHORLESS = {"MEAN_CHANGE": 10.0, "BASIS_CHANGES": (1.0,)}
 
 
@@ -140,7 +141,23 @@ def cases(seeds: tuple[int, ...], quick: bool) -> Iterator[Case]:
         for kind in ("off",) if quick else ("off", "noisy", "few", "right"):
             for k in range(2 if quick else JUDGED):
                 group = kind if len(seeds) == 1 else f"{kind}, seed {seed}"
-                yield Case(f"{group}_{k + 1}", partial(shot, kind, seed, 300 + k), group)
+                yield Case(f"{group} {k + 1}", partial(shot, kind, seed, 300 + k), group)
+
+
+def beside_each_other(rows: Sequence[Row]) -> Iterator[str]:
+    """Yield a line for each person and each mean: mean face, not tuned and tuned, by each error."""
+    found: dict[str, dict[str, dict[str, float]]] = {}
+    for row in rows:
+        for name in (row.case.replace(" ", "_"), f"mean_{row.group}"):
+            found.setdefault(name, {}).setdefault(row.method, {}).setdefault(row.case, row.values)
+    for name in sorted(found, key=lambda name: name.startswith("mean_")):
+        numbers = [
+            np.mean([values[column] for values in found[name][method].values()])
+            for column in ERRORS
+            for method in ("mean face", "not tuned", "tuned")
+            if method in found[name]
+        ]
+        yield f"{name} " + " ".join(f"{number:.1f}" for number in numbers)
 
 
 METHODS = {
@@ -159,6 +176,7 @@ BENCHES = {
         slow=("not smoothed", "not anchored", "neither"),
         quick=("tuned", "not tuned"),
         summaries=("mean",),
+        remarks=beside_each_other,
     )
     for name, seeds in (("people", (NEW,)), ("seeds", tuple(range(5))))
 }

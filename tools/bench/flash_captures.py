@@ -5,7 +5,7 @@ factors of the same equations, and all rows; "differ" is the largest difference 
 head's 20,000 vertices in 99 pictures, 1 % noise of white: relative RMSE of the albedo, of identified weights
 and of the radiance in pictures left out (one in ten), and how many 95 % intervals of identified numbers hold
 the truth. `rig` are pictures of `synthetic.flash_capture` (8 bits, room light, saturation) through files,
-with rays: the median is of the relative difference of albedos. `ball` are 20 noisy pictures of a ball.
+with rays: the median is of the relative difference of albedos.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarks.reflectance_pictures import EXPOSURE, Scene, albedo_at, build_scene
 from scipy.optimize import nnls
 from skimage.metrics import structural_similarity
 from worlds.flash_captures import Capture, head_capture, of_pairs, radiance, samples_of
@@ -27,17 +26,14 @@ from bench.judging import relative_rmse
 from bench.runner import Bench, Case
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.reflectance import (
-    OlatOptions,
     ReflectanceFit,
     ReflectanceFitOptions,
     VertexSamples,
-    extract_olat,
     fit_reflectance,
     lobe_slopes,
     point_light_lobes,
     point_light_radiance,
     read_capture,
-    sample_vertices,
 )
 from scan2albedo.reflectance.vertex_kernels import add_normal_equations, solve_bounded
 from scan2albedo.runs.reflectance.capture_run import FittedCapture, fit_capture, relit_pair
@@ -214,20 +210,6 @@ def rig_errors(capture: FlashCapture, done: FittedCapture) -> dict[str, float]:
     return row
 
 
-def from_pictures(scene: Scene) -> ReflectanceFit:
-    rng = np.random.default_rng(0)
-    flash, room = (values + 0.005 * rng.standard_normal(values.shape) for values in (scene.flash, scene.room))
-    olat = extract_olat(flash, room, options=OlatOptions(noise=0.005))
-    samples = sample_vertices(olat, scene.rig, scene.vertices, scene.faces, normals=scene.normals)
-    return fit_reflectance(samples)
-
-
-def ball_error(scene: Scene, fit: ReflectanceFit) -> dict[str, float]:
-    seen = scene.head & (fit.pair_count >= 10) & fit.reflectance.known
-    truth = EXPOSURE * albedo_at(scene.vertices[seen])
-    return {"albedo %": 100 * relative_rmse(fit.reflectance.diffuse_linear[seen], truth)}
-
-
 Fit = Callable[[Lit], ReflectanceFit]
 FITS: dict[str, Fit] = {
     "ours": partial(fitted, ReflectanceFitOptions()),
@@ -251,9 +233,4 @@ BENCHES = {
     ),
     "cases": Bench(lit_cases, methods=FITS, score=accuracy, summaries=("mean",), warm=True),
     "rig": Bench(rig_cases, methods={"ours": from_files}, score=rig_errors),
-    "ball": Bench(
-        lambda quick: [Case("20 pictures", partial(build_scene, *((48, 80) if quick else (96, 160))))],
-        methods={"ours": from_pictures},
-        score=ball_error,
-    ),
 }

@@ -33,7 +33,6 @@ from worlds.model_faces import (
     surface,
 )
 
-from bench.patched import with_constants
 from bench.runner import Bench, Case
 from scan2albedo.albedo import albedo_error as error_of
 from scan2albedo.core.arrays import FloatArray
@@ -290,7 +289,6 @@ SHADOW_FITS: dict[str, Callable[[Shot], VertexReflectance]] = {
     "mean face": mean_face,
     "nearest of the model": lambda scene: people().project(scene.face).reflectance,
 }
-PRIORS = (1e-3, 3e-4, 1e-4)
 BENCHES = {
     "lobes": Bench(
         lobe_cases,
@@ -311,16 +309,8 @@ BENCHES = {
     ),
     "shadows": Bench(
         shadow_cases,
-        methods=SHADOW_FITS
-        | {
-            f"{name}, prior {prior:g}": with_constants(
-                "image_fit", SHADOW_FITS[name], PRIOR_WEIGHT=dict.fromkeys((True, False), prior)
-            )
-            for name in ("one fit", "no transfer")
-            for prior in PRIORS
-        },
+        methods=SHADOW_FITS,
         score=Shot.errors,
-        slow=[f"{name}, prior {prior:g}" for name in ("one fit", "no transfer") for prior in PRIORS],
     ),
     "displayed": Bench(
         lambda quick: [Case(f"new face {k}", partial(Displayed.of, k)) for k in range(2 if quick else 8)],

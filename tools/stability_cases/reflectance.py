@@ -12,7 +12,7 @@ from unittest.mock import patch
 
 import numpy as np
 from bench.judging import relative_rmse
-from benchmarks.reflectance_pictures import Scene, build_scene
+from worlds.two_balls import Scene, build_scene
 from worlds.environments import generated_environment
 from worlds.flash_captures import Capture, head_capture, of_pairs, samples_of
 
