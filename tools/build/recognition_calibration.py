@@ -1,31 +1,38 @@
-"""Recognition of the six people in ../shared/data/yale under 11 to 12 lamps each, and of any processed
-people."""
+"""Learn the calibration of recognition: how alike scans of one person are, and of two.
+
+    python tools/build recognition_calibration FOLDER [--persons 12] [--seed 101] [--pairs RESULTS ...]
+
+Prints the numbers of `scan2albedo.recognition.result_identification.CALIBRATION`, and what a calibration by
+one half of the heads says of the other half: shares of log odds above 0, of pairs of one person and of two.
+They are learned from sixteen MIT-licensed heads in many lights (`worlds.lit_heads`), as scans and as
+photographs, and from synthetic people, each set weighing as much. FOLDER keeps what is made of them (hours).
+--pairs tells the shares of all pairs of results PERSON_sSESSION in other folders.
+"""
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from worlds.files import face_data
+from worlds.lit_heads import SCAN_LIGHTS, VIEW_LIGHTS, VIEWED, head, photographed, scanned
 from worlds.population import Population, population_scan, random_lights
 
-from benchmarks.light_normalization import multi_scale_retinex
-from scan2albedo import GeometryImage, estimate_albedo, process
+from scan2albedo import estimate_albedo, process
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.recognition import (
     Calibration,
-    TemplateOptions,
     albedo_templates,
     certainty,
-    fused,
     read_labelled_templates,
+    shape_templates,
     similarity_matrix,
 )
 from scan2albedo.recognition.result_identification import CALIBRATION, log_odds_by_kind
-from scan2albedo.recognition.similarity import WINDOW
 from scan2albedo.recognition.templates import Kind
 
 KINDS: tuple[Kind, ...] = ("albedo", "texture", "shape", "shading")
@@ -58,110 +65,68 @@ class Judged:
         return Judged(found, *([column[k] for k in kept] for column in columns))
 
 
-def robust_harmonics(normals: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the light (N,) of nine harmonics fitted to values (N,), with Cauchy weights."""
-    x, y, z = normals.T
-    base = np.stack([0 * x + 1, x, y, z, x * y, y * z, 3 * z * z - 1, x * z, x * x - y * y], -1)
-    weight = np.ones(len(values))
-    for _ in range(40):
-        root = np.sqrt(weight)
-        found = np.linalg.lstsq(base * root[:, None], values * root, rcond=None)[0]
-        left = values - base @ found
-        weight = 1 / (1 + (left / (1.5 * 1.4826 * np.median(abs(left)) + 1e-9)) ** 2)
-    return np.maximum(base @ found, 0.03 * np.median(base @ found))
-
-
-def photographs(cache: Path, lamps: Collection[str] | None = None) -> list[dict]:
-    """Return photographs of the six people under lamps (all when omitted).
-
-    Albedos are estimated once (4 s of CPU each) and kept.
-    """
-    rows = []
-    for file in sorted(face_data("yale/yaleB11.npz").parent.glob("*.npz")):
-        with np.load(file) as stored:
-            data = dict(stored)
-        normal, mask = data["normal"].astype(float), data["mask"]
-        for k, light in enumerate(data["lights"]):
-            if lamps is not None and light not in lamps:
+def make_heads(folder: Path) -> None:
+    """Write what `estimate_albedo` makes of all heads: HEAD_SITTING_LIGHT.npz; those there are kept."""
+    folder.mkdir(parents=True, exist_ok=True)
+    files = face_data("heads/White_M_1.obj").parent.glob("*.obj")
+    for name in sorted(file.stem for file in files):
+        sitting, view = head(name)
+        for k, lights in (("0", SCAN_LIGHTS[0]), ("1", SCAN_LIGHTS[1]), (VIEWED, VIEW_LIGHTS)):
+            left = [light for light in lights if not (folder / f"{name}_{k}_{light}.npz").is_file()]
+            if not left:
                 continue
-            texture = np.where(mask, data["texture_linear8"][k] / 255.0, 0)
-            kept = cache / f"{file.stem}_{k}.npz"
-            if not kept.is_file():
-                colour = np.repeat(texture[..., None], 3, -1).astype(np.float32)
-                image = GeometryImage(data["position_mm"].astype(float), normal, mask, texture_linear=colour)
-                made = estimate_albedo(image, seed=0)
-                cache.mkdir(parents=True, exist_ok=True)
-                error = np.asarray(made.expected_error)
-                np.savez_compressed(kept, albedo=made.albedo_linear.max(-1), expected_error=error)
-            with np.load(kept) as stored:
-                albedo, error = stored["albedo"].astype(float), stored["expected_error"].astype(float)
-            harmonics = np.zeros(mask.shape)
-            harmonics[mask] = texture[mask] / robust_harmonics(normal[mask], texture[mask])
-            rows.append(
-                {
-                    "person": file.stem,
-                    "light": str(light),
-                    "mask": mask,
-                    "certainty": certainty(albedo, error, mask),
-                    "texture": texture,
-                    "albedo": albedo,
-                    "harmonics": harmonics,
-                    "retinex": multi_scale_retinex(texture, mask),
-                    "shading": np.divide(texture, albedo, out=np.zeros(mask.shape), where=albedo > 0),
-                }
-            )
-    return rows
+            if k == VIEWED:
+                image, surface, places, albedo = view()
+            else:
+                scan, surface, surface_from_scan = sitting(int(k))
+                image, places = scanned(scan, surface, surface_from_scan)
+                assert image.texture_linear is not None
+                albedo = image.texture_linear[image.seen].astype(float)
+            seen = image.mask if k == VIEWED else image.seen
+            for light in left:
+                colours = photographed(surface, *places, albedo, light, list(name.encode()))
+                texture = np.zeros((*image.shape, 3), np.float32)
+                texture[seen] = colours.mean(1, keepdims=True) if k == VIEWED else colours
+                made = estimate_albedo(replace(image, texture_linear=texture), seed=0)
+                np.savez_compressed(
+                    folder / f"{name}_{k}_{light}.npz",
+                    albedo=made.albedo_linear.astype(np.float16),
+                    texture=texture.astype(np.float16),
+                    expected_error=np.asarray(made.expected_error, np.float16),
+                    seen=made.image.seen,
+                    normal=image.normal.astype(np.float16),
+                )
 
 
-def light_similarities(
-    rows: Sequence[dict], names: Sequence[str], size: int = 256, window: int = WINDOW
-) -> dict[str, FloatArray]:
-    """Return (N, N) similarities of all photographs, by each of the named images."""
-    people, found = [row["person"] for row in rows], {}
-    for name in names:
-        masks = [row["certainty" if name in KINDS else "mask"] for row in rows]
-        options = TemplateOptions(size=size, unit_mean=name != "retinex")  # retinex is logarithmic already
-        made = albedo_templates([row[name] for row in rows], people, masks=masks, options=options)
-        found[name] = similarity_matrix(made, made, window=window)
-    return found
-
-
-def rates(
-    similarities: Mapping[str, FloatArray],
-    people: Sequence[str],
-    lights: Sequence[str],
-    calibration: Calibration,
-    draws: int = 60,
-    together: int = 1,
-    best: bool = False,
-) -> dict[str, tuple[float, float]]:
-    """Return rank 1 by each kind and fused: gallery of one lamp (all choices), and of random lamps.
-
-    One photograph a person is the gallery; the probes are all others of these people, `together` at a time by
-    the mean of what they say, or the best.
-    """
-    who, lamp = np.array(people), np.array(lights)
-    galleries = [(0, np.flatnonzero(lamp == one)) for one in sorted(set(lights))]
-    random = np.random.default_rng(0)
-    persons = sorted(set(people))
-    for _ in range(draws):
-        galleries.append((1, np.array([random.choice(np.flatnonzero(who == one)) for one in persons])))
-    right: dict[str, tuple[list, list]] = {}
-    for which, gallery in galleries:
-        if len(gallery) < 2:
+def head_similarities(folder: Path, viewed: bool) -> Judged:
+    """Return the pairs of the heads' scans, or of their views, in a folder of `make_heads`."""
+    made: dict[Kind, list[FloatArray]] = {"albedo": [], "texture": [], "shading": [], "shape": []}
+    known, seen, labels = [], [], []
+    for file in sorted(folder.glob("*.npz")):
+        name, sitting, light = file.stem.rsplit("_", 2)
+        if (sitting == VIEWED) != viewed:
             continue
-        probes = np.flatnonzero(np.isin(who, who[gallery]) & ~np.isin(np.arange(len(who)), gallery))
-        scores = {name: values[np.ix_(probes, gallery)] for name, values in similarities.items()}
-        cues = {kind: scores[kind] for kind in calibration.kinds if kind in scores}
-        scores["fused"] = fused(cues, calibration)
-        shuffled = random.permutation(len(probes)) if together > 1 else np.arange(len(probes))
-        of_person = [shuffled[who[probes[shuffled]] == one] for one in sorted(set(who[probes]))]
-        groups = [one[k : k + together] for one in of_person for k in range(0, len(one), together)]
-        shown = np.array([who[probes[group[0]]] for group in groups])
-        for name, values in scores.items():
-            said = np.stack([values[group].max(0) if best else values[group].mean(0) for group in groups])
-            right.setdefault(name, ([], []))[which].extend(who[gallery[said.argmax(1)]] == shown)
-    return {name: (float(np.mean(one)), float(np.mean(mixed))) for name, (one, mixed) in right.items()}
+        with np.load(file) as stored:
+            albedo, texture, error, normal = (
+                stored[key].astype(float) for key in ("albedo", "texture", "expected_error", "normal")
+            )
+            seen.append(stored["seen"])
+        texture[~seen[-1]] = 0
+        shading = np.divide(texture, albedo, out=np.zeros(albedo.shape), where=albedo > 0)
+        for kind, values in zip(made, (albedo, texture, shading, normal), strict=True):
+            made[kind].append(values)
+        known.append(certainty(albedo, error, seen[-1]))
+        labels.append((name, f"{name}_{light if viewed else sitting}", light))
+    names, sittings, lights = (list(column) for column in zip(*labels, strict=True))
+    found: dict[Kind, FloatArray] = {}
+    for kind, images in made.items():
+        if kind == "shape":
+            templates = shape_templates(images, names, masks=seen)
+        else:
+            templates = albedo_templates(images, names, masks=known)
+        if kind != "shape" or not viewed:  # photographs of one surface have one shape
+            found[kind] = similarity_matrix(templates, templates)
+    return Judged(found, names, sittings, lights)
 
 
 def make_people(folder: Path, persons: int, seed: int, sessions: Sequence[int] = (0, 1, 2)) -> None:
@@ -244,3 +209,34 @@ def verified(
     above = np.asarray(sum(odds.values()))[pairs] > 0
     shares = (float(above[which].mean()) if which.any() else 0.0 for which in (own, ~own))
     return *shares, int(own.sum()), int((~own).sum())  # type: ignore[return-value]
+
+
+def print_shares(judged: Judged, calibration: Calibration) -> None:
+    """Print how many pairs of one person and of two have log odds above 0, by each kind and by all."""
+    kinds = [kind for kind in KINDS if kind in judged.similarities and kind != "shading"]
+    for name, cues in (*((kind, [kind]) for kind in kinds), ("fused", KINDS)):
+        same, other, own, others = verified(judged, cues, calibration)
+        print(f"  {name:10} above 0: one person {same:6.1%} of {own} pairs, two {other:6.1%} of {others}")
+
+
+def main(arguments: list[str]) -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--persons", type=int, default=12)
+    parser.add_argument("--seed", type=int, default=101)
+    parser.add_argument("--pairs", type=Path, nargs="+", default=[])
+    given = parser.parse_args(arguments)
+    for results in given.pairs:
+        print(results)
+        print_shares(pair_similarities(results), CALIBRATION)
+    make_heads(given.folder / "heads")
+    make_people(given.folder / "people", given.persons, given.seed)
+    sets = [head_similarities(given.folder / "heads", viewed) for viewed in (False, True)]
+    synthetic = pair_similarities(given.folder / "people")
+    print(calibrated_on([*sets, synthetic]))
+    heads = sorted(set(sets[0].persons))
+    for learned, left in ((heads[::2], heads[1::2]), (heads[1::2], heads[::2])):
+        calibration = calibrated_on([*(judged.part(learned) for judged in sets), synthetic])
+        for what, judged in zip(("scans", "views"), sets, strict=True):
+            print(f"{what} of {', '.join(left)}, calibrated without them")
+            print_shares(judged.part(left), calibration)
