@@ -79,7 +79,7 @@ class LightSearch:
 
     def _explained(self, best: Point, wanted: list[tuple[float, Point]], steps: list[PlanStep]) -> LightFound:
         level, (shift, spread) = wanted[0][1].problem.level, self._averaged(wanted)
-        first = max(value for value, _ in self.found)
+        first = wanted[0][0]
         found, others = best.solution().hypothesis, list[Alternative]()
         for value, point in wanted:
             other, near = point.solution().hypothesis, TEMPER * (first - value) < 1

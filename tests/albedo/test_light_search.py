@@ -13,7 +13,7 @@ from scan2albedo.albedo.light_search import LightSearch
 from scan2albedo.albedo.node_field import Scales
 from scan2albedo.albedo.prior import AlbedoPrior
 from scan2albedo.core import Budget
-from scan2albedo.synthetic import face, light_at
+from scan2albedo.synthetic import face, hemisphere, light_at
 
 FAR = math.inf
 PARTS = ("specular", "near_light", "roughness", "occlusion", "bounce", "environment")
@@ -85,6 +85,18 @@ def test_the_number_that_is_asked_for_is_given(plain, count):
     assert _row(estimate, "lights").reason == f"{count} asked for"
     strengths = [light.intensity for light in estimate.lights]
     assert strengths == sorted(strengths, reverse=True)
+
+
+def test_explanations_with_the_lamps_asked_for_are_held_against_the_best_of_them():
+    """Of one lamp the posterior has a maximum far above those of three, which would hide all of theirs."""
+    estimate = estimate_albedo(hemisphere(size=96).image, 3)
+    odds = _odds(estimate)
+    assert max(odds.values()) > odds[3] + 4
+    others = estimate.uncertainty.alternatives
+    assert others
+    for other in others:
+        assert len(other.lights) == 3
+        assert 0 <= other.excess < 4
 
 
 def test_the_light_of_a_known_scene_is_recovered(skin, scenes):

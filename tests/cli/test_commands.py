@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from helpers.square import write_square_obj
 from typer.testing import CliRunner
 
 from scan2albedo.cli import commands as cli
@@ -23,7 +24,6 @@ from scan2albedo.core import Plan, PlanStep, RawScan
 from scan2albedo.pipeline import sequence, validation
 from scan2albedo.pipeline.sequence import SequenceResult
 from scan2albedo.sampling import geometry_image_of_scan
-from tests.io.meshes import write_square_obj
 
 COMMAND = [sys.executable, "-m", "scan2albedo"]
 

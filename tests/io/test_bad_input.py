@@ -5,12 +5,12 @@ import re
 import numpy as np
 import pytest
 import trimesh
+from helpers.square import glb_bytes, png_bytes, quarters, square_gltf
 
 from scan2albedo.core import RawScan
 from scan2albedo.errors import ScanError
 from scan2albedo.io import load_scan
 from scan2albedo.io.load_scan import SUPPORTED_SCANS
-from tests.io.meshes import glb_bytes, png_bytes, quarters, square_gltf
 
 SPHERE = trimesh.creation.icosphere(subdivisions=1, radius=80.0)
 

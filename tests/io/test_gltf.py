@@ -2,11 +2,7 @@ import json
 
 import numpy as np
 import pytest
-
-from scan2albedo.errors import MissingDependencyError, ScanError
-from scan2albedo.io import load_scan
-from scan2albedo.io.glb import write_glb
-from tests.io.meshes import (
+from helpers.square import (
     CORNER_LINEAR,
     SQUARE_FACES,
     SQUARE_MM,
@@ -19,6 +15,10 @@ from tests.io.meshes import (
     square_gltf,
     write_image,
 )
+
+from scan2albedo.errors import MissingDependencyError, ScanError
+from scan2albedo.io import load_scan
+from scan2albedo.io.glb import write_glb
 
 
 def write(path, *arguments, **options):

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import OpenEXR
 import pytest
+from helpers.square import quarters, write_image
 from PIL import Image, ImageCms
 
 from scan2albedo.errors import MissingDependencyError, OutputError, ScanError
@@ -20,7 +21,6 @@ from scan2albedo.io.images import (
     write_png,
 )
 from scan2albedo.io.images import write_image as write_by_extension
-from tests.io.meshes import quarters, write_image
 
 RNG = np.random.default_rng(5)
 

@@ -3,11 +3,11 @@ import shutil
 
 import numpy as np
 import pytest
+from helpers.square import glb_bytes, quarters, square_gltf, write_image, write_square_obj
 
 from scan2albedo.core import RawScan
 from scan2albedo.errors import ScanError
 from scan2albedo.io.load_scan import files_of_scan, input_sha256
-from tests.io.meshes import glb_bytes, quarters, square_gltf, write_image, write_square_obj
 
 
 def test_the_hash_follows_the_content_of_all_files_not_their_names(tmp_path):

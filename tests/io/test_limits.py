@@ -10,13 +10,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from helpers.square import glb_bytes, quarters, square_gltf, write_image, write_square_obj
 
 import scan2albedo as s2a
 from scan2albedo.errors import GeometryImageError, ScanError, TooLargeError
 from scan2albedo.io import limits, load_scan
 from scan2albedo.io.images import declared_pixels, read_exr_channels, read_image_linear, write_exr
 from scan2albedo.io.load_scan import input_sha256
-from tests.io.meshes import glb_bytes, quarters, square_gltf, write_image, write_square_obj
 
 
 def _memory_bytes(field):

@@ -2,14 +2,7 @@ import unicodedata
 
 import numpy as np
 import pytest
-
-from scan2albedo.errors import OutputError, ScanError
-from scan2albedo.io import load_scan
-from scan2albedo.io.color import srgb_to_linear
-from scan2albedo.io.load_scan import input_sha256
-from scan2albedo.io.obj import read_obj, write_obj
-from scan2albedo.io.parsed_mesh import ScanFolder, parse_mtl
-from tests.io.meshes import (
+from helpers.square import (
     CORNER_LINEAR,
     SQUARE_MM,
     SQUARE_UV,
@@ -19,6 +12,13 @@ from tests.io.meshes import (
     write_image,
     write_square_obj,
 )
+
+from scan2albedo.errors import OutputError, ScanError
+from scan2albedo.io import load_scan
+from scan2albedo.io.color import srgb_to_linear
+from scan2albedo.io.load_scan import input_sha256
+from scan2albedo.io.obj import read_obj, write_obj
+from scan2albedo.io.parsed_mesh import ScanFolder, parse_mtl
 
 
 def write(folder, text, name="a.obj"):

@@ -1,9 +1,6 @@
 import numpy as np
 import pytest
-
-from scan2albedo.errors import ScanError
-from scan2albedo.io import load_scan
-from tests.io.meshes import (
+from helpers.square import (
     CORNER_COLORS,
     CORNER_LINEAR,
     SQUARE_FACES,
@@ -13,6 +10,9 @@ from tests.io.meshes import (
     quarters,
     write_image,
 )
+
+from scan2albedo.errors import ScanError
+from scan2albedo.io import load_scan
 
 FORMATS = ["ascii", "binary_little_endian", "binary_big_endian"]
 

@@ -5,12 +5,12 @@ import shutil
 
 import numpy as np
 import pytest
+from helpers.square import quarters, square_gltf, write_image, write_square_obj
 
 from scan2albedo import load_scan
 from scan2albedo.errors import ScanError
 from scan2albedo.io.load_scan import files_of_scan, input_sha256
 from scan2albedo.io.parsed_mesh import ScanFolder
-from tests.io.meshes import quarters, square_gltf, write_image, write_square_obj
 
 OUTSIDE = "lies outside the scan's folder, and only --textures"
 

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 import trimesh
+from helpers.square import SQUARE_FACES, SQUARE_MM, glb_bytes, square_gltf
 
 from scan2albedo.errors import ScanError
 from scan2albedo.eyeglasses import KEY_POINT_NAMES, skin, solve_weights
@@ -13,7 +14,6 @@ from scan2albedo.geometry.rigid import compose, rotation_from_vector
 from scan2albedo.io import load_scan
 from scan2albedo.io.glb import write_skinned_glb
 from scan2albedo.synthetic import eyeglasses
-from tests.io.meshes import SQUARE_FACES, SQUARE_MM, glb_bytes, square_gltf
 
 KINDS = {5121: "<u1", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4, "MAT4": 16}

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 import trimesh
+from helpers.square import CORNER_COLORS, CORNER_LINEAR, SQUARE_FACES, SQUARE_MM
 
 from scan2albedo.errors import ScanError
 from scan2albedo.io import load_scan
-from tests.io.meshes import CORNER_COLORS, CORNER_LINEAR, SQUARE_FACES, SQUARE_MM
 
 SPHERE = trimesh.creation.icosphere(subdivisions=2, radius=80.0)
 

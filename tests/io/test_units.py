@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 import trimesh
+from helpers.square import SQUARE_MM, assert_corner_colors, write_square_obj
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from worlds.stereo import StereoScanner, stereo_scan
@@ -10,7 +11,6 @@ from scan2albedo.geometry.mesh import vertex_components
 from scan2albedo.geometry.rigid import rotation_from_vector
 from scan2albedo.io import load_scan
 from scan2albedo.io.units import MM_PER_UNIT, largest_extent, millimetres_per_unit
-from tests.io.meshes import SQUARE_MM, assert_corner_colors, write_square_obj
 
 HEAD = trimesh.creation.icosphere(subdivisions=3, radius=1.0)
 ONE_PIECE = np.zeros(len(HEAD.vertices), np.int64)

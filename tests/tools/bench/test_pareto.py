@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from benchmarks.pareto import knee, pareto_front
+from bench.pareto import knee, pareto_front
 
 
 def test_front_holds_what_nothing_dominates():
