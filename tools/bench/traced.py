@@ -27,8 +27,10 @@ from pathlib import Path
 
 import numpy as np
 from benchmarks.albedo_peers_slow import DescentOptions, mitsuba_inverse
-from benchmarks.scan_files import DATA
-from benchmarks.traced_set import (
+from worlds.files import DATA
+
+import scan2albedo as s2a
+from bench.judging import (
     DIMMEST,
     PATTERNS,
     VARIABLE,
@@ -45,8 +47,6 @@ from benchmarks.traced_set import (
     score,
     simple_peers,
 )
-
-import scan2albedo as s2a
 from bench.runner import Bench, Case, Timed
 from scan2albedo.albedo import AlbedoEstimate, EstimateOptions
 from scan2albedo.core.arrays import BoolArray, FloatArray

@@ -1,7 +1,7 @@
 """Worlds whose truth is known: Person x Expression x Light x Camera x Scanner. Where each one is made:
 
-People: painted ones (`sitters`), ones hard to tell apart (`population`), on the face model (`model_faces`), of
-    the light stage (`light_stage`), of ../shared/data/heads (`lit_heads`); what is no face (`objects`).
+People: painted ones (`sitters`), ones hard to tell apart (`population`), on the face model (`model_faces`),
+    of the light stage (`light_stage`), of ../shared/data/heads (`lit_heads`); what is no face (`objects`).
 Expressions: the package's and an open jaw (`sitters`); the light stage's own (`light_stage`).
 Light: rigs for the path tracer (`lamps`: sky, softboxes, window, flashes, ...); environment maps, everyday
     ones among them (`environments`); soft light of a room from all around, with one bounce (`rooms`).
