@@ -14,7 +14,6 @@ from functools import partial
 from typing import get_args
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
 from scan2albedo import (
@@ -37,6 +36,7 @@ from scan2albedo.synthetic.face_shape import Expression, person
 from scan2albedo.synthetic.raw_scan import random_pose
 from scan2albedo.synthetic.renderer import SHADOW_OFFSET_MM, RayScene, render
 from worlds.files import face_data
+from worlds.pictures import bilinear
 from worlds.population import Population, random_lights
 from worlds.rooms import random_room
 
@@ -177,15 +177,14 @@ class _Head:
         points, normals = at(vertices), normalized(at(vertex_normals(vertices, scan.faces)))
         height, width = scan.texture_linear.shape[:2]
         u, v = np.einsum("nk,nkc->nc", weights, scan.uv[face]).T
-        place = (1 - v) * height - 0.5, u * width - 0.5
-        channels = np.moveaxis(scan.texture_linear, 2, 0)
-        albedo = [map_coordinates(c, place, order=1, mode="nearest").astype(float) for c in channels]
+        place = np.stack([(1 - v) * height, u * width]) - 0.5
+        albedo = bilinear(scan.texture_linear, place).astype(float)
         off, gradient = slopes(points, [*self.number, 54], SURFACE_MM)
         position, normal = np.zeros((2, *VIEW, 3))
         there = mask.reshape(VIEW)
         position[there], normal[there] = points + off[:, None] * normals, tilted(normals, gradient)
         surface = Surface(vertices, vertices, scan.faces, self.number)
-        return GeometryImage(position, normal, there), surface, (face, weights), np.stack(albedo, 1)
+        return GeometryImage(position, normal, there), surface, (face, weights), albedo
 
 
 def head(name: str) -> tuple[Callable[[int], Scan], Callable[[], View]]:
