@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, smoothstep
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.face_model import AnnotatedSurface, default_model
+from scan2albedo.face_model import default_model
 from scan2albedo.face_model.variation import EXPRESSION_BUMPS
 from scan2albedo.geometry.mesh import normalized, vertex_components, vertex_normals
 from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_from_vector, transform_points
@@ -116,7 +116,6 @@ def stereo_scan(
     features: tuple[str, ...] | None = None,
     scrap: str | None = None,
     scanner: StereoScanner = StereoScanner(),
-    model: AnnotatedSurface | None = None,
 ) -> tuple[RawScan, StereoTruth]:
     """Return the untextured scan of a random person with a random expression, in any pose, and its truth.
 
@@ -135,8 +134,6 @@ def stereo_scan(
     scrap : str, optional
         One of `SCRAPS`: of the head there is only a scrap, which shows no face.
     scanner : StereoScanner
-    model : AnnotatedSurface, optional
-        The default model when omitted; it needs landmarks.
     """
     rng = np.random.default_rng([seed, 23])
     worn = _drawn_features(features, rng)
@@ -145,7 +142,7 @@ def stereo_scan(
     sitter = sit_down(
         seed,
         expression=expression,
-        model=model or default_model(),
+        model=default_model(),
         expression_strength=rng.uniform(0.5, 1.5),
     )
     face = sitter.face
