@@ -16,8 +16,8 @@ from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
 from scan2albedo.io.images import read_exr_channels
 from scan2albedo.lighting.shading import Reflectance
+from scan2albedo.pipeline.mesh_files import write_template
 from scan2albedo.pipeline.options import ProcessOptions
-from scan2albedo.pipeline.result import write_template
 from tests.applications.test_template_normals import HALF_MM, POSE, bumps, carried, mirrored, plain, two_tiles
 
 

@@ -8,13 +8,8 @@ import pytest
 import trimesh
 
 from scan2albedo.applications import relight
-from scan2albedo.applications.eyes_and_mouth import (
-    LANDMARKS,
-    SIZES_MM,
-    eyeball_mesh,
-    eyes_and_mouth,
-    on_template,
-)
+from scan2albedo.applications.eyes import GLOBE_MM, LID_LANDMARKS, eyeball_mesh
+from scan2albedo.applications.eyes_and_mouth import eyes_and_mouth, on_template
 from scan2albedo.applications.face_features import grown, named_texels
 from scan2albedo.applications.template_baking import TemplateTexture
 from scan2albedo.core.lights import PointLight
@@ -53,7 +48,7 @@ def painted_over(face, sides):
 def iris_centres(face):
     """Return (2, 2) where `synthetic.textures` paints the middles of the irises, right and left, in mm."""
     uv, middles = landmark_uv(AnnotatedFaceModel.default()), []
-    for corners in (uv[LANDMARKS[side]] for side in ("right", "left")):
+    for corners in (uv[lids] for lids in LID_LANDMARKS.values()):
         width = np.linalg.norm(corners[3] - corners[0])
         middles.append(corners.mean(0) + [0, 0.04 * width])
     return at_uv(face, np.array(middles))[:, :2]
@@ -125,7 +120,7 @@ def test_parts_are_closed_outward_meshes(seen, tmp_path):
     for eye in found.eyes:
         part = eyeball_mesh(eye)
         off = np.linalg.norm(part.vertices - eye.center_mm, axis=1)
-        assert abs(eye.radius_mm - SIZES_MM["globe"][0]) < 3 * SIZES_MM["globe"][1]
+        assert abs(eye.radius_mm - GLOBE_MM) < 1.5
         # The cornea stands out by about a millimetre, and nothing else does.
         assert off.min() == pytest.approx(eye.radius_mm)
         assert 0.5 < off.max() - eye.radius_mm < 2.5

@@ -17,7 +17,7 @@ from scan2albedo.geometry.loop_subdivision import SurfacePoints
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.rasterization import bilinear
 from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_from_vector, transform_points
-from scan2albedo.pipeline.result import write_template
+from scan2albedo.pipeline.mesh_files import write_template
 
 HALF_MM, WAVE_MM, HEIGHT_MM = 60.0, 9.0, 3.0
 POSE = compose(rotation_from_vector([0.3, -1.0, 0.4]), np.array([10.0, 200.0, -30.0]))
