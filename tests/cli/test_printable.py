@@ -5,18 +5,13 @@ import re
 
 import pytest
 import trimesh
-from typer.testing import CliRunner
+from helpers.cli import invoke
 
 from scan2albedo.cli import progress
-from scan2albedo.cli.commands import app
 from scan2albedo.core import TraceRow
 from scan2albedo.errors import Scan2AlbedoError
 
 EVIL = "\x1b]0;owned\x07\x1b[2J\n\r\x9b31m"
-
-
-def invoke(*arguments):
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
 def raw(text):

@@ -118,8 +118,9 @@ def test_values_up_to_255_are_told_and_highlights_are_not():
 
 
 def test_a_file_of_values_up_to_255_has_a_note(tmp_path):
-    from scan2albedo.io.images import write_exr
     from helpers.square import quarters, write_square_obj
+
+    from scan2albedo.io.images import write_exr
 
     path = write_square_obj(tmp_path, texture="face.png")
     (tmp_path / "face.png").unlink()

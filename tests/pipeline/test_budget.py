@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+from helpers.faces import with_template
 
 import scan2albedo as s2a
 from scan2albedo.core import Budget
@@ -15,7 +16,6 @@ from scan2albedo.pipeline import clock as clocks
 from scan2albedo.pipeline import outputs
 from scan2albedo.pipeline.clock import Clock
 from scan2albedo.pipeline.options import ProcessOptions
-from tests.pipeline.test_unlit import with_template
 
 UNLIT = (None, "face", "all")
 TILES = (0, 1, 10)
@@ -127,7 +127,7 @@ def test_a_greater_budget_makes_more_and_files_count(monkeypatch):
 def test_a_real_run_with_a_large_texture_holds_it(coarse_scan, tmp_path, budget):
     scan = coarse_scan[0]
     large = cv2.resize(scan.texture_linear, (6144, 6144), interpolation=cv2.INTER_LINEAR)
-    asked = {"model": with_template(s2a.AnnotatedFaceModel.default()), "unlit": "face", "maps": "scan"}
+    asked = {"model": with_template(), "unlit": "face", "maps": "scan"}
     asked |= {"size": 64, "quality": "draft", "texture_size": 2048, "pictures": False}
     s2a.process(scan, **asked | {"texture_size": 8})  # kernels are compiled
     begin = time.perf_counter()

@@ -52,7 +52,7 @@ def test_a_folder_of_somebody_else_is_refused_before_any_work_and_stays(tmp_path
     make, words = somebody_elses(folder)[whose]
     make()
     before = contents(tmp_path)
-    monkeypatch.setattr("scan2albedo.pipeline.process._processed", None)  # no work is done
+    monkeypatch.setattr("scan2albedo.pipeline.process._Run", None)  # no work is done
     with pytest.raises(OutputError, match=f"ball.*{words}"):
         s2a.process(scan, tmp_path / "out", **TINY)
     assert contents(tmp_path) == before

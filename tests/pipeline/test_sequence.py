@@ -8,6 +8,7 @@ import pytest
 from bench_sequence import followed
 from benchmarks.raw_like import raw_like
 from benchmarks.takes import SCRIPTS, take
+from numpy.testing import assert_allclose
 
 from scan2albedo.errors import OutputError, ScanError
 from scan2albedo.fitting.tracking import FaceTracker
@@ -83,7 +84,7 @@ def test_frames_of_other_topologies_get_the_same_vertices(whole, frames):
     assert max(frame["residual_mm"] for frame in whole.frames) < 0.3
     with np.load(whole.out / "frames.npz") as stored:
         assert stored["vertices_mm"].shape == (COUNT, *whole.vertices(0).shape)
-        np.testing.assert_allclose(stored["vertices_mm"][3], whole.vertices(3), atol=1e-4)
+        assert_allclose(stored["vertices_mm"][3], whole.vertices(3), atol=1e-4)
         assert stored["landmarks_mm"].shape == (COUNT, 68, 3)
 
 
@@ -173,13 +174,13 @@ def test_files_are_read_in_the_unit_of_the_first(frames, whole, tmp_path):
     assert "empty.obj: holds a point cloud" in found.left_out[1][1]
     assert "missing.obj" in found.frames[0]["notes"][0]
     size = [np.ptp(points, axis=0) for points in (found.control_points[1], whole.control_points[0])]
-    np.testing.assert_allclose(*size, atol=1.5)
+    assert_allclose(*size, atol=1.5)
     assert found.frames[0]["deviation_mm"] is None
 
 
 def test_one_frame_is_a_take(frames, whole, tmp_path):
     found = process_sequence(frames[:1], tmp_path, name="one")
-    np.testing.assert_allclose(found.vertices(0), found.fitted.vertices, atol=1e-9)
+    assert_allclose(found.vertices(0), found.fitted.vertices, atol=1e-9)
     assert (tmp_path / "one" / "sequence.glb").stat().st_size > 10_000
 
 
