@@ -131,7 +131,7 @@ def without_light(
         left, cost = clock.left_s(), outputs.cost_s(name, unlit)
         if cost > left:
             lead = f"{name} {'are' if name.endswith('s') else 'is'} left out"
-            evidence = f"{left:.1f} s left, {cost:.1f} s needed"
+            evidence = f"{max(left, 0.0):.1f} s left, {cost:.1f} s needed"
             steps.append(PlanStep.wrong(name, f"{lead}: the budget ended before it", evidence))
         return cost <= left
 

@@ -7,7 +7,7 @@ import pytest
 from helpers.faces import painted, square
 from numpy.testing import assert_allclose, assert_array_equal
 
-from scan2albedo.applications import SwapOptions, swap_texture
+from scan2albedo.applications import swap_texture
 from scan2albedo.applications.face_features import displacement, skin_gains, warped, without_light_left
 from scan2albedo.errors import ApplicationError
 
@@ -23,13 +23,6 @@ def test_the_tint_of_the_light_is_matched_on_skin_alone(person):
     bare = face.mask & ~hair
     made = swap_texture(face, dark)
     assert_allclose(made.albedo_linear[bare], face.albedo_linear[bare], rtol=2e-3)
-
-
-def test_the_colour_can_stay(person):
-    a, b = person(0), person(1)
-    b = replace(b, albedo_linear=b.albedo_linear * np.array([1.2, 1.0, 0.7]))
-    made = swap_texture(a, b, options=SwapOptions(match_color=False))
-    assert_allclose(made.albedo_linear[a.mask] / b.albedo_linear[a.mask], a.level() / b.level(), rtol=1e-4)
 
 
 def test_black_albedos_are_not_scaled(person):

@@ -20,7 +20,9 @@ from scan2albedo.geometry.rasterization import bilinear
 from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_from_vector, transform_points
 from scan2albedo.pipeline.mesh_files import write_template
 
-HALF_MM, WAVE_MM, HEIGHT_MM = 60.0, 9.0, 3.0
+HALF_MM = 60.0
+WAVE_MM = 9.0
+HEIGHT_MM = 3.0
 POSE = compose(rotation_from_vector([0.3, -1.0, 0.4]), np.array([10.0, 200.0, -30.0]))
 COMPONENTS = {5125: "<u4", 5126: "<f4"}
 WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}

@@ -22,7 +22,9 @@ from scan2albedo.synthetic.face_shape import person
 from tests.io.test_glb import moving
 
 COUNT = 6
-LOST, BROKEN, HALF = 2, 3, 4
+LOST = 2
+BROKEN = 3
+HALF = 4
 
 
 def turned(scan, degrees):

@@ -54,8 +54,13 @@ def photographed(places=PLACES, height=hill, n=41, noise_px=0.0):
     seen = np.stack([project(camera, flat.vertices)[0] for camera in cameras])
     seen += noise_px * np.random.default_rng(0).standard_normal(seen.shape)
     pixels = seen[taken[:, None], flat.faces]
-    uv = np.stack([(pixels[..., 0] + 0.5 + PIXELS * taken[:, None]) / (PIXELS * len(places)),
-                   1 - (pixels[..., 1] + 0.5) / PIXELS], -1)  # fmt: skip
+    uv = np.stack(
+        [
+            (pixels[..., 0] + 0.5 + PIXELS * taken[:, None]) / (PIXELS * len(places)),
+            1 - (pixels[..., 1] + 0.5) / PIXELS,
+        ],
+        -1,
+    )
     picture = np.full((PIXELS, PIXELS * len(places), 3), 0.4, np.float32)
     return RawScan(flat.vertices, flat.faces, uv=uv, texture_linear=picture), taken
 

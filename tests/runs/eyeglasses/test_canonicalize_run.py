@@ -1,6 +1,5 @@
 """Canonical eyeglasses from files and to files, and the command for it."""
 
-import hashlib
 import json
 import re
 
@@ -26,7 +25,6 @@ from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.mean_keypoints import front_width
 from scan2albedo.geometry.rigid import compose, random_rotation, transform_points
 from scan2albedo.io import load_scan
-from scan2albedo.io.load_scan import input_sha256
 from scan2albedo.runs.eyeglasses.canonicalize_run import canonicalize_frames
 from scan2albedo.runs.eyeglasses.inputs import keypoints_beside, read_frame
 from scan2albedo.synthetic import GlassesBend, eyeglasses
@@ -154,16 +152,6 @@ def test_frames_are_unbent_by_default_and_small_ones_refused(tmp_path):
     assert found.unbent
     width = np.ptp(found.keypoints[[7, 16], 0])
     assert width == pytest.approx(np.ptp(glasses.rest_keypoints[[7, 16], 0]), abs=0.2)
-
-
-def test_the_record_has_the_hashes_of_what_was_read(tmp_path):
-    path, _ = save(tmp_path)
-    marks = keypoints_beside(path)
-    expected = input_sha256(path), hashlib.sha256(marks.read_bytes()).hexdigest()
-    frame = read_frame(path)
-    for file in (path, marks):
-        file.write_bytes(b"changed while the frame was worked on")
-    assert tuple(frame.files[what].sha256 for what in ("mesh", "keypoints")) == expected
 
 
 @pytest.mark.parametrize("unit", MM)
