@@ -124,8 +124,6 @@ def test_a_foreign_surface_is_refused(folder, result):
 
 
 def test_results_without_albedo_say_so(folder, result):
-    from dataclasses import replace
-
     record = json.loads((folder / "result.json").read_text())
     (folder / "result.json").write_text(json.dumps(record | {"parameters": {}}))
     with pytest.raises(ApplicationError, match="no albedo"):
@@ -142,8 +140,6 @@ def test_a_folder_of_something_else_is_refused(tmp_path):
 
 
 def test_spherical_harmonics_relight_as_a_matte_surface(result):
-    from dataclasses import replace
-
     estimate = s2a.estimate_albedo(result.geometry_image, brdf="spherical-harmonics")
     face = load_result(replace(result, albedo=estimate))
     assert face.reflectance.brdf == "lambert"

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from helpers.faces import with_template
+from helpers.meshes import grid
 from numpy.testing import assert_allclose
 
 import scan2albedo as s2a
@@ -104,26 +105,17 @@ def test_a_template_has_hair_of_its_own(result):
 
 def surface(direction):
     """A surface that goes on for 8 cm beyond a point of the chart: offsets, and the mean of neighbours."""
-    v = np.repeat(np.arange(21) * 4.0, 21)
-    index = np.arange(21 * 21).reshape(21, 21)
-    faces = np.concatenate(
-        [
-            np.stack([index[:-1, :-1], index[1:, :-1], index[:-1, 1:]], -1).reshape(-1, 3),
-            np.stack([index[1:, 1:], index[:-1, 1:], index[1:, :-1]], -1).reshape(-1, 3),
-        ]
-    )
-    offset = v.reshape(-1, 1) * np.asarray(direction, float)
-    return offset, neighbour_mean(len(offset), faces)
+    flat, faces = grid(21, 21)
+    return 80 * flat[:, 1:2] * np.asarray(direction, float), neighbour_mean(len(flat), faces)
 
 
-def shares_of(far, direction, place):
+def shares_of(far, direction, place, brighter=0.0):
     """Shares of the classes where colours differ from skin's by `far` (3,) beyond 4 cm."""
     offset, mean = surface(direction)
     beyond = np.linalg.norm(offset, axis=1) >= 40
     rng = np.random.default_rng(0)
-    color = (
-        np.array([-1.0, -1.5, -1.8]) + 0.02 * rng.standard_normal((len(offset), 3)) + beyond[:, None] * far
-    )
+    color = np.array([-1.0, -1.5, -1.8]) + 0.02 * rng.standard_normal((len(offset), 3))
+    color += beyond[:, None] * np.array(far) + brighter
     normal, places = np.tile([0.0, 0, 1], (len(offset), 1)), np.tile(place, (len(offset), 1))
     skin = (np.linalg.norm(offset, axis=1) < 20) * 1.0
     return beyond_chart(color, normal, skin, places, offset, mean, (4 / 30) ** 2), beyond
@@ -143,12 +135,5 @@ def test_dark_is_hair_above_the_forehead_and_white_is_cloth_below_the_chin():
 
 
 def test_the_exposure_of_the_scan_decides_nothing():
-    found, _ = shares_of([-2.2, -1.8, -1.5], (0, 1, 0), (0.02, 0.5))
-    offset, mean = surface((0, 1, 0))
-    rng = np.random.default_rng(0)
-    beyond = np.linalg.norm(offset, axis=1)[:, None] >= 40
-    color = np.array([-1.0, -1.5, -1.8]) + 0.02 * rng.standard_normal((len(offset), 3))
-    color += beyond * np.array([-2.2, -1.8, -1.5]) - 1.3
-    rest = np.tile([0.0, 0, 1], (len(offset), 1)), (np.linalg.norm(offset, axis=1) < 20) * 1.0
-    darker = beyond_chart(color, *rest, np.tile((0.02, 0.5), (len(offset), 1)), offset, mean, (4 / 30) ** 2)
-    assert_allclose(darker, found, atol=0.02)
+    dark = [-2.2, -1.8, -1.5], (0, 1, 0), (0.02, 0.5)
+    assert_allclose(shares_of(*dark, brighter=-1.3)[0], shares_of(*dark)[0], atol=0.02)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from helpers.cli import invoke
 from helpers.commands import succeeded
+from helpers.meshes import grid
 from numpy.testing import assert_allclose
 
 from scan2albedo.cli import applications
@@ -18,12 +19,10 @@ SIZE_MM = 100.0
 
 def sheet(cells):
     """A sheet with coordinates as they lie, on a grid of so many cells a side."""
-    x, y = (axis.ravel() for axis in np.meshgrid(*[np.linspace(0, SIZE_MM, cells + 1)] * 2))
-    corner = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).ravel()
-    right, above = corner + 1, corner + cells + 1
-    faces = np.concatenate([np.stack([corner, right, above], 1), np.stack([right, above + 1, above], 1)])
-    vertices = np.stack([x, y, 0.001 * x**2], axis=1)
-    return vertices, faces, vertices[faces][..., :2] / SIZE_MM
+    flat, faces = grid(cells + 1, cells + 1)
+    vertices = SIZE_MM * flat
+    vertices[:, 2] = 0.001 * vertices[:, 0] ** 2
+    return vertices, faces, flat[faces][..., :2]
 
 
 @pytest.fixture

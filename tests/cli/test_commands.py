@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
 from helpers.cli import invoke
 from helpers.commands import succeeded
+from helpers.meshes import write_ball
 from helpers.square import write_square_obj
 
 from scan2albedo.cli import commands as cli
@@ -41,11 +41,7 @@ def run(*arguments, **options):
 @pytest.fixture(scope="module")
 def ball(tmp_path_factory):
     """A coloured sphere: an object, no face."""
-    sphere = trimesh.creation.icosphere(3, 90.0)
-    sphere.visual.vertex_colors = np.clip(128 + sphere.vertices, 0, 255).astype(np.uint8)
-    path = tmp_path_factory.mktemp("scans") / "ball.ply"
-    sphere.export(path)
-    return path
+    return write_ball(tmp_path_factory.mktemp("scans") / "ball.ply", 3)
 
 
 def test_an_object_is_processed_and_summarised_as_json(ball, tmp_path):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from benchmarks.texture_rims import LIMIT, exported_textures, rim_step
 from helpers.faces import with_template
+from helpers.meshes import grid
 from helpers.records import files_in
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -215,10 +216,9 @@ def test_a_budget_that_is_spent_leaves_it_out_and_the_face_comes_first(case):
 
 
 def test_several_pictures_come_back_as_they_came(tmp_path):
-    x, y = (axis.ravel() for axis in np.meshgrid(np.linspace(0, 180, 9), np.linspace(0, 180, 9)))
-    vertices = np.stack([x, y, 0.002 * (x - 90) ** 2], axis=1)
-    first = (np.arange(8)[:, None] * 9 + np.arange(8)).ravel()
-    faces = np.concatenate([first[:, None] + [0, 1, 9], first[:, None] + [1, 10, 9]])
+    vertices, faces = grid(9, 9)
+    vertices *= 180
+    vertices[:, 2] = 0.002 * (vertices[:, 0] - 90) ** 2
     right = vertices[faces].mean(1)[:, 0] > 90
     rng = np.random.default_rng(0)
     pictures = tuple(

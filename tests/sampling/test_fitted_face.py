@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
+from helpers.meshes import grid
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo import AnnotatedFaceModel, fit, load_scan, register
@@ -49,18 +50,12 @@ class Patch:
         self.residual_mm = np.zeros(len(self.vertices))
 
 
-def grid_faces(n):
-    index = np.arange(n * n).reshape(n, n)
-    a, b, c, d = (index[s].ravel() for s in (np.s_[:-1, :-1], np.s_[:-1, 1:], np.s_[1:, :-1], np.s_[1:, 1:]))
-    return np.concatenate([np.stack([a, b, d], 1), np.stack([a, d, c], 1)])
-
-
 def patch(height=lambda x, y: 0 * x, n=41, model_from_scan=None):
-    u, v = np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, n))
-    uv = np.stack([u.ravel(), v.ravel()], 1)
+    flat, faces = grid(n, n)
+    uv = flat[:, :2]
     xy = 100 * (uv - 0.5)
     vertices = np.column_stack([xy, height(*xy.T)])
-    return Patch(vertices, grid_faces(n), uv, np.eye(4) if model_from_scan is None else model_from_scan)
+    return Patch(vertices, faces, uv, np.eye(4) if model_from_scan is None else model_from_scan)
 
 
 def textured_scan(fitted, texture, n_noise=0.0):
