@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
-from benchmarks.everyday_light import generated_environment
 from helpers.cli import invoke
 from helpers.commands import printed, succeeded
 from helpers.records import files_in, read_json
+from worlds.environments import generated_environment
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.records import read_record

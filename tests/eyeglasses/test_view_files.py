@@ -96,7 +96,7 @@ def test_faults_of_labels_name_the_file(tmp_path, text, message):
 
 
 def test_labels_of_another_shape_are_refused(tmp_path):
-    with pytest.raises(ValueError, match=r"\(2, 20, 2\) for 2 cameras, got \(1, 20, 2\)"):
+    with pytest.raises(ValueError, match=r"labels is \(1, 20, 2\), expected \(2, 20, 2\)"):
         write_labels(tmp_path / "a.json", np.zeros((1, 20, 2)), ["a", "b"])
     with pytest.raises(ValueError, match="two cameras are named 'a'"):
         write_labels(tmp_path / "a.json", np.zeros((2, 20, 2)), ["a", "a"])
@@ -133,7 +133,7 @@ def test_cameras_that_are_none_are_refused_by_file_and_name(tmp_path):
     flat = [[900.0, 0, 0, 1], [0, 900.0, 0, 1], [0, 0, 0, 1.0]]
     refused(put("matrix", flat), "camera 'b'.*singular")
     refused(put("matrix", [[1.0, 2, 3, 4]] * 3), "camera 'b'.*singular")
-    refused(put("matrix", [[np.nan, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]), "camera 'b'.*not finite")
+    refused(put("matrix", [[np.nan, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]), "camera 'b'.*NaN")
     refused(put("matrix", flat[:2]), r"cameras\.1\.matrix")
     refused(put("width", 0), r"cameras\.1\.width")
     refused(put("name", "A"), "two cameras are named")
@@ -141,7 +141,7 @@ def test_cameras_that_are_none_are_refused_by_file_and_name(tmp_path):
     refused(lambda tree: tree.pop("unit"), "unit")
     with pytest.raises(EyeglassesError, match=r"No such file.*write_cameras"):
         read_cameras(tmp_path / "none.json")
-    with pytest.raises(ValueError, match=r"shape \(4, 4\), expected \(3, 4\)"):
+    with pytest.raises(ValueError, match=r"matrix is \(4, 4\), expected \(3, 4\)"):
         Camera("a", np.eye(4), SHAPE)
     with pytest.raises(ValueError, match="picture's shape"):
         Camera("a", camera().matrix, (0, 5))

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bench_sequence import followed
-from benchmarks.raw_like import raw_like
-from benchmarks.takes import SCRIPTS, take
+from bench.sequence import figures, followed
 from numpy.testing import assert_allclose
+from worlds.raw_like import raw_like
+from worlds.takes import SCRIPTS, take
 
 from scan2albedo.errors import OutputError, ScanError
 from scan2albedo.fitting.tracking import FaceTracker
@@ -208,11 +208,12 @@ def test_wrong_input_is_refused(frames, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("person", ["person1", "person4"])
 def test_measured_faces_keep_their_landmarks(shared_data: Path, person):
-    """Sixty frames of `tools/bench_sequence.py`, each resampled, with expressions there and back."""
+    """Sixty frames of `tools/bench/sequence.py`, each resampled, with expressions there and back."""
     if not (shared_data / "ict_expressions.npz").exists():
         pytest.skip("ict_expressions.npz is not among the real scans")
-    figures, _ = followed(take(person, SCRIPTS[person], seed=1))
-    assert figures["motion"] < 1.8
-    assert figures["jitter"] < figures["true"]
-    assert figures["nose"] < 0.25
-    assert figures["drift"] < 0.6
+    made = take(person, SCRIPTS[person], seed=1)
+    found = figures(made, followed(made))
+    assert found["motion"] < 1.8
+    assert found["jitter"] < found["true"]
+    assert found["nose"] < 0.25
+    assert found["drift"] < 0.6

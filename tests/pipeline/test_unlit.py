@@ -6,7 +6,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from benchmarks.texture_rims import LIMIT, exported_textures, rim_step
+from bench.applications import LIMIT, exported_textures, rim_step
 from helpers.faces import with_template
 from helpers.meshes import grid
 from helpers.records import files_in

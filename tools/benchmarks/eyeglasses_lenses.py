@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from bench.judging import picture_errors as errors
+from worlds.environments import ENVIRONMENTS, reference_lights
 
-from benchmarks.environments import ENVIRONMENTS, errors, reference_lights
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.eyeglasses import (
     DistantLights,
