@@ -21,6 +21,7 @@ from scan2albedo.cli import commands as cli
 from scan2albedo.cli import doctor
 from scan2albedo.cli.common import echo_json
 from scan2albedo.core import Plan, PlanStep, RawScan
+from scan2albedo.core.version import VERSION
 from scan2albedo.pipeline import sequence, validation
 from scan2albedo.pipeline.sequence import SequenceResult
 from scan2albedo.sampling import geometry_image_of_scan
@@ -36,6 +37,10 @@ def run(*arguments, **options):
     return subprocess.run(
         [*COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=300, check=False, **options
     )
+
+
+def test_the_version_is_printed():
+    assert succeeded(invoke("--version")).stdout == f"scan2albedo {VERSION}\n"
 
 
 @pytest.fixture(scope="module")
