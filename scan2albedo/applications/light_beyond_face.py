@@ -30,7 +30,7 @@ OUTSIDE_CONFIDENCE = 0.5
 """Relative to the face: beyond the model the light is that of its lamps on the scan's own, rougher shape."""
 DARKEST = 0.1
 """Least light that divides, as a part of the usual: less makes noise bright, more leaves deep shadows dark
-(`tools/bench_unlit.py traced`)."""
+(`tools/bench/unlit.py`)."""
 SURE_HAIR = 0.5
 """Where nothing is hair more surely, there is none."""
 _SPACING_MM = 2.5

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.glasses_on_head import worn_glasses
+from worlds.glasses_on_head import worn_glasses
 from worlds.raw_like import raw_like
 
 from scan2albedo import fit

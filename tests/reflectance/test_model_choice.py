@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from build_reflectance_model import PEOPLE, packed
+from build.reflectance_model import PEOPLE, packed
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance import VertexReflectance

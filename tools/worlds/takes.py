@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from worlds.raw_like import raw_like
 
 import scan2albedo as s2a
-from benchmarks.landmark_cases import LightStage, expressions_of_light_stage
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
+from worlds.light_stage import LightStage
+from worlds.raw_like import raw_like
 
 LAST = 60.0
 """Time at the end of a take, in frames."""
@@ -61,7 +61,8 @@ class Take:
 
 def take(person: str, script: Mapping[str, tuple[int, int]], *, count: int = 60, seed: int = 0) -> Take:
     """Return a take that ends as it begins, without expression; the head turns by 14 degrees meanwhile."""
-    people, moves = LightStage.load(), expressions_of_light_stage()
+    people = LightStage.load()
+    moves = people.expressions
     frames, landmarks = list[s2a.RawScan](), []
     for number, time in enumerate(np.linspace(0, LAST, count)):
         shape = people.shapes[person].copy()

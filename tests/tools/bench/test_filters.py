@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from benchmarks.light_normalization import histogram_equalized, multi_scale_retinex
+from bench.peers.filters import histogram_equalized, multi_scale_retinex
 from scipy.ndimage import gaussian_filter
 
 FILTERS = [multi_scale_retinex, histogram_equalized]

@@ -1,18 +1,22 @@
 """The judge of the door: outcomes, bins of confidence, spreads of poses, false faces."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
-from benchmarks.door_repeat import about_their_mean
-from benchmarks.door_rows import Reliability, Row, judged
-from benchmarks.door_told import false_faces
+from bench.door import (
+    Answer,
+    Reliability,
+    Scene,
+    about_their_mean,
+    false_faces,
+    judged_face,
+    judged_other,
+    plainly,
+)
 from worlds.door import Case, relief
 from worlds.objects import random_body, random_relief, wrong_object, wrong_objects
 from worlds.stereo import SCRAPS
 
 from scan2albedo import RawScan
-from scan2albedo.errors import NoFaceError
 from scan2albedo.geometry.mesh import face_areas
 from scan2albedo.geometry.rigid import compose, rotation_from_vector
 
@@ -21,63 +25,63 @@ SCAN = RawScan(*random_body(np.random.default_rng(0)))
 
 @pytest.fixture(scope="module")
 def face(model):
-    return Case(SCAN, ("plain",), compose(np.eye(3), [1.0, 2.0, 3.0]), model.landmarks)
+    return Scene(Case(SCAN, ("plain",), compose(np.eye(3), [1.0, 2.0, 3.0]), model.landmarks))
 
 
-def turned(case, vector, shift=(0, 0, 0), confidence=0.9):
-    pose = compose(rotation_from_vector(np.deg2rad(vector)), shift) @ case.model_from_scan
-    return lambda scan: SimpleNamespace(model_from_scan=pose, confidence=confidence)
+def turned(scene, vector, shift=(0, 0, 0), **answer):
+    pose = compose(rotation_from_vector(np.deg2rad(vector)), shift) @ scene.scan.model_from_scan
+    return Answer(pose, **{"sure": 0.9, **answer})
 
 
 @pytest.mark.parametrize(
-    ("vector", "shift", "outcome"),
+    ("vector", "shift", "ended"),
     [
-        ((0, 0, 0), (0, 0, 0), "right"),
-        ((0, 9, 0), (0, 0, 0), "right"),
+        ((0, 0, 0), (0, 0, 0), ""),
+        ((0, 9, 0), (0, 0, 0), ""),
         ((0, 11, 0), (0, 0, 0), "wrong"),
         ((0, 0, 0), (0, 16, 0), "wrong"),
         ((0, 0, 175), (0, 0, 0), "upside down"),
         ((0, 175, 0), (0, 0, 0), "wrong"),
     ],
 )
-def test_a_pose_is_judged_by_its_turn_and_the_landmarks(face, vector, shift, outcome):
-    row = judged("stereo", 0, face, turned(face, vector, shift))
-    assert row.outcome == outcome
-    assert row.degrees == pytest.approx(np.linalg.norm(vector))
-    if not any(vector):
-        assert row.mm == pytest.approx(np.linalg.norm(shift))
+def test_a_pose_is_judged_by_its_turn_and_the_landmarks(face, vector, shift, ended):
+    row = judged_face(face, turned(face, vector, shift))
+    assert row["right %"] == row["pose right %"] == 100 * (not ended)
+    assert row["sure misses %"] == 100 * bool(ended)
+    if ended:
+        assert row["ended"].startswith(ended)
+    else:
+        assert row["deg"] == pytest.approx(np.linalg.norm(vector))
 
 
-def test_what_shows_no_face_is_refused_told_or_silent(face):
-    nothing = Case(SCAN, ("body",))
-    assert judged("reliefs", 0, nothing, turned(face, (0, 0, 0), confidence=0.4)).outcome == "told"
-    silent = judged("reliefs", 0, nothing, turned(face, (0, 0, 0), confidence=0.6))
-    assert (silent.outcome, silent.is_right) == ("silent", False)
+@pytest.mark.parametrize(
+    ("answer", "let_in"),
+    [
+        (Answer(np.eye(4), 0.4), False),
+        (Answer(np.eye(4), 0.6), True),
+        (Answer(np.eye(4), None), True),
+        (Answer(None, 0.9, "no face found"), False),
+    ],
+)
+def test_what_shows_no_face_is_let_in_by_a_confident_pose(answer, let_in):
+    assert judged_other(Scene(Case(SCAN, ("body",))), answer)["let in %"] == 100 * let_in
 
 
 def test_a_refusal_counts_with_the_confidence_and_the_pose_of_its_error(face):
-    def refuse(scan, **what):
-        raise NoFaceError("no face found", **what)
-
-    plain = judged("stereo", 0, face, refuse)
-    assert (plain.outcome, plain.sure, plain.message) == ("refused", None, "no face found")
-    pose = turned(face, (0, 90, 0))(SCAN).model_from_scan
-    wrong = judged("stereo", 0, face, lambda scan: refuse(scan, confidence=0.3, model_from_scan=pose))
-    assert (wrong.outcome, wrong.sure, wrong.is_right) == ("refused", 0.3, False)
-    assert judged("stereo", 0, face, lambda scan: refuse(scan, confidence=0.3)).is_right
-    assert not judged("objects", 0, Case(SCAN, ()), lambda scan: refuse(scan, confidence=0.3)).is_right
+    plain = judged_face(face, Answer(None, None, "no face found"))
+    assert (plain["refused %"], plain["pose right %"]) == (100, 100)
+    assert np.isnan(plain["confidence"])
+    wrong = judged_face(face, turned(face, (0, 90, 0), sure=0.3, message="no face found"))
+    assert (wrong["refused %"], wrong["confidence"], wrong["pose right %"]) == (100, 0.3, 0)
 
 
-def rows_of(pairs):
-    return [
-        Row("stereo", k, (), True, "right" if right else "wrong", sure, 0.0, 0.0, 0.1)
-        for k, (sure, right) in enumerate(pairs)
-    ]
+def test_a_refusal_is_an_answer():
+    assert plainly(SCAN).message
 
 
 def test_reliability_compares_each_bins_confidence_with_its_share():
-    pairs = [(0.85, k % 5 != 0) for k in range(40)] + [(1.0, True)] * 30 + [(0.15, True)] * 3 + [(None, True)]
-    found = Reliability.of(rows_of(pairs))
+    pairs = [(0.85, k % 5 != 0) for k in range(40)] + [(1.0, True)] * 30 + [(0.15, True)] * 3
+    found = Reliability.of(*np.array(pairs, float).T)
     assert found.count.tolist() == [0, 3, 0, 0, 0, 0, 0, 0, 40, 30]
     assert found.confidence[8] == pytest.approx(0.85)
     assert found.share[8] == pytest.approx(0.8)
@@ -117,7 +121,8 @@ def test_there_are_forty_three_objects_of_a_hands_to_a_heads_size(shared_data):
 def test_false_faces_hold_what_their_names_say(model):
     vertices, faces = model.surface(2)
     scan = RawScan(vertices, faces, name="model")
-    false = dict(false_faces(scan, model.landmarks, scan, model.landmarks, np.random.default_rng(0)))
+    one = scan, model.landmarks
+    false = dict(false_faces(one, one, np.random.default_rng(0)))
     assert {f"scrap: {place}" for place in SCRAPS} & set(false) == {"scrap: cheek", "scrap: forehead"}
 
     def area(name):

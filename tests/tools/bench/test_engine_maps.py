@@ -4,7 +4,7 @@ import os
 
 import numpy as np
 import pytest
-from bench_engine_maps import PATH, Face, Studio, likeness, radiance_of
+from bench.engine_maps import PATH, Face, Studio, likeness, radiance_of
 
 from scan2albedo.applications.template_baking import TemplateTexture, TemplateTile
 from scan2albedo.core.lights import EnvironmentLight, PointLight
