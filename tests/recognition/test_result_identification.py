@@ -19,7 +19,6 @@ from scan2albedo.recognition import (
     read_face,
     read_labelled_templates,
     read_manifest,
-    similarity_matrix,
     write_labelled_templates,
 )
 from scan2albedo.recognition.templates import NothingToCompareError
@@ -125,16 +124,6 @@ def test_sizes_and_models_have_to_agree(stored, people, tmp_path, probes):
             identify_results(alone, probes, options=TemplateOptions(size=32))
 
 
-def test_charts_of_sets_of_templates_have_to_agree(stored, people, tmp_path):
-    stored(tmp_path / "other", 0, model="mine")
-    sets = [
-        read_labelled_templates(listed(tmp_path, [("ann", path)]), options=OPTIONS).templates
-        for path in (people / "ann", tmp_path / "other")
-    ]
-    with pytest.raises(RecognitionError, match="'default' and the second 64 x 64 texels of model 'mine'"):
-        similarity_matrix(*sets)
-
-
 def test_images_of_a_chart_nobody_named_go_with_any_model(people, tmp_path, probes):
     write_exr(tmp_path / "ann.exr", face(0, size=64).albedo_linear)
     rows = [("ann", "ann.exr"), ("bob", people / "bob"), ("cy", people / "cy")]
@@ -209,8 +198,6 @@ def test_command_and_function_give_one_number(people, stored, tmp_path):
     assert by_albedo.by_kind["albedo"][0, 0] == pytest.approx(expected, abs=1e-5)
     together = identify_results(gallery, probes)
     assert together.by_kind["albedo"][0, 0] == pytest.approx(expected, abs=1e-5)
-    templates = [albedo_templates([one.values], ["ann"], masks=[one.certainty > 0]) for one in (shown, known)]
-    assert similarity_matrix(*templates)[0, 0] == pytest.approx(expected, abs=1e-5)
 
 
 def test_a_folder_of_results_is_a_gallery(people, stored, tmp_path):

@@ -9,6 +9,7 @@ from skimage.metrics import structural_similarity
 
 from scan2albedo.errors import RecognitionError
 from scan2albedo.recognition import (
+    Chart,
     TemplateOptions,
     Templates,
     albedo_templates,
@@ -173,6 +174,7 @@ def test_images_that_cannot_be_compared_are_refused(other, options, error, words
 def test_templates_that_cannot_be_compared_are_refused():
     a = random_templates(0, 2)
     normals = Templates(np.repeat(a.coefficients, 3, axis=1), a.mask, a.names, kind="shape")
+    charted, mine = (replace(a, chart=Chart(name, (64, 64))) for name in ("default", "mine"))
     left, right = a.mask.copy(), a.mask.copy()
     left[1, :, 7:] = False
     right[0, :, :7] = False
@@ -182,6 +184,7 @@ def test_templates_that_cannot_be_compared_are_refused():
         (a, random_templates(0, 2, (12, 12)), 5, RecognitionError, "images of one size"),
         (a, replace(a, options=TemplateOptions(size=64)), 5, RecognitionError, "differ in their options"),
         (normals, a, 5, RecognitionError, "first set is of the shape, the second of the albedo"),
+        (charted, mine, 5, RecognitionError, "'default' and the second 64 x 64 texels of model 'mine'"),
         (a, a, 13, RecognitionError, "window of 13"),
         (a, a, 0, ValueError, "window is 0"),
         (left, right, 5, RecognitionError, r"template 1 \(p1\) and template 0 \(p0\)"),

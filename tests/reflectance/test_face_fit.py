@@ -60,7 +60,7 @@ def mean(model):
 @pytest.fixture(scope="module")
 def fitted(model, lighting):
     def fit(taken, **options):
-        return fitted(taken, **options)
+        return fit_face(taken, model, VERTICES, FACES, lighting, **options)
 
     return fit
 

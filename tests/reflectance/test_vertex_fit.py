@@ -168,7 +168,7 @@ def test_unseen_vertices_are_not_known(noisy):
 
 def test_no_pictures_are_refused(noisy):
     with pytest.raises(ReflectanceError, match="there are no pictures"):
-        fit_reflectance(noisy.of_pairs([]))
+        fit_reflectance(noisy.of_pairs(np.arange(0)))
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])

@@ -15,6 +15,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib.util import find_spec
 
 import numpy as np
 from worlds.flash_captures import unit
@@ -86,7 +87,13 @@ class Sampled:
         return cls(capture, samples, unit(vertex_normals(vertices, faces) if normals is None else normals))
 
 
+def require_mitsuba() -> None:
+    if find_spec("mitsuba") is None:
+        raise FileNotFoundError("mitsuba is not installed")
+
+
 def head_cases(quick: bool) -> Iterator[Case]:
+    require_mitsuba()
     size = {"views": 3, "flashes": 4, "size": 64} if quick else {}
     for bounces in (False,) if quick else (False, True):
         capture = partial(mitsuba_capture, bounces=bounces, **size)
@@ -154,6 +161,7 @@ def drawn(head: str, skin: str, bounces: bool, pairs: int, quick: bool) -> Drawn
 
 
 def bounce_cases(quick: bool) -> Iterator[Case]:
+    require_mitsuba()
     heads = [(head, skin, True) for head in ("person1", "person2") for skin in SKINS]
     heads = [("person2", "pale", True)] if quick else [*heads, ("person1", "pale", False)]
     for head, skin, bounces in heads:

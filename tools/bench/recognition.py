@@ -25,10 +25,10 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-from benchmarks.light_normalization import histogram_equalized, multi_scale_retinex
 from worlds.population import Population, population_scan
 
 import scan2albedo as s2a
+from bench.peers.filters import histogram_equalized, multi_scale_retinex
 from bench.runner import Bench, Case
 from scan2albedo.albedo.estimate import BRDFS
 from scan2albedo.core.arrays import BoolArray, FloatArray

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 from functools import cache, partial
 
 import numpy as np
-from benchmarks.light_normalization import multi_scale_retinex
 from scipy.ndimage import gaussian_filter, map_coordinates
 from worlds.files import face_data
 
+from bench.peers.filters import multi_scale_retinex
 from bench.recognition import kept_in
 from bench.runner import Bench, Case
 from scan2albedo import GeometryImage, estimate_albedo
