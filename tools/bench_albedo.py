@@ -18,11 +18,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from bench.judging import AlbedoScore, score
 from benchmarks.albedo_peers import homomorphic, robust_harmonics
 from benchmarks.light_normalization import multi_scale_retinex
-from benchmarks.mitsuba_set import load_scenes
-from benchmarks.traced_set import AlbedoScore, score
 from numpy.typing import NDArray
+from worlds.mitsuba_scenes import load_scenes
 
 import scan2albedo as s2a
 from scan2albedo.albedo import EstimateOptions

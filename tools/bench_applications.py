@@ -29,8 +29,8 @@ from benchmarks.real_applications import (
     bench_seams,
     bench_swap,
 )
-from benchmarks.scan_files import face_data
 from benchmarks.texture_rims import bench_rims
+from worlds.files import face_data
 
 import scan2albedo as s2a
 from scan2albedo.applications import FaceMesh, ProcessedFace, TransferOptions, personal_model, relight

@@ -23,8 +23,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarks.scan_files import write_obj
 from loky import ProcessPoolExecutor
+from worlds.files import write_obj
 
 import scan2albedo as s2a
 from scan2albedo.batch.records import Layout

@@ -4,7 +4,7 @@
         [--scraps 300] [--reliefs 200] [--objects] [--repeat 20 [--fit]] [--told] [--offset 0] [--jobs 1]
         [--json FILE] [--figure FILE.png]
 
-"stereo" are random people of `benchmarks.stereo_scan`, "ict" mixtures of light-stage people and expressions
+"stereo" are random people of `worlds.stereo`, "ict" mixtures of light-stage people and expressions
 captured in the same way, "hard" both with up to 6 mm of noise, more holes and less of the face (there is
 shown what confidence is worth; --placed gives five landmarks to these, then with one 25 mm off), "scraps"
 captures of both that show no face, "reliefs" random reliefs and bodies (every tenth also without a known
@@ -31,19 +31,11 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from benchmarks.door_objects import wrong_object, wrong_objects
 from benchmarks.door_repeat import CAPTURES, SHAPES, Capture, captured, print_repeats
 from benchmarks.door_rows import Reliability, Row, judged, plainly, print_part
-from benchmarks.door_scans import (
-    Case,
-    hard_person,
-    light_stage_person,
-    own_person,
-    relief,
-    scrap,
-    with_landmarks,
-)
 from benchmarks.door_told import print_told
+from worlds.door import Case, hard_person, light_stage_person, own_person, relief, scrap, with_landmarks
+from worlds.objects import wrong_object, wrong_objects
 
 from scan2albedo.core import RawScan
 from scan2albedo.pipeline.scale_search import registered_at_any_scale

@@ -35,13 +35,13 @@ from typing import Any
 import cv2
 import numpy as np
 import trimesh
-from benchmarks.mitsuba_bake import textured_mesh
-from benchmarks.scan_files import DATA
-from benchmarks.traced_lights import environment_map
-from benchmarks.traced_set import ScanTruth
+from bench.judging import ScanTruth
 from numpy.typing import NDArray
 from PIL import Image
 from scipy.optimize import minimize_scalar
+from worlds.files import DATA
+from worlds.lamps import environment_map
+from worlds.path_tracer import textured_mesh
 
 import scan2albedo as s2a
 from scan2albedo.applications import engine_maps, unlit_scan

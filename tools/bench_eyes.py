@@ -22,7 +22,8 @@ import numpy as np
 
 import scan2albedo as s2a
 from scan2albedo.applications import ProcessedFace, load_result, relight
-from scan2albedo.applications.eyes_and_mouth import LANDMARKS, eyes_and_mouth
+from scan2albedo.applications.eyes import LID_LANDMARKS
+from scan2albedo.applications.eyes_and_mouth import eyes_and_mouth
 from scan2albedo.geometry.rasterization import bilinear, pixels_from_uv
 from scan2albedo.io.images import write_png
 from scan2albedo.synthetic import face as synthetic_face
@@ -51,7 +52,7 @@ def painted(seed: int) -> tuple[ProcessedFace, np.ndarray]:
     """Return a synthetic person, and the true middles of the irises (2, 2), x and y in mm."""
     made, model = synthetic_face(seed, size=512, bits=None), s2a.AnnotatedFaceModel.default()
     uv, middles = landmark_uv(model), []
-    for corners in (uv[LANDMARKS[side]] for side in ("right", "left")):
+    for corners in (uv[LID_LANDMARKS[side]] for side in ("right", "left")):
         middles.append(corners.mean(0) + [0, 0.04 * np.linalg.norm(corners[3] - corners[0])])
     places = pixels_from_uv(np.concatenate([uv, middles]), made.image.shape)
     points = bilinear(made.image.position, places)

@@ -23,8 +23,8 @@ from pathlib import Path
 
 import numpy as np
 from benchmarks import fit_peers
-from benchmarks.raw_like import with_holes
-from benchmarks.scan_files import face_data
+from worlds.files import face_data
+from worlds.raw_like import with_holes
 
 import scan2albedo as s2a
 from scan2albedo.core.arrays import FloatArray, IntArray

@@ -37,10 +37,10 @@ from pathlib import Path
 
 import bench_fit
 import numpy as np
-from benchmarks.door_scans import PLACED, WRONG_BY_MM
 from benchmarks.landmark_cases import INNER, SHAPE_ALONE, Case, Row, cases, measured
 from benchmarks.landmark_trials import print_glasses, print_lamps, print_mouths
-from benchmarks.scan_files import DATA, face_data
+from worlds.door import PLACED, WRONG_BY_MM
+from worlds.files import DATA, face_data
 
 import scan2albedo as s2a
 from scan2albedo.core.landmarks import PLACED_SIGMA_MM, PlacedLandmarks

@@ -20,9 +20,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from benchmarks.raw_like import raw_like
-from benchmarks.scan_files import face_data
 from scipy.optimize import least_squares
+from worlds.files import face_data
+from worlds.raw_like import raw_like
 
 import scan2albedo as s2a
 from scan2albedo.core.arrays import FloatArray, IntArray

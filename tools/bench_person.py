@@ -7,7 +7,7 @@ Synthetic scans, each with an expression, a lamp near by and a pose of its own. 
 user runs it, at draft; CPU and the greatest resident memory are those of its process. Errors are relative
 RMSE on the texels of skin that two scans or more show, in % of the true albedo, beside the stated one.
 
---traced takes the pairs of scans that `tools/build_traced_scans.py FOLDER --heads` makes, and prints for each
+--traced takes the pairs of scans that `python tools/worlds FOLDER --heads HEADS` makes, and prints for each
 the errors (relative RMSE of V = max(R, G, B), 100 MSE) of both scans alone, and of the common albedo on the
 texels of skin of either.
 """
@@ -22,8 +22,8 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from benchmarks.scan_files import write_obj
-from benchmarks.traced_set import AlbedoScore, ScanTruth, judged_scan, score
+from bench.judging import AlbedoScore, ScanTruth, judged_scan, score
+from worlds.files import write_obj
 
 from scan2albedo import process, process_person, read_geometry_image
 from scan2albedo.albedo import albedo_error

@@ -15,7 +15,7 @@ import time
 from dataclasses import dataclass, replace
 
 import numpy as np
-from benchmarks.scan_scenes import scanned_skin
+from worlds.synthetic_scans import scanned_skin
 
 import scan2albedo as s2a
 from scan2albedo.geometry.closest_points import ClosestPointQuery

@@ -20,9 +20,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from benchmarks.raw_like import raw_like
 from benchmarks.registration_peers import Surface, available_peers, fpfh_ransac_icp, open3d_icp
-from benchmarks.scan_files import face_data
+from worlds.files import face_data
+from worlds.raw_like import raw_like
 
 import scan2albedo as s2a
 from scan2albedo.core import Budget

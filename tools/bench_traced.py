@@ -5,7 +5,7 @@
 
 FOLDER holds raw scans with photographed skin, path-traced (`skin`; ../shared/data/real_skin), photographs of
 people under single flashes (`flashes`; Extended Yale B, ../shared/data/yale), or what
-tools/build_traced_scans.py makes of painted heads: raw scans and images with exact shape. A row a scene.
+`python tools/worlds` makes of painted heads: raw scans and images with exact shape. A row a scene.
 Errors are in percent, after the best single scale, on V = max(R, G, B):
 
 - relative RMSE of the texture as it is, divided by ambient occlusion, by nine harmonics (SH), by the same
@@ -30,8 +30,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from benchmarks.albedo_peers_slow import DescentOptions, mitsuba_inverse
-from benchmarks.traced_set import (
+from bench.judging import (
     DIMMEST,
     PATTERNS,
     VARIABLE,
@@ -51,6 +50,7 @@ from benchmarks.traced_set import (
     simple_peers,
     traced_folder,
 )
+from benchmarks.albedo_peers_slow import DescentOptions, mitsuba_inverse
 
 import scan2albedo as s2a
 from scan2albedo.albedo import AlbedoEstimate, EstimateOptions
@@ -221,7 +221,7 @@ def main() -> None:
     arguments = parser.parse_args()
     folder, slow = traced_folder(), arguments.peers == "slow"
     if folder is None:
-        raise SystemExit(f"{VARIABLE} names no folder with scenes; tools/build_traced_scans.py makes one")
+        raise SystemExit(f"{VARIABLE} names no folder with scenes; `python tools/worlds` makes one")
     failed = []
     for kind in (arguments.set,) if arguments.set else tuple(PATTERNS):
         done = []

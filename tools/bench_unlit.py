@@ -18,7 +18,7 @@ peers      the same wish on the mask as others do it: trimesh's `nricp_amberg`, 
            autofacemonker, whose own template has no coordinates, with colours at its vertices. PYTHON has
            trimesh, rtree and autofacemonker. None of them takes the light off.
 
-The scans are not part of the repository (see `benchmarks/scan_files.py`).
+The scans are not part of the repository (see `worlds/files.py`).
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from typing import Any
 
 import cv2
 import numpy as np
+from bench.judging import score
 from bench_fit import run_peer
-from benchmarks.scan_files import DATA, face_data
-from benchmarks.traced_set import score
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from worlds.files import DATA, face_data
 
 import scan2albedo as s2a
 from scan2albedo.applications.light_removal import scan_on_chart, unlit_scan

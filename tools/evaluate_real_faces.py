@@ -11,9 +11,9 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
-from benchmarks.raw_like import raw_like
-from benchmarks.scan_files import face_data
 from numpy.typing import NDArray
+from worlds.files import face_data
+from worlds.raw_like import raw_like
 
 import scan2albedo as s2a
 from scan2albedo.geometry.closest_points import ClosestPointQuery

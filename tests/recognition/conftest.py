@@ -5,21 +5,13 @@ from functools import cache
 
 import numpy as np
 import pytest
+from helpers.albedo_fields import build_albedo
 
 from scan2albedo.io.geometry_image_files import write_geometry_image
 from scan2albedo.io.images import write_exr
 from scan2albedo.io.records import write_record
 from scan2albedo.io.result_records import ApplicationRecord
 from scan2albedo.synthetic import face
-
-
-def build_albedo(seed, shape=(128, 128), steepness=1.0):
-    """Return a field (H, W) within [0.1, 0.9] whose amplitude falls with frequency to the given power."""
-    frequency = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.fftfreq(shape[1]))
-    frequency[0, 0] = np.inf
-    noise = np.fft.fft2(np.random.default_rng(seed).standard_normal(shape))
-    field = np.fft.ifft2(noise / frequency**steepness).real
-    return 0.1 + 0.8 * (field - field.min()) / np.ptp(field)
 
 
 @pytest.fixture(scope="session")

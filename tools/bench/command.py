@@ -1,7 +1,7 @@
 """Run benches: error and CPU time of this library's methods beside others'.
 
     python tools/bench                                    # what there is
-    python tools/bench NAME [--only CASE ...] [--methods M ...] [--quick]
+    python tools/bench NAME ... [--only CASE ...] [--methods M ...] [--quick]
         [--json FILE] [--figure FILE.png] [--pictures FOLDER] [--check]
 
 `--check` compares with tools/bench/bars.json, whose bars are of quick or of whole runs; exit status 1 where
@@ -22,7 +22,7 @@ from bench.tables import Printer, print_summary
 def parser() -> argparse.ArgumentParser:
     raw = argparse.RawDescriptionHelpFormatter
     made = argparse.ArgumentParser("python tools/bench", description=__doc__, formatter_class=raw)
-    made.add_argument("name", nargs="?", help="a bench, or one of several in a file: FILE/BENCH")
+    made.add_argument("names", nargs="*", metavar="NAME", help="benches: FILE, or one of its own FILE/BENCH")
     made.add_argument("--only", nargs="+", default=[], metavar="CASE", help="first words of cases or groups")
     made.add_argument("--methods", nargs="+", default=[], metavar="M", help="only these, slow ones too")
     made.add_argument("--quick", action="store_true", help="few and small cases")
@@ -35,12 +35,13 @@ def parser() -> argparse.ArgumentParser:
 
 def main(words: list[str] | None = None) -> int:
     arguments = parser().parse_args(words)
-    if arguments.name is None:
+    if not arguments.names:
         print(*(f"{name:28} {line}" for name, line in described().items()), sep="\n")
         return 0
     done: dict[str, tuple[Bench, Summary]] = {}
     record: dict[str, object] = {}
-    for name, bench in benches_of(arguments.name).items():
+    wanted = [pair for name in arguments.names for pair in benches_of(name).items()]
+    for name, bench in wanted:
         print(f"# {name}")
         printer = Printer()
         rows: list[Row] = []

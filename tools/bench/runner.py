@@ -19,12 +19,14 @@ CPU = "CPU s"
 MEMORY = "peak MB"
 """Column of the most memory that was resident while a method ran."""
 SUMMARIES: dict[str, Callable[[NDArray[np.float64]], float]] = {
+    "n": lambda values: float(len(values)),
+    "sum": lambda values: float(values.sum()),
     "least": lambda values: float(values.min()),
     "mean": lambda values: float(values.mean()),
     "median": lambda values: float(np.median(values)),
     "worst": lambda values: float(values.max()),
 }
-"""What the rows of a method are summarised to; "worst" is the largest number."""
+"""What the rows of a method are summarised to; "n" the number of them, "worst" the largest."""
 ALL = "all"
 """The group that holds every case."""
 
@@ -147,13 +149,13 @@ def run(
     warm = bench.warm
     try:
         cases = [case for case in bench.cases(quick) if case.is_wanted(only)]
-    except FileNotFoundError as error:
+    except (FileNotFoundError, SystemExit) as error:
         yield Row("-", "", "-", {}, f"no data: {error}", failed=True)
         return
     for case in cases:
         try:
             scene = case.make()
-        except (FileNotFoundError, Scan2AlbedoError) as error:
+        except (FileNotFoundError, SystemExit, Scan2AlbedoError) as error:
             yield Row(case.name, case.group, "-", {}, str(error), failed=True)
             continue
         if warm:
@@ -214,7 +216,7 @@ def _write_picture(
 
 
 Summary = dict[str, dict[str, dict[str, dict[str, float]]]]
-"""Group, method, one of `SUMMARIES` or "n" (number of rows), column."""
+"""Group, method, one of `SUMMARIES`, column."""
 
 
 def summarised(rows: Sequence[Row]) -> Summary:
@@ -230,12 +232,10 @@ def summarised(rows: Sequence[Row]) -> Summary:
             for name in dict.fromkeys(name for row in own for name in row.values):
                 values = np.array([row.values.get(name, np.nan) for row in own])
                 columns[name] = values[np.isfinite(values)]
-            figures = {
+            summary.setdefault(group, {})[method] = {
                 title: {name: reduce(values) for name, values in columns.items() if len(values)}
                 for title, reduce in SUMMARIES.items()
             }
-            counts = {name: float(len(values)) for name, values in columns.items()}
-            summary.setdefault(group, {})[method] = {"n": counts, **figures}
     return summary
 
 

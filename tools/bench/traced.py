@@ -1,7 +1,7 @@
 """Albedo on scenes whose albedo is known, beside simple peers: people's skin before painted heads.
 
 `skin` are raw scans with photographed skin, path-traced; `flashes` photographs of people under single flashes
-(Extended Yale B); `scans` and `images` what tools/build_traced_scans.py makes of painted heads. They lie in
+(Extended Yale B); `scans` and `images` what `python tools/worlds` makes of painted heads. They lie in
 ../shared/data, or all in the folder that S2A_TRACED names. Errors are in percent, after the best single
 scale, on V = max(R, G, B):
 
@@ -26,9 +26,10 @@ from functools import cache, cached_property, partial
 from pathlib import Path
 
 import numpy as np
-from benchmarks.albedo_peers_slow import DescentOptions, mitsuba_inverse
-from benchmarks.scan_files import DATA
-from benchmarks.traced_set import (
+from worlds.files import DATA
+
+import scan2albedo as s2a
+from bench.judging import (
     DIMMEST,
     PATTERNS,
     VARIABLE,
@@ -45,8 +46,7 @@ from benchmarks.traced_set import (
     score,
     simple_peers,
 )
-
-import scan2albedo as s2a
+from bench.peers.light_search import DescentOptions, mitsuba_inverse
 from bench.runner import Bench, Case, Timed
 from scan2albedo.albedo import AlbedoEstimate, EstimateOptions
 from scan2albedo.core.arrays import BoolArray, FloatArray

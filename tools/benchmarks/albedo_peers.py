@@ -6,6 +6,7 @@ All take and return V (H, W) of a geometry image; scale is unknown to all of the
 from __future__ import annotations
 
 import numpy as np
+from bench.judging import robust_light
 
 from benchmarks.light_normalization import DARKEST, blurred_inside
 from scan2albedo.core.arrays import BoolArray, FloatArray
@@ -36,14 +37,3 @@ def robust_harmonics(
     albedo = np.zeros(mask.shape)
     albedo[mask] = value[mask] / robust_light(harmonics(normal[mask], 2), value[mask], iterations)
     return albedo
-
-
-def robust_light(basis: FloatArray, lit: FloatArray, iterations: int = 30) -> FloatArray:
-    """Return (N,) the light `basis` (N, K) c that is nearest to `lit` (N,) in L1: albedo is constant."""
-    weight = np.ones(len(lit))
-    coefficients: FloatArray = np.zeros(basis.shape[1])
-    for _ in range(iterations):
-        scaled = basis * weight[:, None]
-        coefficients = np.asarray(np.linalg.lstsq(scaled.T @ basis, scaled.T @ lit, rcond=None)[0], float)
-        weight = 1 / np.maximum(np.abs(basis @ coefficients - lit), 1e-3)
-    return np.maximum(basis @ coefficients, 0.02 * np.median(basis @ coefficients))

@@ -62,9 +62,10 @@ def budget_rows(
 
 
 def _register(quick: bool) -> BudgetedStage:
+    from worlds.synthetic_scans import scan_scenes
+
     from benchmarks.registration import pose_errors
     from benchmarks.registration_peers import Surface, centered
-    from benchmarks.scan_scenes import scan_scenes
     from benchmarks.sweep import Cost
     from scan2albedo.geometry.rigid import invert_rigid
     from scan2albedo.registration import register
@@ -82,8 +83,9 @@ def _register(quick: bool) -> BudgetedStage:
 
 
 def _fit(quick: bool) -> BudgetedStage:
+    from worlds.synthetic_scans import scan_scenes
+
     from benchmarks.fitting import rigid_only, surface_errors
-    from benchmarks.scan_scenes import scan_scenes
     from benchmarks.sweep import Cost
     from scan2albedo.fitting import FittedFace, fit
 
@@ -177,7 +179,8 @@ def _glasses(quick: bool) -> BudgetedStage:
 
 
 def _fit_image() -> BudgetedStage:
-    from benchmarks.reflectance_scenes import albedo_error, learned, person, shot
+    from worlds.model_faces import albedo_error, learned, person, shot
+
     from scan2albedo.reflectance import fit_image
 
     model, face = learned(40, 30), person(3)
@@ -194,7 +197,8 @@ def _fit_image() -> BudgetedStage:
 
 
 def _refine_geometry() -> BudgetedStage:
-    from benchmarks.reflectance_scenes import geometry_scene, rigid_error_mm, shape_model
+    from worlds.model_faces import geometry_scene, rigid_error_mm, shape_model
+
     from scan2albedo.reflectance import refine_geometry
 
     scene, shapes = geometry_scene(0), shape_model(60)
@@ -220,7 +224,8 @@ def _refine_geometry() -> BudgetedStage:
 
 
 def _finetune() -> BudgetedStage:
-    from benchmarks.reflectance_scenes import learned, person, shot, surface
+    from worlds.model_faces import learned, person, shot, surface
+
     from scan2albedo.reflectance import finetune
 
     model = learned(8, 7)

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from worlds.door import UNSEEN
+from worlds.light_stage import light_stage_head
+from worlds.stereo import stereo_scan_of
 
-from benchmarks.door_scans import UNSEEN, light_stage_head
-from benchmarks.stereo_scan import stereo_scan_of
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import Scan2AlbedoError

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from worlds.door import Case
 
-from benchmarks.door_scans import Case
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core import RawScan
 from scan2albedo.core.arrays import FloatArray

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+from worlds.files import write_obj
+from worlds.light_stage import light_stage_head
+from worlds.objects import machined_part, random_relief
+from worlds.raw_like import raw_like
+from worlds.stereo import scrap_of
 
-from benchmarks.door_objects import machined_part
-from benchmarks.door_scans import light_stage_head, random_relief
-from benchmarks.raw_like import raw_like
-from benchmarks.scan_files import write_obj
-from benchmarks.stereo_scan import scrap_of
 from scan2albedo import process
 from scan2albedo.core import RawScan
 from scan2albedo.core.arrays import BoolArray, FloatArray

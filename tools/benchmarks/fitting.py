@@ -12,10 +12,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from worlds.synthetic_scans import ScanScene, scan_scenes
 
 from benchmarks import fit_peers
 from benchmarks.presets import preset_settings
-from benchmarks.scan_scenes import ScanScene, scan_scenes
 from benchmarks.sweep import (
     Cost,
     ErrorKind,

@@ -8,10 +8,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from worlds.files import DATA, face_data
+from worlds.raw_like import raw_like
 
 import scan2albedo as s2a
-from benchmarks.raw_like import raw_like
-from benchmarks.scan_files import DATA, face_data
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.fitting import FitOptions
 from scan2albedo.geometry.rigid import transform_points

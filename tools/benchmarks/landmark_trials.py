@@ -8,11 +8,11 @@ from dataclasses import replace
 from itertools import count
 
 import numpy as np
+from worlds.glasses_on_head import worn_glasses
+from worlds.raw_like import raw_like
 
 import scan2albedo as s2a
-from benchmarks.glasses_on_head import worn_glasses
 from benchmarks.landmark_cases import INNER, LightStage, cases, expressions_of_light_stage, fitted_row
-from benchmarks.raw_like import raw_like
 from scan2albedo.errors import NoFaceError
 from scan2albedo.fitting import FitOptions
 from scan2albedo.fitting.landmark_pull import EYES

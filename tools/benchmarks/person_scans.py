@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from worlds.files import face_data
+from worlds.raw_like import raw_like
 
 import scan2albedo as s2a
 from benchmarks.landmark_cases import LightStage, expressions_of_light_stage
-from benchmarks.raw_like import raw_like
-from benchmarks.scan_files import face_data
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.rigid import transform_points
 

@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from bench.judging import picture_errors as errors
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
+from worlds.environments import ENVIRONMENTS, reference_lights
+from worlds.files import face_data
 
 import scan2albedo as s2a
-from benchmarks.environments import ENVIRONMENTS, errors, reference_lights
-from benchmarks.scan_files import face_data
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.applications import (
     ProcessedFace,

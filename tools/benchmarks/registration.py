@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from worlds.synthetic_scans import ScanScene, hard_scan_scenes, scan_scenes
 
 from benchmarks.presets import preset_settings
 from benchmarks.registration_peers import (
@@ -15,7 +16,6 @@ from benchmarks.registration_peers import (
     open3d_icp,
     small_gicp_icp,
 )
-from benchmarks.scan_scenes import ScanScene, hard_scan_scenes, scan_scenes
 from benchmarks.sweep import (
     Cost,
     ErrorKind,

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from functools import cache, partial
 
 import numpy as np
-from benchmarks.environments import ENVIRONMENTS, errors, reference_lights
-from benchmarks.scan_files import DATA
+from worlds.environments import ENVIRONMENTS, reference_lights
+from worlds.files import DATA
 
+from bench.judging import picture_errors as errors
 from bench.runner import Bench, Case
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.eyeglasses import DistantLights, LensMaterial, LensPictureOptions, Surface, insert_lenses

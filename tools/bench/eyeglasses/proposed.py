@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from benchmarks.scan_files import DATA
+from worlds.files import DATA
 
 from bench.eyeglasses.rims import damaged
 from bench.eyeglasses.scenes import SHAPES, fan, lensless, own_bend

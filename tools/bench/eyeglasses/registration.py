@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from functools import partial
+from dataclasses import dataclass
+from functools import cache, partial
 from itertools import count, islice
 from typing import Any
 
 import numpy as np
-from benchmarks.glasses import QUICK_WEARER_PX, WornGlasses, worn_glasses
 from threadpoolctl import threadpool_limits
 
 from bench.eyeglasses.scenes import rms
@@ -26,6 +26,7 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.eyeglasses import (
     FaceRegistrationOptions,
     RegisteredEyeglasses,
+    bounded_biharmonic_weights,
     register_on_face,
 )
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameState, SkinnedPoints
@@ -35,7 +36,7 @@ from scan2albedo.eyeglasses.on_face.outline import FrameMesh, OutlineSampler, Ou
 from scan2albedo.eyeglasses.on_face.report import mark_deviations
 from scan2albedo.eyeglasses.on_face.start_poses import starting_poses
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.synthetic import wearer
+from scan2albedo.synthetic import Wearer, wearer
 
 CASES: dict[str, dict[str, Any]] = {
     "exact": {"label_noise_px": 0, "mask_noise_px": 0},
@@ -48,12 +49,29 @@ CASES: dict[str, dict[str, Any]] = {
 EVALUATIONS = (1, 2, 4, 8, 12, 16, 24, 32, 48, 96)
 FULL_WEARER_PX = (1024, 1800.0)
 """Size of the pictures and focal length."""
+QUICK_WEARER_PX = (256, 450.0)
 ADAM_STEPS_MM = (1.0, 0.3, 0.1, 0.03)
 ADAM_ITERATIONS = 3000
 ENOUGH = 1.01
 """Part of our cost at which Adam may stop."""
 LEVER_MM = 60.0
 """How far a frame reaches from its middle: a radian counts as that many millimetres for Adam."""
+
+
+@dataclass(frozen=True)
+class WornGlasses:
+    """A synthetic wearer and the weights (V, 20) of the frame at rest."""
+
+    worn: Wearer
+    weights: FloatArray
+
+
+@cache
+def worn_glasses(seed: int, picture_size: int, focal_px: float) -> WornGlasses:
+    worn = wearer(seed, picture_size=picture_size, focal_px=focal_px)
+    glasses = worn.glasses
+    mesh = glasses.rest_vertices, glasses.faces, glasses.rest_keypoints
+    return WornGlasses(worn, bounded_biharmonic_weights(*mesh))
 
 
 def register(scene: WornGlasses, **changes: Any) -> RegisteredEyeglasses:

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from benchmarks.scan_files import DATA
 from scipy.ndimage import distance_transform_edt, gaussian_filter
+from worlds.files import DATA
 
 from bench.runner import Row
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray

@@ -8,19 +8,19 @@ libigl's weights.
 
 from __future__ import annotations
 
+import itertools
 from functools import cached_property
 
 import igl
 import numpy as np
-from benchmarks.scan_files import DATA
-from benchmarks.weights import fixed_nodes, igl_bbw, kuhn_tetrahedra
 from scipy import sparse
+from worlds.files import DATA
 
 from bench.runner import Bench, Case
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import FloatArray
-from scan2albedo.eyeglasses.embedding import embed
-from scan2albedo.eyeglasses.lattice import biharmonic_energy
+from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.eyeglasses.embedding import Embedding, embed
+from scan2albedo.eyeglasses.lattice import CORNERS, Lattice, biharmonic_energy
 from scan2albedo.eyeglasses.weights import TOLERANCE, minimize_bounded, optimality_residual, solve_lattice
 from scan2albedo.io import load_scan
 
@@ -28,6 +28,40 @@ FRAMES = ("frame_giraut.stl", "sunglasses_khronos.glb")
 HANDLES = 20
 NODES = 7600
 QUICK_NODES = 2000
+
+
+def kuhn_tetrahedra(lattice: Lattice) -> IntArray:
+    """Return (T, 4) nodes of the tetrahedra, six a cell, in which neighbouring cells agree (Kuhn)."""
+    number = {tuple(corner): n for n, corner in enumerate(CORNERS.tolist())}
+    paths = []
+    for axes in itertools.permutations(range(3)):
+        place, path = [0, 0, 0], [0]
+        for axis in axes:
+            place[axis] = 1
+            path.append(number[tuple(place)])
+        paths.append(path)
+    return np.ascontiguousarray(lattice.corners[:, np.array(paths)].reshape(-1, 4), np.int64)
+
+
+def fixed_nodes(embedding: Embedding) -> tuple[IntArray, FloatArray]:
+    """Return the nodes (8 K,) whose weights the handles fix, and these weights (8 K, K)."""
+    count = len(embedding.handle_cells)
+    fixed = embedding.lattice.corners[embedding.lattice.find(embedding.handle_cells)].ravel()
+    return fixed, np.repeat(np.eye(count), 8, 0)
+
+
+def igl_bbw(embedding: Embedding, iterations: int = 100) -> FloatArray:
+    """Return libigl's weights (N, K) of the lattice's nodes, not normalised.
+
+    References
+    ----------
+    .. [1] A. Jacobson, I. Baran, J. Popovic, O. Sorkine, "Bounded biharmonic weights for real-time
+       deformation", SIGGRAPH 2011.
+    """
+    lattice = embedding.lattice
+    nodes = lattice.nodes.astype(float)
+    fixed, values = fixed_nodes(embedding)
+    return np.asarray(igl.bbw(nodes, kuhn_tetrahedra(lattice), fixed, values, max_iter=iterations))
 
 
 class Problem:

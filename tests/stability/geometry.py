@@ -1,0 +1,234 @@
+"""Extremes of what all stages stand on: closest points, subdivision, diffusion, rigid transforms."""
+
+import numpy as np
+import trimesh
+
+from scan2albedo.geometry.closest_points import ClosestPointQuery, NearestSurface
+from scan2albedo.geometry.loop_subdivision import LoopSubdivision
+from scan2albedo.geometry.mesh import turned_against_neighbours
+from scan2albedo.geometry.operators import surface_diffusion
+from scan2albedo.geometry.rigid import compose, procrustes, random_rotation, transform_points
+from stability.case import REFUSES, RIGHT, below, each, rows, table
+
+BALL = trimesh.creation.icosphere(3, 100.0)
+VERTICES = np.array(BALL.vertices)
+FACES = np.array(BALL.faces, np.int64)
+FLAT_FACES = np.concatenate([FACES, FACES[:50, [0, 0, 1]]])
+POINTS = np.random.default_rng(0).normal(scale=120, size=(500, 3))
+VALUES = np.random.default_rng(1).random(len(VERTICES))
+CLOUD = np.random.default_rng(3).normal(scale=50, size=(20, 3))
+QUERIES = (ClosestPointQuery, NearestSurface)
+
+
+def distance_gap(factor=1.0, offset=0.0, faces=FACES):
+    """Return how far distances of a scaled and shifted ball are from those of the plain one, in mm."""
+    gaps = []
+    for kind in QUERIES:
+        plain = kind(VERTICES, FACES).query(POINTS).distance
+        placed = kind(factor * VERTICES + offset, faces).query(factor * POINTS + offset)
+        gaps.append((float(np.abs(placed.distance / factor - plain).max()), placed))
+    return max(gap for gap, _ in gaps), gaps
+
+
+def sliver_gap():
+    """Return how far the distance to a sliver of aspect 1e6 is from its closed form."""
+    sliver = np.array([[0.0, 0, 0], [100, 0, 0], [50, 1e-4, 0]])
+    hits = [kind(sliver, np.array([[0, 1, 2]])).query(np.array([[30.0, 7, 0]])) for kind in QUERIES]
+    return max(float(abs(hit.distance[0] - 7)) for hit in hits), hits
+
+
+def with_one(array, value):
+    """Return an array with a value in its fourth row."""
+    spoilt = array.copy()
+    spoilt[3] = value
+    return spoilt
+
+
+def subdivided(vertices, faces):
+    """Return how far rows of weights are from a sum of 1, and the limit vertices."""
+    limit = LoopSubdivision.of(len(vertices), faces, 2)
+    points = limit.matrix @ vertices
+    assert np.abs(points).max() <= np.abs(vertices).max() * 1.0001, "extrapolated"
+    return float(np.abs(np.asarray(limit.matrix.sum(1)) - 1).max()), points
+
+
+def fan():
+    """Return a flat cone of 1000 triangles about one vertex."""
+    angle = np.linspace(0, 2 * np.pi, 1000, endpoint=False)
+    ring = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    index = np.arange(1000)
+    faces = np.column_stack([0 * index, index + 1, (index + 1) % 1000 + 1])
+    return np.concatenate([[[0.0, 0, 1]], ring]), faces
+
+
+def far_subdivision():
+    """Return by how much limit vertices at 1e9 mm differ from those at the origin."""
+    far = subdivided(VERTICES + 1e9, FACES)[1] - 1e9
+    return float(np.abs(far - subdivided(VERTICES, FACES)[1]).max())
+
+
+def spread(distance):
+    """Return how far the mean of a field moves when it is spread over a distance; its range stays."""
+    smooth = surface_diffusion(VERTICES, FACES, distance)(VALUES)
+    assert VALUES.min() - 1e-9 <= smooth.min() <= smooth.max() <= VALUES.max() + 1e-9
+    return float(abs(smooth.mean() - VALUES.mean())), smooth
+
+
+def diffusion_gap(factor=1.0, offset=0.0):
+    """Return by how much diffusion over 5 mm differs from that of a ball of another unit or place."""
+    plain = surface_diffusion(VERTICES, FACES, 5.0)(VALUES)
+    placed = surface_diffusion(factor * VERTICES + offset, FACES, 5.0 * factor)(VALUES)
+    return float(np.abs(placed - plain).max())
+
+
+def flat_diffusion():
+    """Return by how much diffusion over zero-area faces leaves the range of its values."""
+    smooth = surface_diffusion(VERTICES, FLAT_FACES, 5.0)(VALUES)
+    return float(max(VALUES.min() - smooth.min(), smooth.max() - VALUES.max())), smooth
+
+
+def rigid_gap(source):
+    """Return how far points are from where a rigid transform, found from them, lays them."""
+    rng = np.random.default_rng(2)
+    target = transform_points(compose(random_rotation(rng), [1.0, 2, 3]), source)
+    found = procrustes(source, target)
+    assert abs(np.linalg.det(found[:3, :3]) - 1) < 1e-9
+    return float(np.abs(transform_points(found, source) - target).max())
+
+
+def far_rigid():
+    """Return how far points are from where they belong 2e9 mm away."""
+    far = procrustes(CLOUD + 1e9, CLOUD - 1e9)
+    return float(np.abs(transform_points(far, CLOUD + 1e9) - (CLOUD - 1e9)).max())
+
+
+def half_reversed():
+    """Return how many of a ball's reversed faces are not found, or found without being so."""
+    turned = np.random.default_rng(4).random(len(FACES)) < 0.4
+    found = turned_against_neighbours(np.where(turned[:, None], FACES[:, ::-1], FACES))
+    return int((found != turned).sum()), int(turned.sum())
+
+
+def moebius():
+    """Return how many faces of a Moebius strip are called reversed."""
+    around = np.arange(40)
+    near, far = 2 * around, np.where(around < 39, 2 * around + 2, 1)
+    other = np.where(around < 39, 2 * around + 3, 0)
+    strip = np.concatenate([np.column_stack([near, far, near + 1]), np.column_stack([near + 1, far, other])])
+    return int(turned_against_neighbours(strip).sum())
+
+
+FINS = np.column_stack([FACES[:9, :2], FACES[100:109, 0]])
+MIXED = np.where((np.arange(len(FACES)) % 2 == 0)[:, None], FACES, FACES[:, ::-1])
+
+CASES = table(
+    "geometry",
+    *rows(
+        RIGHT,
+        below(1e-6, "{:.0e} mm off"),
+        each("closest points: offset {} mm", ("1e6", "1e7", "1e9"), lambda far: distance_gap(offset=far)),
+    ),
+    *rows(
+        RIGHT,
+        below(1e-9, "{:.0e} of 100 off"),
+        {
+            **each("closest points: size of {} times 100 mm", ("1e-9", "1e9"), distance_gap),
+            "closest points: zero-area faces": lambda: distance_gap(faces=FLAT_FACES),
+        },
+    ),
+    ("closest points: a sliver of aspect 1e6", sliver_gap, RIGHT, below(1e-3, "{:.0e} mm off")),
+    *rows(
+        REFUSES,
+        "^1 of 500 points are NaN, infinite",
+        {
+            f"{kind.__name__}: a point of {value}": lambda kind=kind, value=value: kind(
+                VERTICES, FACES
+            ).query(with_one(POINTS, value))
+            for kind in QUERIES
+            for value in (np.nan, 1e200)
+        },
+    ),
+    (
+        "closest points: no faces",
+        lambda: ClosestPointQuery(VERTICES, FACES[:0]),
+        REFUSES,
+        "a surface without faces has no closest points",
+    ),
+    *rows(
+        RIGHT,
+        below(1e-9, "rows sum to 1 within {:.0e}, no extrapolation"),
+        {
+            "subdivision: double faces": lambda: subdivided(VERTICES, np.concatenate([FACES, FACES[:3]])),
+            "subdivision: zero-area faces": lambda: subdivided(VERTICES, FLAT_FACES),
+            "subdivision: non-manifold faces": lambda: subdivided(VERTICES, np.concatenate([FACES, FINS])),
+            "subdivision: a single triangle": lambda: subdivided(VERTICES, FACES[:1]),
+            "subdivision: mixed orientation": lambda: subdivided(VERTICES, MIXED),
+        },
+    ),
+    (
+        "subdivision: a vertex of valence 1000",
+        lambda: float(np.abs(subdivided(*fan())[1][0, :2]).max()),
+        RIGHT,
+        below(1e-12, "tip {:.0e} off its axis"),
+    ),
+    ("subdivision: coordinates of 1e9 mm", far_subdivision, RIGHT, below(1e-5, "{:.0e} mm off at 1e9")),
+    *rows(
+        RIGHT,
+        below(0.01, "mean within {:.4f}, range kept"),
+        each("diffusion: distance of {} mm", ("1e-6", "1", "1e3", "1e6", "1e12"), spread),
+    ),
+    *rows(
+        RIGHT,
+        below(1e-8, "{:.0e} apart"),
+        {
+            **each("diffusion: {} times as large", ("1e-6", "1e3", "1e6"), diffusion_gap),
+            "diffusion: 1e9 mm away": lambda: diffusion_gap(offset=1e9),
+            "diffusion: zero-area faces": flat_diffusion,
+        },
+    ),
+    (
+        "diffusion: a NaN value",
+        lambda: surface_diffusion(VERTICES, FACES, 5.0)(with_one(VALUES, np.nan)),
+        REFUSES,
+        "1 values are not finite, and would spread",
+    ),
+    (
+        "diffusion: a NaN vertex",
+        lambda: surface_diffusion(with_one(VERTICES, np.nan), FACES, 5.0),
+        REFUSES,
+        "1 vertices are NaN or infinite",
+    ),
+    *rows(
+        RIGHT,
+        below(1e-9, "{:.0e} mm off, no mirror"),
+        {
+            "rigid transforms: points on a plane": lambda: rigid_gap(CLOUD * [1, 1, 0]),
+            "rigid transforms: points on a line": lambda: rigid_gap(CLOUD * [1, 0, 0]),
+            "rigid transforms: points all in one place": lambda: rigid_gap(0 * CLOUD + 5),
+            "rigid transforms: one point alone": lambda: rigid_gap(CLOUD[:1]),
+        },
+    ),
+    ("rigid transforms: offset 1e9 mm", far_rigid, RIGHT, below(1e-5, "{:.0e} mm off")),
+    *rows(
+        REFUSES,
+        "place nothing",
+        {
+            "rigid transforms: no points": lambda: procrustes(CLOUD[:0], CLOUD[:0]),
+            "rigid transforms: NaN": lambda: procrustes(np.nan * CLOUD, CLOUD),
+            "rigid transforms: weights of zero": lambda: procrustes(CLOUD, CLOUD, weights=np.zeros(20)),
+        },
+    ),
+    (
+        "rigid transforms: a size of coincident points",
+        lambda: procrustes(0 * CLOUD, 0 * CLOUD, scale=True),
+        REFUSES,
+        "coincide have no size",
+    ),
+    (
+        "orientation: half of the faces reversed",
+        half_reversed,
+        RIGHT,
+        below(1, "{} of {} reversed faces mistaken"),
+    ),
+    ("orientation: a Moebius strip", moebius, RIGHT, below(1, "{} faces mistaken")),
+)

@@ -1,0 +1,258 @@
+"""Extremes of light and shadow: reflectance functions, the shading of points, shadow maps, environments."""
+
+import math
+from functools import cache, partial
+
+import igl
+import numpy as np
+import trimesh
+
+from scan2albedo.core import PointLight
+from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.lighting.environment import DistantLights
+from scan2albedo.lighting.shading import Reflectance, light_from_direction, shade_points
+from scan2albedo.lighting.shadow_map import ShadowMap
+from stability.case import REFUSES, RIGHT, below, each, rows, table
+
+UP = np.array([0.0, 0.0, 1.0])
+LAMP = PointLight(0.3, 0.2)
+MATT = Reflectance(roughness=0.3)
+
+
+@cache
+def sphere(offset_mm=0.0):
+    """Return vertices, normals and faces of a ball of 80 mm."""
+    ball = trimesh.creation.icosphere(4)
+    normal = np.asarray(ball.vertices, np.float64)
+    return 80.0 * normal + offset_mm, normal, np.asarray(ball.faces)
+
+
+def shaded(*lamps, reflectance=MATT, normal=None, **options):
+    """Shade the points of the ball."""
+    position, outward, _ = sphere()
+    return shade_points(position, outward if normal is None else normal, lamps, reflectance, **options)
+
+
+def shadows(caster=None, offset_mm=0.0):
+    """Return the shadow map of the ball's points, by itself or by another caster."""
+    position, normal, faces = sphere(offset_mm)
+    return ShadowMap(caster or RayCaster(position, faces), position, normal)
+
+
+def brightest(reflectance):
+    """Return the largest share of the light of one lamp that a point gets; behind it none gets any."""
+    light = shaded(LAMP, reflectance=reflectance).light - 1
+    assert not light[sphere()[1] @ LAMP.direction < 0].any()
+    return light.max()
+
+
+def grazing():
+    """Return the light at 89.99 degrees, and what comes from behind."""
+    glossy = Reflectance(roughness=0.3, specular_strength=1.0)
+    before, at, after = (
+        shade_points([[0, 0, 0]], [UP], [PointLight(math.radians(angle), 0.0)], glossy)
+        for angle in (89.99, 90.0, 90.01)
+    )
+    assert before.light[0] > 1
+    assert after.light[0] == 1
+    return before.light[0] - 1, at.light[0] - 1, after.light[0] - 1, before, at, after
+
+
+def pole_error():
+    """Return how far a lamp at a pole is from straight above or below, whatever its azimuth."""
+    return max(
+        float(np.abs(light_from_direction(lamp.direction, math.inf, 1.0).direction - [0, sign, 0]).max())
+        for sign in (1, -1)
+        for lamp in (PointLight(azimuth, sign * math.pi / 2) for azimuth in (0.0, 1.0, -3.0))
+    )
+
+
+def far_lamp():
+    """Return how much a lamp at 1e9 mm differs from a distant one: in light, and in points in shadow."""
+    lamps = [PointLight(0.3, 0.2, distance) for distance in (1e9, math.inf)]
+    far, distant = (shaded(lamp, reflectance=Reflectance("lambert", 0.0, 0.2)).light for lamp in lamps)
+    seen, seen_distant = (shadows().visible(LAMP.direction, lamp.distance_mm) for lamp in lamps)
+    assert np.mean(seen != seen_distant) < 1e-3
+    return float(np.abs(far - distant).max()), int((seen != seen_distant).sum())
+
+
+def touching():
+    """Return the brightest light of a lamp in a vertex."""
+    x, y, z = sphere()[1][0]
+    lamp = PointLight(math.atan2(x, z), math.asin(y), 80.0)
+    found = shaded(lamp, reflectance=Reflectance(specular_strength=1.0))
+    return found.light.max(), found
+
+
+def not_linear():
+    """Return how far light is from being linear in the lamp's intensity."""
+    unit = shaded(PointLight(0.3, 0.2, 500.0, 1.0)).light - 1
+    return max(
+        float(np.abs(shaded(PointLight(0.3, 0.2, 500.0, strength)).light - 1 - strength * unit).max())
+        / max(strength, 1)
+        for strength in (0.0, 1e-12, 1e12)
+    )
+
+
+def not_additive():
+    """Return how far the light of five lamps, two of them at one place, is from the sum of each alone."""
+    lamps = [PointLight(a, 0.1 * a, 400.0, 1 + a) for a in (0.0, 0.5, -0.5, 1.5, 0.0)]
+    apart = sum(shaded(lamp).light - 1 for lamp in lamps)
+    return float(np.abs(shaded(*lamps).light - 1 - apart).max())
+
+
+def highlight_error():
+    """Return how far a highlight of strength 1e3 is from 1e3 times the plain one; of strength 0, none."""
+    none, unit, strong = (
+        shaded(LAMP, reflectance=Reflectance(specular_strength=strength)).specular for strength in (0, 1, 1e3)
+    )
+    assert not none.any()
+    return float(np.abs(strong - 1e3 * unit).max() / 1e3)
+
+
+def turned_round():
+    """Return the part of the ball's points that are lit with their normals both ways."""
+    normal = sphere()[1]
+    flipped = shaded(LAMP, reflectance=Reflectance(), normal=-normal).light > 1
+    assert np.array_equal(flipped, normal @ LAMP.direction < 0)
+    return float(np.mean(flipped & (shaded(LAMP, reflectance=Reflectance()).light > 1)))
+
+
+def dark(position, normal, *lamps):
+    """Return how far Minnaert's light is from ambient light alone."""
+    found = shade_points(position, normal, lamps, Reflectance("minnaert", 0.5, 1.0))
+    return float(max(np.abs(found.light - 1).max(initial=0), found.specular.max(initial=0)))
+
+
+def wrong_shadows(offset_mm):
+    """Return the part of the ball's points seen wrongly, 6 degrees about the terminator left out."""
+    lamp = PointLight(0.4, 0.3)
+    seen = shadows(offset_mm=offset_mm).visible(lamp.direction) > 0
+    cosine = sphere()[1] @ lamp.direction
+    clear = np.abs(cosine) > math.sin(math.radians(6))
+    return float(np.mean((seen != (cosine > 0))[clear]))
+
+
+def twice():
+    """Return at how many points a surface that is there twice casts other shadows."""
+    position, _, faces = sphere()
+    doubled = RayCaster(np.vstack([position, position]), np.vstack([faces, faces + len(position)]))
+    lamp = PointLight(0.4, 0.3).direction
+    return int((shadows(doubled).visible(lamp) != shadows().visible(lamp)).sum())
+
+
+def along_the_surface():
+    """Return the visible points of a flat grid under grazing light, from below and from behind."""
+    grid, faces = igl.triangulated_grid(41, 41)
+    flat = np.column_stack([100 * grid, np.zeros(len(grid))])
+    shadow_map = ShadowMap(RayCaster(flat, faces), flat, np.tile(UP, (len(flat), 1)))
+    lamps = [PointLight(math.radians(angle), 0.0) for angle in (90.01, 180.0, 89.99)]
+    below_it, behind, before = (int(shadow_map.visible(lamp.direction).sum()) for lamp in lamps)
+    return below_it + behind, before
+
+
+def spoilt_caster(vertex_scale=1.0, face_shift=0):
+    """Look up shadows by a damaged ball."""
+    position, _, faces = sphere()
+    return shadows(RayCaster(vertex_scale * position, faces + face_shift)).visible(UP)
+
+
+def environment_error(scale):
+    """Return how far the lamps of a scaled environment are from scaled lamps."""
+    sky = np.random.default_rng(0).random((4, 8, 3))
+    plain, scaled = (DistantLights.from_environment(s * sky).irradiance_linear for s in (1.0, scale))
+    return float(np.abs(scaled - scale * plain).max())
+
+
+AMBIENT_ALONE = below(1e-15, "ambient light alone, within {:.0e}")
+LINEAR = below(1e-12, "linear within {:.0e}")
+NO_SHADOW_ERROR = below(1e-12, "{:.1%} of a ball's points wrong, 6 degrees about the terminator left out")
+
+CASES = table(
+    "lighting",
+    *rows(
+        RIGHT,
+        below(1.0 + 1e-9, "up to {:.2f} of the light, none behind"),
+        each("roughness {}", ("1e-6", "1", "1e3"), lambda sigma: brightest(Reflectance(roughness=sigma))),
+    ),
+    *rows(
+        RIGHT,
+        below(1e4, "finite, up to {:.0e}, none behind"),
+        each("Minnaert exponent {}", ("0.1", "1e4"), lambda m: brightest(Reflectance("minnaert", m))),
+    ),
+    ("light at 89.99, 90 and 90.01 degrees", grazing, RIGHT, below(3e-4, "diffuse {:.1e}, {:.0e}, {:.0f}")),
+    (
+        "light at the poles (elevation +-90)",
+        pole_error,
+        RIGHT,
+        below(1e-15, "one direction whatever the azimuth, within {:.0e}"),
+    ),
+    (
+        "lamp at 1e9 mm",
+        far_lamp,
+        RIGHT,
+        below(1e-6, "as a distant one: light within {:.0e}, shadows differ at {} points"),
+    ),
+    ("lamp on the surface itself", touching, RIGHT, below(math.inf, "finite, at most {:.1e}")),
+    ("intensity 0, 1e-12 and 1e12", not_linear, RIGHT, LINEAR),
+    ("five lamps, two of them at one place", not_additive, RIGHT, LINEAR),
+    ("specular strength 0 and 1e3", highlight_error, RIGHT, LINEAR),
+    ("normals flipped", turned_round, RIGHT, below(0.01, "the other side is lit, {:.0%} both ways")),
+    *rows(
+        RIGHT,
+        AMBIENT_ALONE,
+        {
+            "lamp at 1 mm, inside the head": lambda: dark(*sphere()[:2], PointLight(0.3, 0.2, 1.0, 1.0)),
+            "normals zero": lambda: dark(np.zeros((4, 3)), np.zeros((4, 3)), LAMP),
+            "no point": lambda: dark(np.zeros((0, 3)), np.zeros((0, 3)), LAMP),
+        },
+    ),
+    *rows(
+        REFUSES,
+        "",
+        {
+            "lamp at distance 0": lambda: shaded(PointLight(0.0, 0.0, 0.0)),
+            "lamp at -100 mm": lambda: shaded(PointLight(0.0, 0.0, -100.0)),
+            "intensity NaN": lambda: shaded(PointLight(0.0, 0.0, 100.0, math.nan)),
+            "azimuth NaN": lambda: PointLight(math.nan, 0.0).direction,
+            "intensity -1": lambda: shaded(PointLight(0.0, 0.0, 100.0, -1.0)),
+            **{
+                f"{field} {value}": partial(Reflectance, **{field: value})
+                for field in ("roughness", "exponent", "specular_strength")
+                for value in (math.nan, -1.0)
+            },
+            "view direction zero": lambda: shaded(LAMP, view_direction=(0, 0, 0)),
+            "normals NaN": lambda: shaded(LAMP, normal=math.nan * sphere()[1]),
+            "fewer normals than points": lambda: shaded(LAMP, normal=np.tile(UP, (4, 1))),
+            "visibility of another number of lamps": lambda: shaded(
+                LAMP, LAMP, visible=np.ones((1, len(sphere()[0])), np.uint8)
+            ),
+            "shadow map, caster without a vertex": lambda: RayCaster(np.zeros((0, 3)), np.zeros((0, 3), int)),
+            "shadow map, caster with NaN": lambda: spoilt_caster(vertex_scale=math.nan),
+            "shadow map, faces beyond the vertices": lambda: spoilt_caster(face_shift=10**6),
+        },
+    ),
+    *rows(
+        RIGHT,
+        NO_SHADOW_ERROR,
+        each("shadow map, head {} mm off the origin", ("1e6", "1e7"), wrong_shadows),
+    ),
+    ("shadow map, the surface itself twice (coincident)", twice, RIGHT, below(1, "{} points differ")),
+    (
+        "shadow map, light along the surface",
+        along_the_surface,
+        RIGHT,
+        below(1, "{} points lit from behind, {} of 1681 before"),
+    ),
+    (
+        "shadow map, one point as a mesh",
+        lambda: 1 - ShadowMap(RayCaster(np.ones((3, 3)), [[0, 1, 2]]), 0 * UP[None], UP[None]).visible(UP)[0],
+        RIGHT,
+        below(1, "hides {} points"),
+    ),
+    *rows(
+        RIGHT,
+        LINEAR,
+        each("environment times {}", ("0", "-1"), environment_error),
+    ),
+)

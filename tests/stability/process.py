@@ -1,0 +1,154 @@
+"""Extremes of the whole pipeline: its budgets, seeds, sizes, and scans without colour or face."""
+
+from dataclasses import replace
+
+import numpy as np
+import trimesh
+
+from scan2albedo import Budget, RawScan, process
+from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_from_vector, transform_points
+from stability.case import BUDGETS, REFUSES, RIGHT, SLOW, WARNS, Measured, below, rows, table
+from stability.scenes import person
+
+FEW = Budget(evaluations=30)
+
+
+def processed(scan=None, **settings):
+    """Run the pipeline on a scan, the person's by default."""
+    return process(scan or person().scan, **{"size": 64, **settings})
+
+
+def without_albedo(scan, *skip, **settings):
+    """Run the pipeline up to the geometry image."""
+    return processed(scan, skip=[*skip, "albedo"], **settings)
+
+
+def landmarks_off(result, scene):
+    """Return how far the fitted landmarks are from the true ones in mm, mean."""
+    model_from_truth = result.fitted.model_from_scan @ invert_rigid(scene.model_from_scan)
+    off = transform_points(model_from_truth, scene.landmarks) - result.fitted.landmarks
+    return float(np.linalg.norm(off, axis=1).mean())
+
+
+def landmarks(scene, **settings):
+    """Process a scene; return how far its landmarks are off, and the result."""
+    result = processed(scene.scan, **settings)
+    return landmarks_off(result, scene), result
+
+
+def out_of_time(found):
+    """Assert that nothing has converged, and that the landmarks are near all the same."""
+    off, result = found
+    assert off < 4
+    assert not any(stage.converged for stage in (result.registration, result.fitted, result.albedo))
+    return Measured(f"landmarks {off:.1f} mm off, converged False in every stage")
+
+
+def noted(words):
+    """Return a figure: the one note of a result that says this."""
+
+    def figure(result):
+        (note,) = (text for text in result.notes if words in text)
+        return Measured(note)
+
+    return figure
+
+
+def uncoloured(**colour):
+    """Return the person's scan without its texture."""
+    return RawScan(person().scan.vertices, person().scan.faces, **colour)
+
+
+def upside_down():
+    """Return the person's scan upside down in the model's frame."""
+    turned = compose(rotation_from_vector([0.0, 0, np.pi]), np.zeros(3))
+    return person().moved(turned @ person().model_from_scan).scan
+
+
+def far_object():
+    """Return by how much the geometry image of an object 1e7 mm away differs from the one at the origin."""
+    ball = trimesh.creation.icosphere(3, 100.0)
+    colour = np.full((len(ball.vertices), 3), 0.5, np.float32)
+    scan = RawScan(ball.vertices, ball.faces, vertex_color_linear=colour)
+    here, there = (
+        without_albedo(replace(scan, vertices=scan.vertices + away), model="none").geometry_image.position
+        for away in (0.0, 1e7)
+    )
+    return float(np.abs(here - there).max())
+
+
+def head_without_model():
+    """Return what of a head its texels do not see, and what they cover."""
+    figures = without_albedo(person().scan, model="none").geometry_image.figures()
+    return 1 - figures["seen"], figures["coverage"]
+
+
+SEED = "seed is {}, expected"
+
+CASES = table(
+    "process",
+    *rows(
+        WARNS,
+        out_of_time,
+        {
+            f"a budget of {name}": lambda budget=budget: landmarks(person(), budget=budget)
+            for name, budget in BUDGETS.items()
+        },
+    ),
+    *rows(
+        RIGHT,
+        below(3, "landmarks {:.1f} mm off"),
+        {
+            "seed 0": lambda: landmarks(person(), seed=0, budget=FEW),
+            "seed 2**32 - 1": lambda: landmarks(person(), seed=2**32 - 1, budget=FEW),
+        },
+        SLOW,
+    ),
+    (
+        "scan 1e9 mm away",
+        lambda: landmarks(person().shifted(1e9), skip=["albedo"]),
+        RIGHT,
+        below(2, "landmarks {:.2f} mm off"),
+    ),
+    ("a seed of -1", lambda: processed(seed=-1), REFUSES, SEED.format(-1)),
+    ("no seed", lambda: processed(seed=None), REFUSES, SEED.format(None)),
+    (
+        "vertex colours all black",
+        lambda: processed(uncoloured(vertex_color_linear=0 * person().scan.vertices), budget=FEW),
+        REFUSES,
+        "only 0 of .* texels can be used to find the light.*black",
+    ),
+    (
+        "1.5 times too large",
+        lambda: without_albedo(person().scaled(1.5).scan),
+        WARNS,
+        noted("another size than adults'"),
+        SLOW,
+    ),
+    (
+        "not registered, and upside down",
+        lambda: without_albedo(upside_down(), "register"),
+        WARNS,
+        noted("stretched the model's edges"),
+        SLOW,
+    ),
+    (
+        "not registered, and in any pose",
+        lambda: without_albedo(person().scan, "register"),
+        REFUSES,
+        "no part of the scan lies within .* mm of the model.*register the scan first",
+    ),
+    (
+        "an object 1e7 mm away, without a model",
+        far_object,
+        RIGHT,
+        below(1e-3, "{:.0e} mm from the same object at the origin"),
+    ),
+    (
+        "a head without a model",
+        head_without_model,
+        RIGHT,
+        below(0.1, "{:.0%} of the texels not seen, coverage {:.0%}"),
+        SLOW,
+    ),
+)

@@ -1,0 +1,536 @@
+"""Extremes of reflectance: flashes, vertex fits, the models, fits to photographs, landmarks."""
+
+import math
+import warnings
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+from bench.judging import relative_rmse
+from worlds.environments import generated_environment
+from worlds.flash_captures import head_capture, of_pairs, samples_of
+from worlds.two_balls import build_scene
+
+from scan2albedo import AnnotatedFaceModel
+from scan2albedo.geometry.pinhole import look_at, project
+from scan2albedo.lighting.environment import distant_directions
+from scan2albedo.lighting.harmonics import harmonics, project_environment
+from scan2albedo.reflectance import (
+    ImageObservation,
+    MorphableReflectanceModel,
+    MorphableShapeModel,
+    VertexReflectance,
+    VertexSamples,
+    extract_olat,
+    fit_image,
+    fit_reflectance,
+    observe_photograph,
+    point_light_lobes,
+    refine_geometry,
+    sample_vertices,
+    shade_environment,
+)
+from scan2albedo.synthetic import face_shape
+from stability.case import (
+    BUDGETS,
+    REFUSES,
+    RIGHT,
+    SLOW,
+    WARNS,
+    Measured,
+    below,
+    each,
+    measured,
+    rows,
+    table,
+)
+
+
+def quiet(call, *arguments, **options):
+    """Call, and pass over the warning that it has not converged: the result says so too."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".*without having converged", RuntimeWarning)
+        return call(*arguments, **options)
+
+
+# Light of single flashes.
+
+
+def flashes(flash, room, side=8):
+    """Return the light of flashes over pictures of one value each."""
+    flash = np.reshape(flash, (-1, 1, 1, 1)) + np.zeros((1, side, side, 3))
+    return extract_olat(flash, np.full((side, side, 3), room))
+
+
+def complaint(olat):
+    """Return what the light of flashes says of itself."""
+    return Measured(olat.diagnostics[0].message)
+
+
+def no_light():
+    """Return how many deviations the light of a flash is that adds nothing, and the deviation."""
+    olat = flashes(0.3, 0.3)
+    assert np.abs(olat.linear / olat.sigma).max() < 1e-6
+    return float(np.abs(olat.linear / olat.sigma).max()), olat.sigma.max()
+
+
+# Reflectance of vertices.
+
+capture = cache(head_capture)
+
+
+@cache
+def samples(noise=0.01, **options):
+    """Return what pictures of a head of 400 vertices show."""
+    return samples_of(capture(400), noise=noise, **options)
+
+
+def lobes_of(lights=None, normals=1.0):
+    """Return the samples of the head under other lights, or with its normals multiplied."""
+    head = capture(400)
+    lights = head.lights if lights is None else np.tile(lights, (99, 1))
+    lobes = point_light_lobes(head.vertices, normals * head.normals, head.cameras, lights)
+    return replace(samples(), lobes=lobes)
+
+
+def known(fit):
+    """Return the mask of the vertices that a fit knows, all of it finite and in order there."""
+    mask = fit.reflectance.known
+    found = np.stack([fit.parameters, fit.low, fit.high, fit.std])[:, mask]
+    assert np.isfinite(found).all()
+    assert (found[0] >= 0).all()
+    assert (found[1] <= found[0] + 1e-12).all()
+    assert (found[0] <= found[2] + 1e-12).all()
+    return mask
+
+
+def albedo_percent(fit, scale=1.0):
+    """Return the error of the albedo in per cent."""
+    mask = known(fit)
+    truth = scale * capture(400).truth.diffuse_linear
+    return 100 * relative_rmse(fit.reflectance.diffuse_linear[mask], truth[: len(mask)][mask])
+
+
+def inside_percent(fit):
+    """Return the part of the true numbers within their intervals."""
+    truth = capture(400).parameters
+    return 100 * float(((fit.low <= truth) & (truth <= fit.high))[known(fit)].mean())
+
+
+def one_pose(_=None):
+    """Return the part of the lobes identified by 99 pairs of one pose, and the albedo's error."""
+    fit = fit_reflectance(samples_of(of_pairs(capture(400), np.full(99, 49)), noise=0.01))
+    sure = float(fit.identified[known(fit)][:, 3:].mean())
+    assert sure < 0.2
+    return 100 * sure, albedo_percent(fit)
+
+
+def noise():
+    """Return the albedo's error by pictures of 100 % noise; the intervals hold the truth."""
+    fit = fit_reflectance(samples(1.0))
+    assert inside_percent(fit) > 80
+    return albedo_percent(fit), inside_percent(fit), 100 * fit.identified[known(fit)].mean()
+
+
+def tilted(angle):
+    """Return the albedo's error with normals off by an angle, and the part within the intervals."""
+    fit = fit_reflectance(samples(normals_off_deg=angle))
+    assert inside_percent(fit) > 90
+    return albedo_percent(fit), inside_percent(fit)
+
+
+def exposed(scale):
+    """Return the albedo's error of pictures multiplied."""
+    plain = samples()
+    pictures = replace(plain, observed_linear=scale * plain.observed_linear, sigma=scale * plain.sigma)
+    return albedo_percent(fit_reflectance(pictures), scale)
+
+
+def one_vertex():
+    """Return the albedo's error of one vertex alone."""
+    names = ("observed_linear", "sigma", "valid", "lobes")
+    one = VertexSamples(*(getattr(samples(), name)[:, :1] for name in names), samples().light)
+    return albedo_percent(fit_reflectance(one))
+
+
+def out_of_time(budget):
+    """Return the albedo's error of a fit that a budget ends."""
+    fit = fit_reflectance(samples(), budget=budget)
+    assert not fit.converged
+    return albedo_percent(fit)
+
+
+# Looking up vertices in pictures.
+
+scene = cache(lambda: build_scene(16, 24))
+
+
+def looked_up(vertices=1.0, normals=1.0):
+    """Look vertices of a ball up in its pictures; the ball and its normals are multiplied."""
+    ball = scene()
+    olat = extract_olat(ball.flash, ball.room)
+    found = sample_vertices(
+        olat, ball.rig, vertices * ball.vertices, ball.faces, normals=normals * ball.normals
+    )
+    return fit_reflectance(found)
+
+
+def observed(picture=0.5, camera=None, scale=1.0, side=64):
+    """Observe a photograph of one value of the ball."""
+    camera = (
+        look_at([0, 0, 900.0], [0, 0, 0], focal_px=100.0, shape=(side, side)) if camera is None else camera
+    )
+    return observe_photograph(
+        np.full((side, side, 3), picture), camera, scale * scene().vertices, scene().faces
+    )
+
+
+# The morphable model.
+
+
+def subject(seed=0, known=True):
+    """Return the reflectance of 60 vertices of one person."""
+    rng = np.random.default_rng(seed)
+    weights = np.abs(0.1 + 0.02 * rng.normal(size=(60, 3)))
+    diffuse = np.abs(0.4 + 0.05 * rng.normal(size=(60, 3)))
+    return VertexReflectance(diffuse, weights, np.broadcast_to(known, 60).copy())
+
+
+def strangers():
+    """Return the directions and the support of a model of two subjects that share no vertex."""
+    odd = np.arange(60) % 2 == 1
+    model = MorphableReflectanceModel.from_samples([subject(0, odd), subject(1, ~odd)])
+    assert np.isfinite(model.diffuse.mean).all()
+    assert model.components == 0
+    return model.components, model.support.max()
+
+
+def at(coefficient):
+    """Evaluate a model of four subjects."""
+    model = MorphableReflectanceModel.from_samples([subject(seed) for seed in range(4)], components=10)
+    return model.reconstruct(np.full(model.components, coefficient))
+
+
+# Photographs.
+
+DIRECTIONS = distant_directions(300)
+NORMALS = DIRECTIONS[DIRECTIONS[:, 2] > 0]
+TOWARD = np.array([0, 0, 3.0]) - NORMALS
+VIEW = TOWARD / np.linalg.norm(TOWARD, axis=1, keepdims=True)
+SEEN = np.einsum("vi,vi->v", NORMALS, VIEW) > 0.1
+
+
+@cache
+def people(count, seed=0):
+    """Return smooth reflectances over a hemisphere, twelve ways to differ."""
+    shapes = np.random.default_rng(7).normal(size=(8, 12, 81)) @ harmonics(NORMALS).T * 0.4
+    rng, made = np.random.default_rng(seed), []
+    for _ in range(count):
+        fields = np.einsum("r,frv->fv", rng.normal(size=12) / np.sqrt(np.arange(1, 13)), shapes)
+        diffuse = np.array([0.55, 0.38, 0.30]) * np.exp(0.1 * fields[0, :, None] + 0.03 * fields[1:4].T)
+        lobes = np.exp(0.1 * fields[5:8].T) * [0.2, 0.4, 0.4]
+        weights = 0.25 * np.exp(0.1 * fields[4])[:, None] * lobes / lobes.sum(1, keepdims=True)
+        made.append(VertexReflectance(diffuse, weights, np.ones(len(NORMALS), bool)))
+    return made
+
+
+@cache
+def model():
+    """Return a model of twenty people."""
+    return MorphableReflectanceModel.from_samples(people(20), components=8)
+
+
+def shot(light=None, scale=1.0, seen=SEEN):
+    """Return a photograph of one whom the model does not know, its colours multiplied."""
+    light = project_environment(generated_environment(8)) if light is None else light
+    color = shade_environment(people(1, 3)[0], NORMALS, VIEW, light).radiance_linear
+    return ImageObservation(scale * color, NORMALS, VIEW, seen)
+
+
+def photograph_error(fit):
+    """Return the error of a face's albedo up to its scale."""
+    found, truth = fit.face.reflectance.diffuse_linear, people(1, 3)[0].diffuse_linear
+    return relative_rmse((found * truth).sum() / (found**2).sum() * found, truth)
+
+
+def fitted(*shown, **options):
+    """Fit the model to a photograph; return the albedo's and the colours' errors in per cent, and the fit."""
+    fit = quiet(fit_image, shot(*shown), model(), **options)
+    return 100 * photograph_error(fit), 100 * fit.relative_rmse, fit
+
+
+def one_direction():
+    """Fit the model under one direction of light."""
+    return fitted(harmonics(np.array([[0.3, 0.3, 1.0]]) / np.sqrt(1.18)).T @ np.full((1, 3), 3.0))
+
+
+def by_exposure(scale):
+    """Return by how much the albedo's error changes with the exposure, and the error."""
+    error, plain = (fitted(None, factor)[0] for factor in (scale, 1.0))
+    assert error < 80 * relative_rmse(model().diffuse.mean, people(1, 3)[0].diffuse_linear)
+    return abs(error - plain), error
+
+
+def one_seen():
+    """Return the largest coefficient of a face of which one vertex is seen."""
+    seen = np.zeros(len(NORMALS), bool)
+    seen[np.flatnonzero(SEEN)[10]] = True
+    return float(np.abs(fitted(None, 1.0, seen)[2].face.coefficients).max())
+
+
+def photograph_out_of_time(budget):
+    """Return the colours' error of a fit that a budget ends."""
+    _, error, fit = fitted(budget=budget)
+    assert not fit.converged
+    return error
+
+
+# Geometry from landmarks.
+
+CAMERA = look_at([40.0, 20.0, 900.0], [0.0, 0.0, 0.0], focal_px=1000.0, shape=(260, 220))
+
+
+@cache
+def shapes():
+    """Return a shape model of ten people, and where the landmarks of one of them are in the picture."""
+    afm = AnnotatedFaceModel.default()
+    to_surface, (rest, faces) = afm.subdivision(0).matrix, afm.surface(0)
+    rng = np.random.default_rng(0)
+    neutral = [to_surface @ face_shape.person(afm, rng) for _ in range(10)]
+    smile = to_surface @ face_shape.person(afm, rng, strength=0.0, expression="smile") - rest
+    nearest = np.linalg.norm(rest - afm.landmarks[:, None], axis=2).argmin(1)
+    marks = project(CAMERA, neutral[3][nearest])[0]
+    return MorphableShapeModel.from_samples(neutral, [smile], faces, nearest), marks
+
+
+def placed(marks=None, camera=CAMERA, **options):
+    """Fit the shape model to landmarks."""
+    marks = shapes()[1] if marks is None else marks
+    return quiet(refine_geometry, np.full((260, 220, 3), 0.5), camera, marks, shapes()[0], **options)
+
+
+def only(count):
+    """Return the landmarks with all but some NaN."""
+    marks = np.full((68, 2), math.nan)
+    chosen = np.linspace(0, 67, count).astype(int)
+    marks[chosen] = shapes()[1][chosen]
+    return marks
+
+
+def far_off(bound):
+    """Return a figure: how many pixels landmarks are off that no face can have."""
+
+    def figure(fit):
+        assert fit.landmark_rmse_px > bound
+        return Measured(f"landmarks off by {fit.landmark_rmse_px:.3g} px")
+
+    return figure
+
+
+def marks_out_of_time(budget):
+    """Return how many pixels landmarks are off when a budget ends the fit."""
+    fit = placed(budget=budget)
+    assert not fit.converged
+    return fit.landmark_rmse_px
+
+
+def behind_the_camera():
+    """Return a pose behind the camera."""
+    pose = np.eye(4)
+    pose[2, 3] = 5000
+    return pose
+
+
+ALBEDO_OFF = below(3, "albedo off by {:.1f} %")
+COLOUR_OFF = measured("converged=False, colours off by {:.0f} %")
+NAN = math.nan
+
+CASES = table(
+    "reflectance",
+    ("olat: flash and room exchanged", lambda: flashes(0.2, 0.6), REFUSES, "pair 0: 100 % .* exchanged"),
+    ("olat: values negative", lambda: flashes(-0.5, 0.1), REFUSES, "pair 0: 100 % .* exchanged"),
+    (
+        "olat: values beyond white (HDR 1e6)",
+        lambda: flashes(1e6, 0.1),
+        REFUSES,
+        r"flash picture 0 reaches 1e\+06.* white = 1",
+    ),
+    ("olat: NaN everywhere", lambda: flashes(NAN, 0.2), REFUSES, "no number"),
+    ("olat: saturated everywhere", lambda: flashes(1.0, 0.2), WARNS, complaint),
+    (
+        "olat: flash as dark as the room",
+        no_light,
+        WARNS,
+        measured("light {:.0e} standard deviations: sigma {:.3f} says so"),
+    ),
+    (
+        "olat: images of 1 pixel",
+        lambda: float(np.abs(flashes(0.5, 0.1, 1).linear - (0.5**1.2 - 0.1**1.2)).max()),
+        RIGHT,
+        below(1e-6, "right within {:.0e}"),
+    ),
+    (
+        "99 pairs, all of one pose",
+        one_pose,
+        WARNS,
+        measured("{:.0f} % of the lobes identified, albedo off by {:.0f} %"),
+    ),
+    *rows(
+        REFUSES,
+        "none of 400 vertices is seen",
+        {
+            "flash behind the head": lambda: fit_reflectance(lobes_of([0.0, 0.0, -1000.0])),
+            "normals zero: lobes zero": lambda: fit_reflectance(lobes_of(normals=0.0)),
+            "normals flipped": lambda: fit_reflectance(lobes_of(normals=-1.0)),
+            "everything saturated": lambda: fit_reflectance(
+                replace(samples(), valid=np.zeros_like(samples().valid))
+            ),
+        },
+    ),
+    *rows(
+        REFUSES,
+        "vertex 1 is said to be valid in picture 0",
+        {
+            "sigma 0": lambda: replace(samples(), sigma=0 * samples().sigma),
+            "sigma 1e-300": lambda: replace(samples(), sigma=0 * samples().sigma + 1e-300),
+            "observations NaN where valid": lambda: replace(
+                samples(), observed_linear=NAN * samples().observed_linear
+            ),
+        },
+    ),
+    (
+        "noise 100 %",
+        noise,
+        WARNS,
+        measured("albedo off by {:.0f} %, {:.0f} % within the intervals, {:.0f} % identified"),
+        SLOW,
+    ),
+    *rows(RIGHT, ALBEDO_OFF, each("pictures times {}", ("1e-9", "1e9"), exposed)),
+    ("one vertex", one_vertex, RIGHT, below(10, "albedo off by {:.1f} %")),
+    *rows(
+        RIGHT,
+        below(5, "albedo off by {:.1f} %, {:.0f} % within the intervals"),
+        each("normals off by {} degrees", ("1", "3", "10"), tilted),
+    ),
+    *rows(
+        WARNS,
+        measured("converged=False, albedo off by {:.1f} %"),
+        {
+            f"vertex fit with a budget of {name}": lambda budget=budget: out_of_time(budget)
+            for name, budget in BUDGETS.items()
+        },
+    ),
+    *rows(
+        REFUSES,
+        "vertices are NaN or infinite|of length nan|none of 1024 vertices is seen",
+        {
+            "sampling: vertices NaN": lambda: looked_up(vertices=NAN),
+            "sampling: normals NaN": lambda: looked_up(normals=NAN),
+            "sampling: normals zero": lambda: looked_up(normals=0.0),
+            "sampling: head scaled by 1e3, out of all pictures": lambda: looked_up(vertices=1e3),
+        },
+    ),
+    (
+        "subjects of which none shares a vertex",
+        strangers,
+        WARNS,
+        measured("{} directions; `support` says that each vertex was seen of {} subject"),
+    ),
+    (
+        "more directions asked than subjects tell",
+        lambda: len(at(0.0).coefficients),
+        RIGHT,
+        below(4, "all there are: {} of 4 subjects"),
+    ),
+    ("model coefficients NaN", lambda: at(NAN), REFUSES, "NaN or infinite"),
+    ("light with NaN", lambda: shot(np.full((81, 3), NAN)), REFUSES, "light.* NaN or infinite"),
+    (
+        "photograph under one direction of light",
+        one_direction,
+        WARNS,
+        lambda found: Measured(
+            "albedo off by {:.0f} %, colours off by {:.0f} %: the fit says so".format(*found)
+        ),
+        SLOW,
+    ),
+    *rows(
+        RIGHT,
+        below(1e-4, "as without the factor within {:.0e}: albedo off by {:.1f} %"),
+        each("photograph times {}", ("1e-6", "1e6"), by_exposure),
+        SLOW,
+    ),
+    (
+        "photograph that shows one vertex",
+        one_seen,
+        WARNS,
+        measured("the mean face: coefficients up to {:.2f} deviations"),
+        SLOW,
+    ),
+    ("photograph black", lambda: shot(scale=0.0), REFUSES, "black where the face is"),
+    (
+        "photograph half negative",
+        lambda: shot(scale=(1 - 2 * (np.arange(len(NORMALS)) % 2 == 0))[:, None]),
+        REFUSES,
+        "black where the face is",
+    ),
+    ("photograph with NaN where seen", lambda: shot(scale=NAN), REFUSES, "vertex 10 holds NaN"),
+    ("photograph that shows nothing", lambda: shot(seen=SEEN < 0), REFUSES, "no vertex of the face"),
+    *rows(
+        WARNS,
+        COLOUR_OFF,
+        {
+            f"image fit with a budget of {name}": lambda budget=budget: photograph_out_of_time(budget)
+            for name, budget in BUDGETS.items()
+        },
+        SLOW,
+    ),
+    ("observing a photograph of 1 pixel", lambda: observed(side=1), REFUSES, "0 inside the picture"),
+    ("observing a photograph saturated", lambda: observed(1.0), REFUSES, "0 not saturated"),
+    ("observing a photograph black", lambda: observed(0.0), REFUSES, "black where the face is"),
+    ("observing a photograph NaN", lambda: observed(NAN), REFUSES, "0 with finite colours"),
+    ("observing a photograph HDR 1e6", lambda: observed(1e6), REFUSES, "white = 1"),
+    (
+        "observing a photograph whose camera is singular",
+        lambda: observed(camera=np.zeros((3, 4))),
+        REFUSES,
+        "singular",
+    ),
+    (
+        "observing a photograph of a head scaled by 1e3",
+        lambda: observed(scale=1e3),
+        REFUSES,
+        "0 are seen by the camera",
+    ),
+    (
+        "observing a photograph of a head with NaN",
+        lambda: observed(scale=NAN),
+        REFUSES,
+        "vertices are NaN or infinite",
+    ),
+    ("geometry: no landmark", lambda: placed(only(0)), REFUSES, "give initial_scene_from_model"),
+    ("geometry: 3 landmarks", lambda: placed(only(3)), REFUSES, ""),
+    ("geometry: landmarks coincident", lambda: placed(np.full((68, 2), 120.0)), REFUSES, "one point"),
+    ("geometry: landmarks infinite", lambda: placed(np.full((68, 2), math.inf)), REFUSES, ""),
+    (
+        "geometry: start behind the camera",
+        lambda: placed(initial_scene_from_model=behind_the_camera()),
+        REFUSES,
+        "behind the camera",
+    ),
+    ("geometry: camera NaN", lambda: placed(camera=NAN * CAMERA), REFUSES, ""),
+    (
+        "geometry: landmarks on a line",
+        lambda: placed(shapes()[1] * [0, 1] + [110.0, 0]),
+        WARNS,
+        far_off(2),
+    ),
+    ("geometry: landmarks 1e9 px off", lambda: placed(shapes()[1] + 1e9), WARNS, far_off(1e5)),
+    *rows(
+        WARNS,
+        measured("converged=False, landmarks off by {:.1f} px"),
+        {
+            f"geometry with a budget of {name}": lambda budget=budget: marks_out_of_time(budget)
+            for name, budget in BUDGETS.items()
+        },
+    ),
+)

@@ -1,0 +1,211 @@
+"""Extremes of `register`: the pose is right, or the message says why there is none."""
+
+import igl
+import numpy as np
+
+from scan2albedo import AnnotatedFaceModel, RawScan, register
+from scan2albedo.face_model import Region
+from scan2albedo.geometry.loop_subdivision import refine
+from scan2albedo.geometry.operators import linear_refinement
+from scan2albedo.geometry.rigid import compose, rotation_from_vector
+from scan2albedo.registration import RegistrationOptions
+from stability.case import BUDGETS, REFUSES, RIGHT, SLOW, WARNS, each, rows, said, table
+from stability.scenes import (
+    Scanned,
+    at_random,
+    model,
+    noisy,
+    person,
+    plane,
+    spoilt,
+    stray,
+    with_outlier_triangles,
+)
+
+MOST_DEG = 3.0
+"""Between two people a pose is known to a few degrees; whole scans of this one end below half of it."""
+
+MOST_MM = 3.0
+"""The same for the mean of the landmarks."""
+
+
+def found(scene, **settings):
+    """Register a scene; return it and its registration."""
+    return scene, register(scene.scan, model(), **settings)
+
+
+def pose(found):
+    """Assert that a pose is right, and return how far it is off."""
+    scene, registration = found
+    degrees, millimetres = scene.pose_error(registration.model_from_scan)
+    assert degrees < MOST_DEG, f"{degrees:.2f} degrees off"
+    assert millimetres < MOST_MM, f"{millimetres:.2f} mm off"
+    return said(f"{degrees:.1f} degrees, {millimetres:.1f} mm off", registration.plan)
+
+
+def pose_out_of_time(found):
+    """Assert that a pose is right though the search has not converged."""
+    assert not found[1].converged
+    return f"{pose(found)}, converged False"
+
+
+def size(found):
+    """Assert that a face of another size is found at that size."""
+    scale, registration = found
+    assert abs(registration.face_scale - scale) < 0.05
+    return said(f"face found at {100 * registration.face_scale:.0f} % of its size", registration.plan)
+
+
+def turned(axis_angle):
+    """Return the person as the model stands, turned."""
+    upright = person().moved(person().model_from_scan)
+    return upright.moved(compose(rotation_from_vector(axis_angle), np.zeros(3)))
+
+
+def two_heads():
+    """Return a scan of two people side by side, posed as the first or as the second of them."""
+    one, other = person(), person(3)
+    shift = np.array([350.0, 0, 0])
+    vertices = np.concatenate([one.in_model_frame, other.in_model_frame + shift])
+    faces = np.concatenate([one.scan.faces, other.scan.faces + len(one.scan.vertices)])
+    both = RawScan(vertices, faces, name="two heads")
+    registration = register(both, model())
+    poses = (one, one.model_from_scan), (other, compose(np.eye(3), shift) @ other.model_from_scan)
+    return registration, [scene.pose_error(registration.model_from_scan @ placed) for scene, placed in poses]
+
+
+def one_of_them(found):
+    """Assert that one of two heads is found."""
+    registration, errors = found
+    off = min(millimetres for _, millimetres in errors)
+    assert off < MOST_MM
+    figure = f"{off:.1f} mm off one of them, confidence {registration.confidence:.2f}"
+    return said(figure, registration.plan)
+
+
+def hundred_vertices():
+    """Return a face of the model itself, 100 vertices of it: 12 mm between neighbours."""
+    vertices, faces = model().surface(0)
+    fewer, index, _, _ = igl.qslim(vertices, faces, 170, False)
+    assert len(fewer) < 125
+    return Scanned(RawScan(fewer, index), np.eye(4), model().landmarks, vertices)
+
+
+def millions():
+    """Return the person's surface with 2 million vertices."""
+    scene = person()
+    vertices, faces = scene.scan.vertices, scene.scan.faces
+    while len(vertices) < 2_000_000:
+        finer = linear_refinement(len(vertices), faces, 1)
+        vertices, faces = finer @ vertices, refine(len(vertices), faces)[1]
+    return Scanned(RawScan(vertices, faces), scene.model_from_scan, scene.landmarks, scene.surface)
+
+
+def tetrahedron():
+    """Return a model of four control vertices."""
+    corners = np.array([[-60.0, -80, -30], [60, -80, -30], [0, 90, -20], [0, -10, 40]])
+    chart = np.array([[0.0, 0], [1, 0], [0.5, 1], [0.5, 0.4]])
+    faces, region = np.array([[0, 1, 3], [1, 2, 3], [2, 0, 3]]), np.zeros(3, np.uint8)
+    regions = {"face": Region("face", 0)}
+    return AnnotatedFaceModel(corners, faces, chart, region, regions, name="tetrahedron")
+
+
+def alone(vertices, faces):
+    """Register a mesh that is no face."""
+    return register(RawScan(vertices, faces, name="scan"), model())
+
+
+def above(quantile):
+    """Return the person's scan above a quantile of its height."""
+    height = person().centres[:, 1]
+    return person().kept(height > np.quantile(height, quantile))
+
+
+NO_FACE = "no face found.*probability.*of the face.*box"
+
+CASES = table(
+    "register",
+    *rows(
+        RIGHT,
+        pose,
+        {
+            **each("offset {} mm", ("1e6", "1e7", "1e9"), lambda far: found(person().shifted(far))),
+            "upside down": lambda: found(turned([0.0, 0, np.pi])),
+            "turned by 180 degrees": lambda: found(turned([0.0, np.pi, 0])),
+            "slivers, coincident vertices, zero-area, double and non-manifold faces": lambda: found(
+                spoilt(person())
+            ),
+            **each("one vertex at {} mm", ("1e9", "1e20"), lambda far: found(stray(person(), 1, far))),
+            "300 vertices thrown some 2 m away": lambda: found(stray(person(), 300, 2e3)),
+            "half of all vertices are outliers": lambda: found(with_outlier_triangles(person())),
+            **each("noise of {} mm", "13", lambda sigma: found(noisy(person(), sigma))),
+            "60 % of the triangles lost": lambda: found(person().kept(at_random(person(), 0.4))),
+            "all but the upper 40 % of the head lost": lambda: found(above(0.6)),
+            "a fifth of the triangles wound the wrong way": lambda: found(
+                person().wound(at_random(person(), 0.2))
+            ),
+            "100 vertices": lambda: found(hundred_vertices()),
+            "seed 0": lambda: found(person(), seed=0),
+            "seed 2**32 - 1": lambda: found(person(), seed=2**32 - 1),
+        },
+    ),
+    ("2 million vertices", lambda: found(millions()), RIGHT, pose, SLOW),
+    *rows(
+        RIGHT,
+        pose_out_of_time,
+        {
+            f"a budget of {name}": lambda budget=budget: found(person(), budget=budget)
+            for name, budget in BUDGETS.items()
+        },
+    ),
+    ("two heads", two_heads, WARNS, one_of_them, SLOW),
+    *rows(
+        WARNS,
+        size,
+        {
+            "1.5 times too large": lambda: (1.5, found(person().scaled(1.5))[1]),
+            "1.5 times too small": lambda: (1 / 1.5, found(person().scaled(1 / 1.5))[1]),
+        },
+        SLOW,
+    ),
+    (
+        "one side of the face inside out",
+        lambda: found(person().wound(person().centres[:, 0] > 0)),
+        REFUSES,
+        r"\d+ of \d+ triangles are wound against their neighbours.*load_scan does it",
+    ),
+    (
+        "mirrored, so that triangles face inward",
+        lambda: found(person().with_vertices(person().scan.vertices * [-1, 1, 1])),
+        REFUSES,
+        "inside out.*Reverse the order",
+        SLOW,
+    ),
+    (
+        "a single triangle",
+        lambda: alone([[0.0, 0, 0], [90, 0, 0], [0, 120, 0]], [[0, 1, 2]]),
+        REFUSES,
+        "scan: 3 vertices cannot show a face.*scan the whole face",
+    ),
+    (
+        "a line of points",
+        lambda: alone(np.linspace(0, 200, 200)[:, None] * [1, 0, 0], np.arange(198)[:, None] + np.arange(3)),
+        REFUSES,
+        "scan: its surface of 0 mm2.*Scan the whole face",
+    ),
+    ("a plane", lambda: alone(*plane(40, 250)), REFUSES, NO_FACE, SLOW),
+    ("hair only", lambda: found(person().kept(person().centres[:, 2] < -60)), REFUSES, NO_FACE, SLOW),
+    ("a seed of -1", lambda: found(person(), seed=-1), REFUSES, "seed is -1, expected a whole number"),
+    (
+        "options without a spacing",
+        lambda: RegistrationOptions(anchor_spacing_mm=0.0),
+        REFUSES,
+        "anchor_spacing_mm must be finite and above 0",
+    ),
+    (
+        "a model of 4 control vertices",
+        lambda: register(person().scan, tetrahedron()),
+        REFUSES,
+        "tetrahedron: .* 4 control vertices.*at least",
+    ),
+)
