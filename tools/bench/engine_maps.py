@@ -113,13 +113,11 @@ class Studio:
         data = np.ascontiguousarray(np.atleast_3d(values), np.float32)
         return {"type": "bitmap", "data": self.mi.TensorXf(data), "raw": True}
 
-    def mesh(self, shape: Mesh, **looks: dict[str, Any]) -> Any:
-        """Return a shape with a material `bsdf`, and perhaps an `emitter`."""
+    def mesh(self, shape: Mesh, bsdf: dict[str, Any], **more: dict[str, Any]) -> Any:
+        """Return a shape with a material, and perhaps an `emitter`."""
         vertices, normals, faces, uv = shape
-        properties = self.mi.Properties()
-        for name, look in looks.items():
-            properties[name] = self.mi.load_dict(look)
-        return textured_mesh(self.mi, vertices, normals, faces, uv * [1, -1] + [0, 1], properties)
+        downward = uv * [1, -1] + [0, 1]
+        return textured_mesh(self.mi, "face", bsdf, vertices, normals, faces, downward, **more)
 
     def shining(self, shape: Mesh, texture: NDArray) -> FloatArray:
         """Return the picture (S, S, 3) of a shape that shines as bright as its texture."""
@@ -178,7 +176,7 @@ def open_sky(mi: Any) -> Any:
     """Return an integrator's class: light of the environment that nothing hides, and no bounces."""
     import drjit
 
-    class OpenSky(mi.SamplingIntegrator):  # type: ignore[misc, name-defined]
+    class OpenSky(mi.SamplingIntegrator):
         def sample(
             self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True
         ) -> tuple[Any, Any, list[float]]:

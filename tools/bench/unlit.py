@@ -173,8 +173,7 @@ def scans(quick: bool) -> Iterator[Case]:
 
 
 def of_texels(name: str, found: NDArray[Any], true: NDArray[Any]) -> dict[str, float]:
-    pair = (np.asarray(each, float)[None] for each in (found, true))
-    of = score(*pair, np.ones((1, len(true)), bool))
+    of = score(np.asarray(found, float)[None], np.asarray(true, float)[None], np.ones((1, len(true)), bool))
     return {f"{name} %": of.rmse, f"{name} 50": of.half, f"{name} 95": of.most, f"{name} MSE": of.mse}
 
 

@@ -84,10 +84,12 @@ def textured_mesh(
     normals: FloatArray,
     faces: IntArray,
     uv: FloatArray,
+    **more: dict[str, Any],
 ) -> Any:
-    """Return Mitsuba's mesh; `uv` (V, 2) counts rows of the picture downward."""
+    """Return Mitsuba's mesh; `uv` (V, 2) counts rows of the picture downward; `more` may be an `emitter`."""
     properties = mitsuba.Properties()
-    properties["bsdf"] = mitsuba.load_dict(bsdf)
+    for kind, plugin in {"bsdf": bsdf, **more}.items():
+        properties[kind] = mitsuba.load_dict(plugin)
     corners = {"has_vertex_normals": True, "has_vertex_texcoords": True}
     mesh = mitsuba.Mesh(name, len(vertices), len(faces), props=properties, **corners)
     parameters = mitsuba.traverse(mesh)
