@@ -113,11 +113,13 @@ class Studio:
         data = np.ascontiguousarray(np.atleast_3d(values), np.float32)
         return {"type": "bitmap", "data": self.mi.TensorXf(data), "raw": True}
 
-    def mesh(self, shape: Mesh, bsdf: dict[str, Any], **more: dict[str, Any]) -> Any:
-        """Return a shape with a material, and perhaps an `emitter`."""
+    def mesh(self, shape: Mesh, **looks: dict[str, Any]) -> Any:
+        """Return a shape with a material `bsdf`, and perhaps an `emitter`."""
         vertices, normals, faces, uv = shape
-        downward = uv * [1, -1] + [0, 1]
-        return textured_mesh(self.mi, "face", bsdf, vertices, normals, faces, downward, **more)
+        properties = self.mi.Properties()
+        for name, look in looks.items():
+            properties[name] = self.mi.load_dict(look)
+        return textured_mesh(self.mi, vertices, normals, faces, uv * [1, -1] + [0, 1], properties)
 
     def shining(self, shape: Mesh, texture: NDArray) -> FloatArray:
         """Return the picture (S, S, 3) of a shape that shines as bright as its texture."""
