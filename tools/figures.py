@@ -345,10 +345,19 @@ SOURCES = {
         "james, all the time",
         "../shared/data/james.obj",
         figures=from_bench(
-            "pipeline/stages",
+            "pipeline/stages", {"whole": f"{of('scan2albedo', 'CPU s', group='everything')} s CPU"}
+        ),
+    ),
+    "commands": Source(
+        "python tools/bench pipeline/commands",
+        "james, all the time",
+        "../shared/data/james.obj",
+        figures=from_bench(
+            "pipeline/commands",
             {
-                "whole": f"{of('scan2albedo', 'CPU s', group='everything')} s CPU, "
-                f"{of('scan2albedo', 'peak MB', 0, group='everything')} MB"
+                name: f"{of('scan2albedo', 'CPU s', group=name)} s CPU, "
+                f"{of('scan2albedo', 'peak MB', 0, group=name)} MB"
+                for name in ("process", "draft", "relight", "report")
             },
         ),
     ),

@@ -28,10 +28,14 @@ from mutated_files.mutations import MUTATIONS, mutated
 
 from scan2albedo.errors import Scan2AlbedoError
 
-MEMORY_BYTES, CPU_S = 2e9, 20.0
+MEMORY_BYTES = 2e9
 """What loading a file may take."""
-HARD_MEMORY_BYTES, WALL_S = 6 << 30, 10 * CPU_S
+CPU_S = 20.0
+"""How long it may take."""
+HARD_MEMORY_BYTES = 6 << 30
 """Where a worker is stopped, so that the machine goes on."""
+WALL_S = 10 * CPU_S
+"""After which time it is stopped."""
 LOADED, REFUSED = "loaded", "refused"
 
 

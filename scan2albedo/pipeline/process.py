@@ -21,6 +21,7 @@ from scan2albedo.face_model.appearance import CLASSES
 from scan2albedo.fitting import FittedFace, fit
 from scan2albedo.fitting.linear_model import LinearModelFit, fit_linear_model
 from scan2albedo.fitting.plausibility import doubts, face_coverage
+from scan2albedo.geometry.loop_subdivision import SurfacePoints
 from scan2albedo.geometry.rasterization import pixels_from_uv
 from scan2albedo.io import load_scan
 from scan2albedo.io.atomic import check_writable
@@ -166,6 +167,7 @@ class _Run:
     linear_fit: LinearModelFit | None = None
     estimate: AlbedoEstimate | None = None
     input_sha256: str | None = None
+    linear: tuple[LinearFaceModel, SurfacePoints] | None = None
 
     def result(self) -> ProcessResult:
         """Return the result of all stages."""
@@ -184,7 +186,7 @@ class _Run:
         self._sample()
         if self.linear is not None and self.fitted is not None:
             with self.clock.timed("linear_model"):
-                self._fit_linear_model(self.linear, self.fitted)
+                self._fit_linear_model(*self.linear, self.fitted)
         self._balance()
         self._find_albedo()
         more = dict[str, Any]()
@@ -229,8 +231,9 @@ class _Run:
             scan = with_landmarks(scan, options.landmarks, file)
         self.scan = scan
         self.model, linear = chosen_model(options.model), options.linear_model
-        path = linear is not None and not isinstance(linear, LinearFaceModel)
-        self.linear = LinearFaceModel.load(linear) if path else linear
+        if linear is not None and self.model is not None:
+            read = linear if isinstance(linear, LinearFaceModel) else LinearFaceModel.load(linear)
+            self.linear = linear_model_places(read, self.model)
 
     def _leave_out_face(self) -> None:
         steps = [PlanStep(stage, False, "no model was asked for") for stage in ("register", "fit")]
@@ -295,8 +298,7 @@ class _Run:
             steps.append(doubt)
         self.image = image
 
-    def _fit_linear_model(self, linear: LinearFaceModel, fitted: FittedFace) -> None:
-        model, places = linear_model_places(linear, fitted.model)
+    def _fit_linear_model(self, linear: LinearFaceModel, places: SurfacePoints, fitted: FittedFace) -> None:
         skin, image = np.ones(len(fitted.vertices)), self.image
         if image.labels is not None:
             pixels = np.round(pixels_from_uv(fitted.uv, image.shape)).astype(int)
@@ -304,7 +306,7 @@ class _Run:
             covers = [CLASSES.index(name) for name in ("beard", "hair", "cloth")]
             skin -= np.isin(image.labels[row, column], covers)
         share = self.clock.share("linear_model")
-        found = fit_linear_model(self.scan, fitted, model, places, skin, share, self.on_progress)
+        found = fit_linear_model(self.scan, fitted, linear, places, skin, share, self.on_progress)
         self.linear_fit, self.fitted = found, found.as_template(fitted)
         self.plan["linear_model"] = [*found.plan]
 

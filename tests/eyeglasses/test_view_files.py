@@ -1,11 +1,10 @@
 """Files of views: labels, cameras and masks."""
 
 import json
-from pathlib import Path
 
-import jsonschema
 import numpy as np
 import pytest
+from helpers.schemas import check_schema
 
 from scan2albedo.errors import EyeglassesError, OutputError
 from scan2albedo.eyeglasses import (
@@ -21,22 +20,12 @@ from scan2albedo.eyeglasses import (
 from scan2albedo.geometry.pinhole import look_at, normalized_cameras, project
 from scan2albedo.io.images import write_png
 
-SCHEMAS = Path(__file__).resolve().parents[2] / "data_schemas"
 SHAPE = (480, 640)
 
 
 def camera(name="front", side=0.0):
     matrix = look_at([side, 50, 600], [0, 0, 0], focal_px=900.0, shape=SHAPE)
     return Camera(name, matrix, SHAPE)
-
-
-def check_schema(path, schema, *wrong):
-    tree, rules = json.loads(path.read_text()), json.loads((SCHEMAS / schema).read_text())
-    jsonschema.Draft202012Validator.check_schema(rules)
-    jsonschema.validate(tree, rules)
-    for change in wrong:
-        with pytest.raises(jsonschema.ValidationError):
-            jsonschema.validate({**tree, **change}, rules)
 
 
 def rewritten(path, change):
@@ -58,7 +47,7 @@ def test_labels_come_back_and_fit_their_schema(tmp_path):
     np.testing.assert_array_equal(found.pixels, labels)
     check_schema(
         tmp_path / "labels.json",
-        "eyeglasses_labels.schema.json",
+        "eyeglasses_labels",
         {"views": {"front": {"nose": [1, 2]}}},
         {"views": {"front": {"left_hinge": [1]}}},
         {"unit": "mm"},
@@ -116,7 +105,7 @@ def test_cameras_come_back_in_mm_and_fit_their_schema(tmp_path, unit, mm):
     points = np.random.default_rng(0).normal(0, 50, (5, 3))
     expected = project(normalized_cameras([cameras[1].matrix])[0], points)[0]
     np.testing.assert_allclose(project(normalized_cameras([stored])[0], points / mm)[0], expected, atol=1e-9)
-    check_schema(tmp_path / "cameras.json", "cameras.schema.json", {"unit": "unknown"}, {"cameras": []})
+    check_schema(tmp_path / "cameras.json", "cameras", {"unit": "unknown"}, {"cameras": []})
 
 
 def test_cameras_that_are_none_are_refused_by_file_and_name(tmp_path):

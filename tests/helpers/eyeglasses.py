@@ -4,6 +4,7 @@ import numpy as np
 
 from scan2albedo.eyeglasses.lenses.inserted_lenses import lens_mesh
 from scan2albedo.geometry.mesh import join
+from scan2albedo.geometry.rasterization import polyline_distance
 from scan2albedo.geometry.rigid import compose, random_rotation, transform_points
 
 
@@ -21,10 +22,7 @@ def posed(points, seed):
 
 def outline_distances(points, outline):
     """Distance (P,) of each point to a closed polygon (S, 3) in space."""
-    along = np.roll(outline, -1, 0) - outline
-    t = np.einsum("psk,sk->ps", points[:, None] - outline, along) / (along**2).sum(1)
-    foot = outline + np.clip(t, 0, 1)[..., None] * along
-    return np.linalg.norm(points[:, None] - foot, axis=2).min(1)
+    return polyline_distance(points, np.concatenate([outline, outline[:1]]))
 
 
 def glazed(glasses, sides=(0, 1), thickness=2.0, gap=0.3):

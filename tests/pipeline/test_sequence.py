@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bench.sequence import figures, followed
+from numpy.testing import assert_allclose
 from worlds.raw_like import raw_like
 from worlds.takes import SCRIPTS, take
 
@@ -21,7 +22,9 @@ from scan2albedo.synthetic.face_shape import person
 from tests.io.test_glb import moving
 
 COUNT = 6
-LOST, BROKEN, HALF = 2, 3, 4
+LOST = 2
+BROKEN = 3
+HALF = 4
 
 
 def turned(scan, degrees):
@@ -83,7 +86,7 @@ def test_frames_of_other_topologies_get_the_same_vertices(whole, frames):
     assert max(frame["residual_mm"] for frame in whole.frames) < 0.3
     with np.load(whole.out / "frames.npz") as stored:
         assert stored["vertices_mm"].shape == (COUNT, *whole.vertices(0).shape)
-        np.testing.assert_allclose(stored["vertices_mm"][3], whole.vertices(3), atol=1e-4)
+        assert_allclose(stored["vertices_mm"][3], whole.vertices(3), atol=1e-4)
         assert stored["landmarks_mm"].shape == (COUNT, 68, 3)
 
 
@@ -173,13 +176,13 @@ def test_files_are_read_in_the_unit_of_the_first(frames, whole, tmp_path):
     assert "empty.obj: holds a point cloud" in found.left_out[1][1]
     assert "missing.obj" in found.frames[0]["notes"][0]
     size = [np.ptp(points, axis=0) for points in (found.control_points[1], whole.control_points[0])]
-    np.testing.assert_allclose(*size, atol=1.5)
+    assert_allclose(*size, atol=1.5)
     assert found.frames[0]["deviation_mm"] is None
 
 
 def test_one_frame_is_a_take(frames, whole, tmp_path):
     found = process_sequence(frames[:1], tmp_path, name="one")
-    np.testing.assert_allclose(found.vertices(0), found.fitted.vertices, atol=1e-9)
+    assert_allclose(found.vertices(0), found.fitted.vertices, atol=1e-9)
     assert (tmp_path / "one" / "sequence.glb").stat().st_size > 10_000
 
 

@@ -7,9 +7,9 @@ from functools import cache
 
 import numpy as np
 from bench.judging import relative_rmse
-from benchmarks.reflectance_pictures import build_scene
 from worlds.environments import generated_environment
 from worlds.flash_captures import head_capture, of_pairs, samples_of
+from worlds.two_balls import build_scene
 
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.geometry.pinhole import look_at, project

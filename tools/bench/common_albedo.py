@@ -19,6 +19,7 @@ from worlds.files import DATA
 from bench.runner import Bench, Case
 from scan2albedo import GeometryImage
 from scan2albedo.albedo import estimate_common_albedo
+from scan2albedo.albedo.common_albedo import CommonAlbedo
 from scan2albedo.core.arrays import BoolArray, FloatArray
 
 FOLDER = DATA / "yale"
@@ -84,7 +85,7 @@ def error(albedo: FloatArray, truth: FloatArray) -> float:
     return float(100 * ((scale * albedo - truth) ** 2).mean() / (truth**2).mean())
 
 
-def figures(scene: Photographs, found: object) -> dict[str, float]:
+def figures(scene: Photographs, found: CommonAlbedo) -> dict[str, float]:
     common = found.albedo_linear.max(-1).astype(float)
     own = [one.albedo_linear.max(-1).astype(float) for one in found.estimates]
     stated = [found.expected_error[on] for on in scene.lit]

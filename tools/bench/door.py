@@ -379,7 +379,8 @@ def half(scan: RawScan, tip: FloatArray, side: int) -> tuple[FloatArray, IntArra
 
 def kept(scan: RawScan, vertex: BoolArray) -> RawScan:
     """Return the scan without the faces that lose a vertex."""
-    return scan.without_faces(~vertex[scan.faces].all(1))
+    lost = ~vertex[scan.faces].all(1)
+    return scan.without_faces(lost)
 
 
 def turned(scan: RawScan, rng: np.random.Generator) -> RawScan:

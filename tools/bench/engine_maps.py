@@ -178,7 +178,7 @@ def open_sky(mi: Any) -> Any:
     """Return an integrator's class: light of the environment that nothing hides, and no bounces."""
     import drjit
 
-    class OpenSky(mi.SamplingIntegrator):  # type: ignore[misc, name-defined]
+    class OpenSky(mi.SamplingIntegrator):
         def sample(
             self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True
         ) -> tuple[Any, Any, list[float]]:

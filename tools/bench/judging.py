@@ -387,12 +387,6 @@ def simple_peers(image: s2a.GeometryImage, light: Received | None = None) -> dic
     }
 
 
-def all_images(folder: Path) -> Iterator[TracedImage]:
-    """Yield the geometry images of a folder."""
-    for name in scene_names(folder, "images"):
-        yield load_image(folder, name)
-
-
 def relative_rmse(found: FloatArray, truth: FloatArray) -> float:
     """Return the root mean square error over that of the truth."""
     return float(np.sqrt(np.mean((found - truth) ** 2) / np.mean(truth**2)))

@@ -35,7 +35,7 @@ from bench.landmarks import INNER
 from bench.runner import Bench, Case, Timed
 from scan2albedo.albedo import albedo_error
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.fitting import FittedFace, common_shape
+from scan2albedo.fitting import FittedFace, PersonShape, common_shape
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import boundary_vertex_mask
 from scan2albedo.geometry.rigid import procrustes, transform_points
@@ -199,7 +199,7 @@ def strangers(quick: bool) -> Iterator[Case]:
                 yield Case(name, make, f"beside {count}")
 
 
-def odds(fits: list[FittedFace], shape: object) -> dict[str, float]:
+def odds(fits: list[FittedFace], shape: PersonShape) -> dict[str, float]:
     return {
         "farthest %": 100.0 * (shape.other_person.argmax() == len(fits) - 1),
         "told %": 100.0 * (shape.other_person[-1] > 0),

@@ -1,6 +1,7 @@
 """The whole pipeline: each stage's CPU and memory, presets, budgets in seconds, and what is left out.
 
-`stages` are those of the real scan, or of a synthetic one where that is absent; `first` is the first run
+`stages` are those of the real scan, or of a synthetic one where that is absent, in a process that is warm;
+`commands` are whole commands as a user types them, with imports, pictures and files; `first` is the first run
 after an installation, everything with all files by a new process without compiled kernels, alone and with
 helpers beside it, and once more with the kernels that it left (wall seconds). `presets` and `budgets` are of
 synthetic people scanned with one or two flashes, without files; errors are of the surface where skin was
@@ -27,7 +28,7 @@ from worlds.files import DATA
 from worlds.synthetic_scans import scanned_skin
 
 import scan2albedo as s2a
-from bench.runner import Bench, Case
+from bench.runner import Bench, Case, Timed
 from scan2albedo.albedo import OPTIONAL_STEPS, EstimateOptions
 from scan2albedo.core import Plan
 from scan2albedo.core.first_run import SWITCH
@@ -97,9 +98,48 @@ def stages(quick: bool) -> Iterator[Case]:
     yield Case("whole run with files", lambda: partial(whole_run, size), "everything")
 
 
+@dataclass(frozen=True)
+class Waited:
+    """How long a command took by the clock, and the most memory that it had."""
+
+    wall_s: float
+    peak_mb: float
+
+
+def run_command(words: list[str]) -> Timed:
+    """Run `scan2albedo` with these words as a process of its own; its CPU seconds include its children's."""
+    start = time.perf_counter()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "scan2albedo", *words], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise RuntimeError(f"scan2albedo {' '.join(words)} ended with status {process.returncode}")
+    waited = Waited(time.perf_counter() - start, usage.ru_maxrss / 1024)
+    return Timed(waited, usage.ru_utime + usage.ru_stime)
+
+
+def commands(quick: bool) -> Iterator[Case]:
+    """Yield commands on the real scan; what comes after a result gets one that the first of them made."""
+    if not REAL_SCAN.is_file():
+        raise FileNotFoundError(REAL_SCAN)
+    out = folder_for("results").name
+    result = f"{out}/standard/{REAL_SCAN.stem}"
+    lines = {
+        "process": f"process {REAL_SCAN} -o {out}/standard",
+        "draft": f"process {REAL_SCAN} -o {out}/draft --quality draft --files minimal --no-pictures",
+        "relight": f"relight {result} --light 40,20 -o {out}/relit.png",
+        "report": f"report {result} -o {out}/report.html",
+        "version": "--version",
+    }
+    for name in ["version"] if quick else lines:
+        yield Case(name, lambda name=name: lines[name].split(), group=name)
+
+
 @cache
-def kernels(name: str) -> tempfile.TemporaryDirectory[str]:
-    """Return a folder for compiled kernels, which is gone when the bench ends."""
+def folder_for(name: str) -> tempfile.TemporaryDirectory[str]:
+    """Return a folder of that name, which is gone when the bench ends."""
     return tempfile.TemporaryDirectory(prefix=name)
 
 
@@ -107,7 +147,7 @@ def first_run(folder: str, alone: bool) -> float:
     """Return the wall seconds of `process` in a new process that keeps its kernels in a folder."""
     environment = {
         **os.environ,
-        "NUMBA_CACHE_DIR": kernels(folder).name,
+        "NUMBA_CACHE_DIR": folder_for(folder).name,
         SWITCH: "serial" if alone else "",
     }
     with tempfile.TemporaryDirectory() as out:
@@ -265,6 +305,13 @@ def plan_of(scene: Any, found: Estimated) -> dict[str, float | str]:
 RUN: dict[str, Callable[[Work], Any]] = {"scan2albedo": lambda work: work()}
 BENCHES = {
     "stages": Bench(stages, RUN, lambda work, value: {}, repeats=2, memory=True, summaries=()),
+    "commands": Bench(
+        commands,
+        {"scan2albedo": run_command},
+        lambda words, waited: {"wall s": waited.wall_s, "peak MB": waited.peak_mb},
+        repeats=2,
+        summaries=(),
+    ),
     "first": Bench(first_runs, RUN, lambda work, wall_s: {"wall s": wall_s}, summaries=()),
     "presets": Bench(
         partial(people, tuple(quality.size for quality in PRESETS.values()), 6),

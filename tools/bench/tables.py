@@ -42,6 +42,9 @@ def print_summary(bench: Bench, summary: Summary, rows: Sequence[Row]) -> None:
     """Print the summaries that a bench asks for, of each group and of all, and its remarks."""
     printer = Printer()
     for group, methods in summary.items():
+        if group == ALL and len(summary) == 2:
+            # They are those of the only group.
+            continue
         for method, figures in methods.items():
             for title in bench.summaries:
                 name = title if group == ALL else f"{title} {group}"

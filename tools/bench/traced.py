@@ -1,7 +1,7 @@
 """Albedo on scenes whose albedo is known, beside simple peers: people's skin before painted heads.
 
 `skin` are raw scans with photographed skin, path-traced; `flashes` photographs of people under single flashes
-(Extended Yale B); `scans` and `images` what tools/build_traced_scans.py makes of painted heads. They lie in
+(Extended Yale B); `scans` and `images` what `python tools/worlds` makes of painted heads. They lie in
 ../shared/data, or all in the folder that S2A_TRACED names. Errors are in percent, after the best single
 scale, on V = max(R, G, B):
 

@@ -60,6 +60,8 @@ SAMPLES = 3
 """Rays along each side of a pixel."""
 CLOSE_MM = 0.3
 PEERS_TEXELS = 1024
+TRUTH_MM = 1.5
+"""Texels farther than this from the truth's do not count."""
 SCANNERS = ((2.2, 0.2), (1.0, 0.05), (0.8, 0.15))
 """Spacing and noise in mm."""
 
@@ -173,8 +175,7 @@ def scans(quick: bool) -> Iterator[Case]:
 
 
 def of_texels(name: str, found: NDArray[Any], true: NDArray[Any]) -> dict[str, float]:
-    pair = (np.asarray(each, float)[None] for each in (found, true))
-    of = score(*pair, np.ones((1, len(true)), bool))
+    of = score(np.asarray(found, float)[None], np.asarray(true, float)[None], np.ones((1, len(true)), bool))
     return {f"{name} %": of.rmse, f"{name} 50": of.half, f"{name} 95": of.most, f"{name} MSE": of.mse}
 
 
@@ -324,38 +325,56 @@ def sittings(quick: bool) -> Iterator[Case]:
             yield Case(name, partial(sitting, spacing_mm, noise_mm, seed))
 
 
+@dataclass(frozen=True)
+class Texels:
+    """Texels that the scan shows: places, the template's and the map's normals (N, 3), area of each (N,)."""
+
+    place: FloatArray
+    flat: FloatArray
+    mapped: FloatArray
+    area: FloatArray
+
+    @classmethod
+    def of(cls, painted: TemplateTexture) -> Texels:
+        """Return those of a template of one tile."""
+        (tile,) = painted.tiles
+        own = vertex_normals(painted.vertices, painted.faces)
+        frames = tangent_mesh(painted.vertices, painted.faces, painted.uv, own)
+        faces = frames.split.faces
+        raster = rasterize_uv(frames.split.uv, faces, PEERS_TEXELS)
+        known = tile.seen & raster.covered
+        place, flat, tangent = (
+            interpolate(raster, faces, values)[known]
+            for values in (painted.vertices[frames.split.vertex], frames.normals, frames.tangents)
+        )
+        flat, right = normalized(flat), normalized(tangent[:, :3])
+        up = tangent[:, 3:] * np.cross(flat, right)
+        x, y, z = tile.normal[known].astype(float).T[..., None]
+        area = face_areas(painted.vertices, frames.split.vertex[faces])
+        counts = np.bincount(raster.face[known], minlength=len(area))
+        share = (area / np.maximum(counts, 1))[raster.face[known]]
+        return cls(place, flat, normalized(x * right + y * up + z * flat), share)
+
+
 def angles_deg(scene: Sitting, painted: TemplateTexture) -> dict[str, float]:
     """Return mean angles to the true normals of template, fit, scan and map."""
     scan, fitted, truth = scene.scan, scene.fitted, scene.truth
-    (tile,) = painted.tiles
-    own = vertex_normals(painted.vertices, painted.faces)
-    frames = tangent_mesh(painted.vertices, painted.faces, painted.uv, own)
-    raster = rasterize_uv(frames.split.uv, frames.split.faces, PEERS_TEXELS)
-    known = tile.seen & raster.covered
-    place, flat, tangent = (
-        interpolate(raster, frames.split.faces, values)[known]
-        for values in (painted.vertices[frames.split.vertex], frames.normals, frames.tangents)
-    )
-    flat, right = normalized(flat), normalized(tangent[:, :3])
-    up = tangent[:, 3:] * np.cross(flat, right)
-    x, y, z = tile.normal[known].astype(float).T[..., None]
+    texels = Texels.of(painted)
     truth_from_model = truth.model_from_scan @ invert_rigid(fitted.model_from_scan)
     inside = truth.image.mask
-    gap, nearest = cKDTree(truth.image.position[inside]).query(transform_points(truth_from_model, place))
+    in_truth = transform_points(truth_from_model, texels.place)
+    gap, nearest = cKDTree(truth.image.position[inside]).query(in_truth)
     true = truth.image.normal[inside][nearest] @ truth_from_model[:3, :3]
     placed = transform_points(fitted.model_from_scan, scan.vertices)
-    hits = ClosestPointQuery(placed, scan.faces).query(place)
+    hits = ClosestPointQuery(placed, scan.faces).query(texels.place)
     found = {
-        "mask deg": flat,
-        "fit deg": FineShape(fitted, None).normals(place)[0],
+        "mask deg": texels.flat,
+        "fit deg": FineShape(fitted, None).normals(texels.place)[0],
         "scan deg": normalized(hits.interpolated(vertex_normals(placed, scan.faces), scan.faces)),
-        "map deg": normalized(x * right + y * up + z * flat),
+        "map deg": texels.mapped,
     }
     # The truth ends before the template does.
-    close = gap < 1.5
-    area = face_areas(painted.vertices, frames.split.vertex[frames.split.faces])
-    texels = np.bincount(raster.face[known], minlength=len(area))
-    weight = (area / np.maximum(texels, 1))[raster.face[known]] * close
+    weight = texels.area * (gap < TRUTH_MM)
     cosines = {name: np.einsum("ij,ij->i", normal, true) for name, normal in found.items()}
     angles = {name: np.degrees(np.arccos(np.clip(cosine, -1, 1))) for name, cosine in cosines.items()}
     return {name: float(np.average(angle, weights=weight)) for name, angle in angles.items()}

@@ -8,7 +8,12 @@ from __future__ import annotations
 import numpy as np
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.lighting.environment import DistantLights, map_directions, texel_directions
+from scan2albedo.lighting.environment import (
+    DistantLights,
+    map_directions,
+    texel_directions,
+    texel_solid_angles,
+)
 from scan2albedo.lighting.harmonics import row_projection
 from scan2albedo.reflectance import LightingModel
 
@@ -164,7 +169,7 @@ def reference_lights(environment: FloatArray, count: int = 8192) -> DistantLight
     """
     rows, columns = environment.shape[:2]
     edges = np.cos(np.arange(rows + 1) * np.pi / rows)
-    size = np.repeat((edges[:-1] - edges[1:]) * 2 * np.pi / columns, columns)
+    size = np.repeat(texel_solid_angles(rows, columns), columns)
     flat = environment.reshape(-1, 3)
     share = flat.mean(1) * size
     share = 0.7 * share / share.sum() + 0.3 * size / size.sum()

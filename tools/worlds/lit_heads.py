@@ -14,7 +14,6 @@ from functools import partial
 from typing import get_args
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
 from scan2albedo import (
@@ -27,6 +26,7 @@ from scan2albedo import (
     register,
 )
 from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
@@ -36,6 +36,7 @@ from scan2albedo.synthetic.face_shape import Expression, person
 from scan2albedo.synthetic.raw_scan import random_pose
 from scan2albedo.synthetic.renderer import SHADOW_OFFSET_MM, RayScene, render
 from worlds.files import face_data
+from worlds.pictures import bilinear
 from worlds.population import Population, random_lights
 from worlds.rooms import random_room
 
@@ -130,34 +131,42 @@ View = tuple[GeometryImage, Surface, Places, FloatArray]
 """What is measured, true surface, places of the texels and their albedo (N, 3)."""
 
 
-def head(name: str) -> tuple[Callable[[int], Scan], Callable[[], View]]:
-    """Return what gives a head's scan of a sitting, and what gives its frontal view."""
-    model, scan = AnnotatedFaceModel.default(), load_scan(face_data(f"heads/{name}.obj"))
-    rest = fit(scan, model, register(scan, model, seed=0))
-    vertices = transform_points(rest.model_from_scan, scan.vertices)
-    number = list(name.encode())
+@dataclass(frozen=True)
+class _Head:
+    """A scan of a head, the model fitted to it, and its vertices (V, 3) in the model's frame."""
 
-    def sitting(k: int) -> Scan:
-        random, now = np.random.default_rng([*number, k, 53]), vertices
+    name: str
+    scan: RawScan
+    fitted: FittedFace
+    vertices: FloatArray
+
+    @property
+    def number(self) -> list[int]:
+        """A seed of its own."""
+        return list(self.name.encode())
+
+    def sitting(self, k: int) -> Scan:
+        """Return the scan of a sitting; all but the first have an expression."""
+        random, now = np.random.default_rng([*self.number, k, 53]), self.vertices
         if k > 0:
             names = get_args(Expression)[1:]
-            moved = person(
-                model,
-                random,
-                strength=0.0,
-                expression=names[random.integers(len(names))],
-                expression_strength=float(random.uniform(0.2, 0.8)),
-            )
+            expression = names[random.integers(len(names))]
+            strength = float(random.uniform(0.2, 0.8))
+            model = AnnotatedFaceModel.default()
+            moved = person(model, random, strength=0.0, expression=expression, expression_strength=strength)
             steps = model.subdivision(2).matrix @ (moved - model.control_vertices)
-            far, near = cKDTree(rest.vertices).query(vertices, 6)
-            now = vertices + steps[near].mean(1) * np.exp(-((far[:, :1] / 15.0) ** 2))
+            far, near = cKDTree(self.fitted.vertices).query(now, 6)
+            now = now + steps[near].mean(1) * np.exp(-((far[:, :1] / 15.0) ** 2))
         pose = random_pose(random, 40.0)
         noisy = now + random.normal(0, 0.2, now.shape)
-        posed = replace(scan, vertices=transform_points(pose, noisy), name=f"{name}_{k}")
-        return posed, Surface(now, vertices, scan.faces, number), invert_rigid(pose)
+        posed = replace(self.scan, vertices=transform_points(pose, noisy), name=f"{self.name}_{k}")
+        return posed, Surface(now, self.vertices, self.scan.faces, self.number), invert_rigid(pose)
 
-    def view() -> View:
-        surface = Surface(vertices, vertices, scan.faces, number)
+    def view(self) -> View:
+        """Return the view from the front; its surface is off by a smooth error."""
+        scan, vertices = self.scan, self.vertices
+        assert scan.uv is not None
+        assert scan.texture_linear is not None
         rows, columns = ((np.arange(n) + 0.5) / n - 0.5 for n in VIEW)
         y, x = np.meshgrid(-rows * VIEW_MM[0], columns * VIEW_MM[1], indexing="ij")
         start = np.stack([x, y, np.full(VIEW, 300.0)], -1).reshape(-1, 3)
@@ -166,20 +175,24 @@ def head(name: str) -> tuple[Callable[[int], Scan], Callable[[], View]]:
         face, weights = hits.face[mask], hits.barycentric[mask]
         at = partial(_interpolated, scan.faces[face], weights)
         points, normals = at(vertices), normalized(at(vertex_normals(vertices, scan.faces)))
-        assert scan.uv is not None
-        assert scan.texture_linear is not None
         height, width = scan.texture_linear.shape[:2]
         u, v = np.einsum("nk,nkc->nc", weights, scan.uv[face]).T
-        place = (1 - v) * height - 0.5, u * width - 0.5
-        channels = np.moveaxis(scan.texture_linear, 2, 0)
-        albedo = [map_coordinates(c, place, order=1, mode="nearest").astype(float) for c in channels]
-        off, gradient = slopes(points, [*number, 54], SURFACE_MM)
+        place = np.stack([(1 - v) * height, u * width]) - 0.5
+        albedo = bilinear(scan.texture_linear, place).astype(float)
+        off, gradient = slopes(points, [*self.number, 54], SURFACE_MM)
         position, normal = np.zeros((2, *VIEW, 3))
         there = mask.reshape(VIEW)
         position[there], normal[there] = points + off[:, None] * normals, tilted(normals, gradient)
-        return GeometryImage(position, normal, there), surface, (face, weights), np.stack(albedo, 1)
+        surface = Surface(vertices, vertices, scan.faces, self.number)
+        return GeometryImage(position, normal, there), surface, (face, weights), albedo
 
-    return sitting, view
+
+def head(name: str) -> tuple[Callable[[int], Scan], Callable[[], View]]:
+    """Return what gives a head's scan of a sitting, and what gives its frontal view."""
+    model, scan = AnnotatedFaceModel.default(), load_scan(face_data(f"heads/{name}.obj"))
+    fitted = fit(scan, model, register(scan, model, seed=0))
+    one = _Head(name, scan, fitted, transform_points(fitted.model_from_scan, scan.vertices))
+    return one.sitting, one.view
 
 
 def scanned(scan: RawScan, surface: Surface, surface_from_scan: FloatArray) -> tuple[GeometryImage, Places]:

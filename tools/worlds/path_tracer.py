@@ -78,16 +78,14 @@ def bsdf_of(part: Part, *, nearest: bool, mitsuba: Any) -> dict[str, Any]:
 
 def textured_mesh(
     mitsuba: Any,
-    name: str,
-    bsdf: dict[str, Any],
     vertices: FloatArray,
     normals: FloatArray,
     faces: IntArray,
     uv: FloatArray,
+    properties: Any,
+    name: str = "surface",
 ) -> Any:
-    """Return Mitsuba's mesh; `uv` (V, 2) counts rows of the picture downward."""
-    properties = mitsuba.Properties()
-    properties["bsdf"] = mitsuba.load_dict(bsdf)
+    """Return Mitsuba's mesh; `uv` (V, 2) counts rows of the picture downward, `properties` hold the BSDF."""
     corners = {"has_vertex_normals": True, "has_vertex_texcoords": True}
     mesh = mitsuba.Mesh(name, len(vertices), len(faces), props=properties, **corners)
     parameters = mitsuba.traverse(mesh)
@@ -119,8 +117,10 @@ class Studio:
         self._mi, self._dr, self._shapes = mitsuba, drjit, {}
         for part in parts:
             bsdf = bsdf_of(part, nearest=nearest and part.name == "face", mitsuba=mitsuba)
+            properties = mitsuba.Properties()
+            properties["bsdf"] = mitsuba.load_dict(bsdf)
             surface = part.vertices, part.normals, part.faces, part.uv
-            self._shapes[part.name] = textured_mesh(mitsuba, part.name, bsdf, *surface)
+            self._shapes[part.name] = textured_mesh(mitsuba, *surface, properties, part.name)
 
     def radiance(
         self, emitter: Emitter, start: FloatArray, direction: FloatArray, *, paths: int, seed: int = 0

@@ -6,13 +6,15 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.ndimage import distance_transform_edt
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, project
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.synthetic.raw_scan import RangeMesh, pod
+from scan2albedo.synthetic.raw_scan import RangeMesh, Scanner, capture, pod
 from scan2albedo.synthetic.scenes import texel_coordinates
+from scan2albedo.synthetic.sitter import HEAD_AXIS_FROM_NOSE_MM
 
 CAMERAS_DEG: dict[int, list[tuple[float, float]]] = {
     2: [(35, 5), (-35, 5)],
@@ -32,6 +34,19 @@ def pods_around(center: FloatArray, count: int) -> FloatArray:
     return np.stack(
         [pod(center, angles, reach_mm=180.0, distance_mm=1000.0) for angles in CAMERAS_DEG[count]]
     )
+
+
+def measured_by(
+    pods: FloatArray,
+    vertices: FloatArray,
+    faces: IntArray,
+    tip: FloatArray,
+    scanner: Scanner,
+    rng: np.random.Generator,
+) -> RangeMesh:
+    """Return the mesh that a scanner's pods measure of a head whose nose ends at `tip` (3,)."""
+    axis = tip + HEAD_AXIS_FROM_NOSE_MM
+    return capture(vertices, faces, pods, spacing_mm=scanner.spacing_mm, rng=rng, axis_mm=axis)
 
 
 @dataclass(frozen=True)
@@ -92,3 +107,9 @@ def filled(light: FloatArray, known: BoolArray, count: int, size: int) -> FloatA
 def row_of(pixels: FloatArray, count: int, size: int) -> FloatArray:
     """Return K pictures of pixels (K S S, 3) side by side (S, K S, 3)."""
     return np.concatenate(list(pixels.reshape(count, size, size, 3)), axis=1)
+
+
+def bilinear(picture: NDArray[np.floating], place: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return (N, C) of a picture (H, W, C) at rows and columns `place` (2, N), the first pixel's middle 0."""
+    channels = np.moveaxis(picture, 2, 0)
+    return np.stack([map_coordinates(c, place, order=1, mode="nearest") for c in channels], 1)

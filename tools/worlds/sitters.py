@@ -7,7 +7,6 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
 import scan2albedo as s2a
@@ -18,6 +17,7 @@ from scan2albedo.synthetic.scenes import texel_coordinates
 from scan2albedo.synthetic.sitter import BodyPart, Sitter, sit_down
 from scan2albedo.synthetic.textures import landmark_uv, smooth_noise
 from worlds.path_tracer import Gloss, Part
+from worlds.pictures import bilinear
 
 _HINGE_MM = np.array([0.0, 15.0, -75.0])
 """The jaw turns about the axis through this point along x: just before the ears."""
@@ -68,8 +68,7 @@ def painted(person: Person, sitter: Sitter, uv: FloatArray) -> FloatArray:
     if person.skin is not None:
         picture = photographed(person.skin)
         place = np.stack([(1 - uv[:, 1]) * len(picture), uv[:, 0] * len(picture)]) - 0.5
-        colours = [map_coordinates(picture[..., c], place, order=1, mode="nearest") for c in range(3)]
-        return np.clip(np.stack(colours, 1), 0.01, 0.95)
+        return np.clip(bilinear(picture, place), 0.01, 0.95)
     landmarks = landmark_uv(sitter.model)
     albedo = sitter.face_albedo(uv)
     rng = np.random.default_rng([person.seed, 31])

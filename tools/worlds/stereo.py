@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, smoothstep
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.face_model import AnnotatedSurface, default_model
+from scan2albedo.face_model import default_model
 from scan2albedo.face_model.variation import EXPRESSION_BUMPS
 from scan2albedo.geometry.mesh import normalized, vertex_components, vertex_normals
 from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_from_vector, transform_points
@@ -116,7 +116,6 @@ def stereo_scan(
     features: tuple[str, ...] | None = None,
     scrap: str | None = None,
     scanner: StereoScanner = StereoScanner(),
-    model: AnnotatedSurface | None = None,
 ) -> tuple[RawScan, StereoTruth]:
     """Return the untextured scan of a random person with a random expression, in any pose, and its truth.
 
@@ -135,8 +134,6 @@ def stereo_scan(
     scrap : str, optional
         One of `SCRAPS`: of the head there is only a scrap, which shows no face.
     scanner : StereoScanner
-    model : AnnotatedSurface, optional
-        The default model when omitted; it needs landmarks.
     """
     rng = np.random.default_rng([seed, 23])
     worn = _drawn_features(features, rng)
@@ -145,7 +142,7 @@ def stereo_scan(
     sitter = sit_down(
         seed,
         expression=expression,
-        model=model or default_model(),
+        model=default_model(),
         expression_strength=rng.uniform(0.5, 1.5),
     )
     face = sitter.face
@@ -231,21 +228,7 @@ def _scanned(
     if capture_seed is not None:
         name += f"-{capture_seed}"
         rng = np.random.default_rng([seed, capture_seed, 31])
-    # Two pods before the head measure it; for its back it is turned around.
-    axis, turn = tip + HEAD_AXIS_FROM_NOSE_MM, np.eye(4)
-    if scrap == "back":
-        rotation = rotation_from_vector([0.0, np.pi + rng.uniform(-0.5, 0.5), 0.0])
-        turn = compose(rotation, axis - rotation @ axis)
-    measured = capture(
-        transform_points(turn, vertices),
-        faces,
-        portrait_pods(tip),
-        spacing_mm=rng.uniform(*scanner.spacing_mm),
-        rng=rng,
-        axis_mm=axis,
-    )
-    noisy = disturbed(measured.vertices, measured.faces, rng, rng.uniform(*scanner.noise_mm), 10)
-    points, faces = transform_points(invert_rigid(turn), noisy), measured.faces
+    points, faces = _measured((vertices, faces), tip, scrap == "back", rng, scanner)
     gone = _lost(points, head.landmarks, features, rng)
     if scrap is None:
         middle = head.landmarks[FEATURE_LANDMARKS].mean(0) + rng.normal(scale=8, size=3)
@@ -263,6 +246,20 @@ def _scanned(
     posed, faces = join([mesh, *loose])
     pose = random_pose(rng)
     return RawScan(transform_points(pose, posed), faces, name=name), pose
+
+
+def _measured(
+    mesh: Mesh, tip: FloatArray, behind: bool, rng: np.random.Generator, scanner: StereoScanner
+) -> Mesh:
+    """Return what two pods before a head measure, with noise; to show what is behind, it is turned around."""
+    axis, turn = tip + HEAD_AXIS_FROM_NOSE_MM, np.eye(4)
+    if behind:
+        rotation = rotation_from_vector([0.0, np.pi + rng.uniform(-0.5, 0.5), 0.0])
+        turn = compose(rotation, axis - rotation @ axis)
+    turned, spacing = transform_points(turn, mesh[0]), rng.uniform(*scanner.spacing_mm)
+    measured = capture(turned, mesh[1], portrait_pods(tip), spacing_mm=spacing, rng=rng, axis_mm=axis)
+    noisy = disturbed(measured.vertices, measured.faces, rng, rng.uniform(*scanner.noise_mm), 10)
+    return transform_points(invert_rigid(turn), noisy), measured.faces
 
 
 def _stray_patches(mesh: Mesh, rng: np.random.Generator, share: float) -> list[Mesh]:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.geometry.pinhole import look_at
 from scan2albedo.io.images import write_png
 from scan2albedo.reflectance import (
     CaptureRig,
@@ -114,7 +115,8 @@ def mitsuba_capture(
     cameras = np.concatenate([arc(np.linspace(-55, 55, views - 1)), arc(np.zeros(1), 25)])
     lights = np.concatenate([arc(np.linspace(-65, 65, flashes - 3), 8), arc(np.array([-30.0, 0, 30]), 42)])
     lights[: flashes - 3] += [40.0, 30.0, 0.0]  # beside the cameras, not in them
-    matrices = np.stack([_camera(position, size) for position in cameras])
+    lens = {"focal_px": size * DISTANCE_MM / _FIELD_MM, "shape": (size, size)}
+    matrices = np.stack([look_at(position, np.zeros(3), **lens) for position in cameras])
     body = _Scene(mi, vertices, faces, truth)
     clean = []
     for position in cameras:
@@ -182,16 +184,6 @@ def _photograph(linear: FloatArray, rng: np.random.Generator) -> NDArray[np.uint
     """Return displayed values of 8 bits with noise."""
     values = linear ** (1 / GAMMA) + NOISE * rng.standard_normal(linear.shape)
     return np.round(255 * np.clip(values, 0, 1)).astype(np.uint8)
-
-
-def _camera(position: FloatArray, size: int) -> FloatArray:
-    """Return the projection (3, 4) of a camera that looks at the origin, rows downward."""
-    forward = -unit(position)
-    right = unit(np.cross(forward, [0.0, 1, 0]))
-    turn = np.stack([right, np.cross(forward, right), forward])
-    focal, center = size * DISTANCE_MM / _FIELD_MM, (size - 1) / 2
-    inner = np.array([[focal, 0, center], [0, focal, center], [0, 0, 1]])
-    return inner @ np.column_stack([turn, -turn @ position])
 
 
 def _inner(vertices: FloatArray, landmarks: IntArray) -> BoolArray:

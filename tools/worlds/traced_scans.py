@@ -16,12 +16,21 @@ from scan2albedo.geometry.mesh import face_normals, normalized
 from scan2albedo.geometry.pinhole import camera_centers, project
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.io.color import encode_srgb_bytes
-from scan2albedo.synthetic.raw_scan import Scanner, assembled, beside, capture, random_pose
-from scan2albedo.synthetic.sitter import HEAD_AXIS_FROM_NOSE_MM, BodyPart, Sitter, nose_tip
+from scan2albedo.synthetic.raw_scan import Scanner, assembled, beside, random_pose
+from scan2albedo.synthetic.sitter import BodyPart, Sitter, nose_tip
 from worlds.files import write_obj
 from worlds.lamps import rig_named
 from worlds.path_tracer import LightTable, Studio, exposure_of, stored
-from worlds.pictures import BEFORE_MM, CENTER_FROM_NOSE_MM, filled, pictured, pods_around, row_of, used_pixels
+from worlds.pictures import (
+    BEFORE_MM,
+    CENTER_FROM_NOSE_MM,
+    filled,
+    measured_by,
+    pictured,
+    pods_around,
+    row_of,
+    used_pixels,
+)
 from worlds.sitters import Person, face_part, other_parts, painted, seated
 
 ALBEDO_TEXELS = 1024
@@ -165,8 +174,7 @@ def build_scan(recipe: ScanRecipe, folder: Path, *, size: int, paths: int, threa
     sitter = seated(recipe.person, s2a.AnnotatedFaceModel.default())
     tip, rng = nose_tip(sitter.face.vertices), np.random.default_rng([recipe.person.seed, 34 + recipe.take])
     pods = pods_around(tip + CENTER_FROM_NOSE_MM, recipe.cameras)
-    spacing = {"spacing_mm": SCANNER.spacing_mm, "axis_mm": tip + HEAD_AXIS_FROM_NOSE_MM}
-    measured = capture(sitter.vertices, sitter.faces, pods, rng=rng, **spacing)
+    measured = measured_by(pods, sitter.vertices, sitter.faces, tip, SCANNER, rng)
     used = used_pixels(measured, pods, size)
     taken = photographs(recipe, sitter, pods, used, size=size, paths=paths, threads=threads)
     pose = random_pose(rng, recipe.turned_deg)

@@ -13,19 +13,28 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.geometry.mesh import vertex_normals
-from scan2albedo.synthetic.raw_scan import Scanner, assembled, capture, random_pose
-from scan2albedo.synthetic.sitter import HEAD_AXIS_FROM_NOSE_MM, nose_tip
+from scan2albedo.synthetic.raw_scan import Scanner, assembled, random_pose
+from scan2albedo.synthetic.sitter import nose_tip
 from scan2albedo.synthetic.textures import HEMOGLOBIN, PaintedFeatures, paint_face, smooth_noise
 from worlds.files import write_obj
 from worlds.lamps import COOL, WARM, Environment, Lamp, Rig
 from worlds.lamps import Part as Source
 from worlds.light_stage import LightStage
 from worlds.path_tracer import LightTable, Part, Studio, exposure_of, stored
-from worlds.pictures import CENTER_FROM_NOSE_MM, Pictured, filled, pictured, pods_around, row_of, used_pixels
+from worlds.pictures import (
+    CENTER_FROM_NOSE_MM,
+    Pictured,
+    bilinear,
+    filled,
+    measured_by,
+    pictured,
+    pods_around,
+    row_of,
+    used_pixels,
+)
 
 SESSIONS = (
     ("studio", "neutral"),
@@ -196,8 +205,7 @@ def _paint(head: Unrolled, part: Part, seen: Pictured) -> FloatArray:
     corners = part.uv[part.faces[seen.face[hit]]]
     uv = np.einsum("nk,nkc->nc", seen.barycentric[hit], corners)
     place = (uv[:, ::-1] * head.texels - 0.5).T
-    channels = np.moveaxis(part.albedo.astype(np.float64), 2, 0)
-    paint[hit] = np.stack([map_coordinates(c, place, order=1, mode="nearest") for c in channels], 1)
+    paint[hit] = bilinear(part.albedo.astype(float), place)
     return paint
 
 
@@ -222,8 +230,7 @@ def build_session(
     part = Part("face", vertices, normals, stage.faces, head.uv(), paint, None, "skin")
     tip = nose_tip(vertices)
     pods = pods_around(tip + CENTER_FROM_NOSE_MM, 2)
-    spacing = {"spacing_mm": SCANNER.spacing_mm, "axis_mm": tip + HEAD_AXIS_FROM_NOSE_MM}
-    measured = capture(vertices, stage.faces, pods, rng=rng, **spacing)
+    measured = measured_by(pods, vertices, stage.faces, tip, SCANNER, rng)
     number = 1000 * (seed + 1) + 10 * person + session
     used = used_pixels(measured, pods, size // 2)
     texture = _photographs(head, part, pods, used, rig, number, size).astype(np.float32)

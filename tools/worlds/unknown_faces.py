@@ -360,9 +360,11 @@ def traced_picture(face: UnknownFace, one: Head, albedo: FloatArray, rig: Rig) -
     raster = rasterize_uv(uv, apart, _TEXTURE)
     row, column = distance_transform_edt(raster.face < 0, return_distances=False, return_indices=True)
     picture = interpolate(raster, one.faces, albedo)[row, column].astype(np.float32)
-    bsdf = rough_plastic(bitmap(mitsuba, picture), alpha=face.alpha, int_ior=1.4)
+    properties = mitsuba.Properties()
+    plastic = rough_plastic(bitmap(mitsuba, picture), alpha=face.alpha, int_ior=1.4)
+    properties["bsdf"] = mitsuba.load_dict(plastic)
     surface = one.vertices[corners], one.normals[corners], apart, uv * [1, -1] + [0, 1]
-    mesh = textured_mesh(mitsuba, "head", bsdf, *surface)
+    mesh = textured_mesh(mitsuba, *surface, properties, "head")
 
     position = camera_centers(camera_of(face)[None])[0].tolist()
     sensor = {

@@ -257,14 +257,9 @@ class OutlineSampler:
         parts = [self._sample_view(number, vertices, deviation_mm) for number in range(len(self.views))]
         rest = np.concatenate([part.points.rest for part in parts])
         weights = np.concatenate([part.points.weights for part in parts])
-        return OutlineSamples(
-            view=np.concatenate([part.view for part in parts]),
-            points=SkinnedPoints(rest, weights),
-            edges=np.concatenate([part.edges for part in parts]),
-            outward=np.concatenate([part.outward for part in parts]),
-            noise_px=np.concatenate([part.noise_px for part in parts]),
-            share=np.concatenate([part.share for part in parts]),
-        )
+        names = ("view", "edges", "outward", "noise_px", "share")
+        joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+        return OutlineSamples(points=SkinnedPoints(rest, weights), **joined)
 
     def _sample_view(self, number: int, vertices: FloatArray, deviation_mm: FloatArray) -> OutlineSamples:
         """Return the samples of one view, their `share` (1, K), of a frame whose vertices are at (V, 3)."""

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from helpers.eyeglasses import angle_deg, conjugate_directions, glazed
 
-from scan2albedo import AnnotatedFaceModel
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import (
     DistantLights,
@@ -23,7 +22,6 @@ from scan2albedo.geometry.pinhole import (
     project,
 )
 from scan2albedo.synthetic import GlassesShape, eyeglasses
-from scan2albedo.synthetic.face_shape import face_surface, person
 
 FLAT = eyeglasses(shape=GlassesShape(wrap_radius=1e9))
 """Both rims in one plane across z."""
@@ -139,27 +137,6 @@ def test_an_even_room_is_mirrored_evenly_and_painted_lenses_take_its_light():
     # The frame itself takes some of the light.
     np.testing.assert_allclose(np.median(painted, axis=0), [1.0, 2.0, 0], rtol=0.12)
     assert (painted.max(0) <= np.array([1.0, 2, 0]) * 1.03).all()
-
-
-def test_a_tinted_lens_shades_the_wall_behind_and_a_clear_one_does_not():
-    # From so high that the shadow lies below the frame.
-    toward = np.array([0, 1.5, 1])
-    lights = DistantLights([toward], [np.pi])
-    half = LensMaterial(tint_linear=(1, 1, 1), alpha=0.5)
-    camera = look_at([0, 0, 600], [0, 0, 0], focal_px=800, shape=SHAPE)
-    surfaces = [wall(-40.0, half=200)]
-    for material, kept in ((half, 0.5), (LensMaterial(), 1.0)):
-        picture = insert(FLAT, (material, None), surfaces=surfaces, lights=lights, camera=camera)
-        lens = picture.lenses[0]
-        # Points of the wall to which the light comes through the lens, and those it reaches beside the frame.
-        inner = lens.optics.center + 0.8 * (lens.vertices[1::8] - lens.optics.center)
-        toward_wall = inner - (inner[:, 2:] + 40) * toward
-        pixels, _ = project(camera, toward_wall)
-        column, row = np.round(pixels).astype(int).T
-        assert (picture.lens[row, column] == -1).all()
-        bare = picture.without_lenses_linear[row, column]
-        np.testing.assert_allclose(bare, 0.5 / np.sqrt(3.25), rtol=1e-6)
-        np.testing.assert_allclose(picture.image_linear[row, column], kept * bare, rtol=1e-9)
 
 
 @pytest.mark.parametrize("dioptres", [-8.0, 3.0])
@@ -355,17 +332,6 @@ def test_strong_lenses_give_numbers_from_everywhere(dioptres, position, target):
     assert np.isfinite(taken.image_linear).all()
 
 
-def test_two_lenses_may_stand_one_behind_the_other():
-    glasses = eyeglasses(shape=GlassesShape(wrap_radius=90.0), nose_pads=False)
-    camera = look_at([500, 0, -9], [0, 0, -9], focal_px=1500, shape=SHAPE)
-    dark = LensMaterial(dioptres=1.0, alpha=0.5)
-    far = Surface([[-900, -900, -900], [-900, 900, -900], [-900, 0, 900]], [[0, 1, 2]], (1, 1, 1))
-    options = {"surfaces": [far], "camera": camera, "lights": DistantLights([[1, 0, 0.0]], [np.pi])}
-    one, both = (insert(glasses, lenses, **options) for lenses in ((dark, None), dark))
-    ratio = both.image_linear[..., 0] / np.maximum(one.image_linear[..., 0], 1e-9)
-    assert np.isclose(ratio[both.lens == 0], 0.5).sum() > 100
-
-
 def test_a_camera_that_sees_no_lens_leaves_the_picture_alone_and_says_so():
     photograph = np.random.default_rng(0).random((*SHAPE, 3))
     in_plane = insert(FLAT, LensMaterial(-8.0)).lenses[0].optics.center + [0, 400.0, 0]
@@ -403,27 +369,6 @@ def test_more_rays_smooth_the_edges_only():
     differs = (rough.image_linear != smooth.image_linear).any(2)
     assert 0.005 < differs.mean() < 0.1
     np.testing.assert_array_equal(rough.lens, smooth.lens)
-
-
-@pytest.mark.parametrize(("dioptres", "sign"), [(-8.0, 1), (8.0, -1)])
-def test_the_edge_of_the_face_moves_inward_behind_minus_lenses(dioptres, sign):
-    model = AnnotatedFaceModel.default()
-    face = face_surface(model, person(model, np.random.default_rng(0), expression="neutral"))
-    eyes = face.landmarks[36:48].mean(0)
-    shift = np.array([eyes[0], eyes[1] - 3, face.landmarks[27, 2] + 4])
-    glasses = Surface(FLAT.vertices + shift, FLAT.faces, (0, 0, 0))
-    center = FLAT.lens_centers[0] + shift
-    camera = look_at(center + [-200, 0, 560], center, focal_px=1500, shape=SHAPE)
-    even = DistantLights.from_environment(np.ones((2, 4, 3)), 8)
-    options = {"camera": camera, "shape": SHAPE, "lights": even}
-    skin = Surface(face.vertices, face.faces, (1, 1, 1))
-    marks = FLAT.keypoints + shift
-    picture = insert_lenses(glasses, marks, (LensMaterial(dioptres), None), surfaces=[skin], **options)
-    # From the wearer's right, the left lens shows the cheek and, past it on the outer side, the background.
-    lens = picture.lens == 0
-    bright, bare = ((p[..., 0] > 0.05) & lens for p in (picture.image_linear, picture.without_lenses_linear))
-    assert 0.2 < bare.sum() / lens.sum() < 0.98
-    assert sign * (bare.sum() - bright.sum()) > 0.02 * lens.sum()
 
 
 def test_edges_within_one_surface_are_smoothed_too():

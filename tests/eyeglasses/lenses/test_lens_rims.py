@@ -6,7 +6,7 @@ from helpers.eyeglasses import glazed, outline_distances
 
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.lenses.inserted_lenses import lens_mesh
-from scan2albedo.eyeglasses.lenses.rims import LensPlane, find_lens_rim, fit_normal, subdivide_rim
+from scan2albedo.eyeglasses.lenses.rims import find_lens_rim, fit_normal
 from scan2albedo.geometry.mesh import face_cross_products, face_normals
 from scan2albedo.geometry.rigid import random_rotation
 from scan2albedo.synthetic import GlassesBend, eyeglasses
@@ -120,13 +120,6 @@ def test_without_any_rim_the_outline_runs_through_the_key_points():
     assert outline_distances(rim.points, glasses.lens_outlines[0]).max() <= 5.0
 
 
-def test_subdivision_alone_stays_within_the_tube():
-    glasses = eyeglasses(7)
-    marks, center = rim_points(glasses, "left"), glasses.lens_centers[0]
-    plane = LensPlane.at(center, fit_normal(marks, glasses.vertices))
-    angles = np.linspace(-np.pi, np.pi, 128, endpoint=False)
-    outline = plane.points(angles, subdivide_rim(glasses.vertices, plane, marks, angles))
-    assert outline_distances(outline, glasses.lens_outlines[0]).max() <= glasses.shape.rim_width + 0.5
 
 
 def test_a_lens_fills_its_rim_and_faces_the_viewer():

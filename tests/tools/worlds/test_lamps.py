@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from worlds.lamps import ENVIRONMENTS, HARD_DEG, Environment, Lamp, Rig, environment_map, overcast, rigs
+from worlds.lamps import ENVIRONMENTS, HARD_DEG, Lamp, environment_map, overcast, rigs
 
 UP, DOWN, FORWARD = np.eye(3)[[1]], -np.eye(3)[[1]], np.eye(3)[[2]]
 
@@ -57,9 +57,3 @@ def test_the_truth_names_lamps_and_not_the_environment():
     assert flash["radius_deg"] < HARD_DEG
     assert not any(lamp["hard"] for lamp in by_name["softboxes6"].lamps())
     assert np.linalg.norm(flash["direction"]) == pytest.approx(1, abs=1e-5)
-
-
-def test_rigs_are_frozen_and_equal_by_value():
-    assert Environment("uniform") == Environment("uniform")
-    assert isinstance(rigs()[0], Rig)
-    assert rigs() == rigs()

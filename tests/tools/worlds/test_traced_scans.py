@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from worlds.files import write_obj
 from worlds.path_tracer import exposure_of, stored
-from worlds.pictures import CAMERAS_DEG, filled, pods_around, row_of, used_pixels
+from worlds.pictures import filled, pods_around, used_pixels
 from worlds.traced_charts import best_views
-from worlds.traced_scans import recipes, truth_uv
+from worlds.traced_scans import truth_uv
 
 import scan2albedo as s2a
 from scan2albedo.geometry.pinhole import project
@@ -21,23 +21,11 @@ def sitter():
     return sit_down(5, expression="neutral", model=s2a.AnnotatedFaceModel.default())
 
 
-def test_recipes_use_two_to_five_cameras_and_names_of_their_own():
-    every = recipes()
-    assert len({recipe.name for recipe in every}) == len(every)
-    assert {recipe.cameras for recipe in every} == {2, 3, 4, 5} == set(CAMERAS_DEG)
-    assert len({recipe.person.seed for recipe in every}) == len(every)
-
-
 def test_light_of_untraced_pixels_is_that_of_the_nearest_one_in_the_same_picture():
     light = np.arange(2 * 4 * 3, dtype=float).reshape(8, 3)
     known = np.array([True, False, False, False, False, False, False, True])
     full = filled(light, known, 2, 2)
     np.testing.assert_array_equal(full, np.broadcast_to(light[[0, 7], None, None], (2, 2, 2, 3)))
-
-
-def test_pictures_lie_side_by_side():
-    pixels = np.repeat(np.arange(8.0), 3).reshape(8, 3)
-    np.testing.assert_array_equal(row_of(pixels, 2, 2)[..., 0], [[0, 1, 4, 5], [2, 3, 6, 7]])
 
 
 def test_pixels_of_the_scan_are_marked_and_the_background_is_not(sitter):

@@ -81,8 +81,8 @@ def fpfh_ransac_icp(iterations: int) -> Peer:
         start = registration.registration_ransac_based_on_feature_matching(
             source,
             target,
-            registration.compute_fpfh_feature(source, search),  # type: ignore[call-arg]
-            registration.compute_fpfh_feature(target, search),  # type: ignore[call-arg]
+            registration.compute_fpfh_feature(source, search),
+            registration.compute_fpfh_feature(target, search),
             True,
             1.5 * VOXEL_MM,
             registration.TransformationEstimationPointToPoint(False),
