@@ -204,7 +204,7 @@ def write_glb(
         part.add_to(file)
         if emissive:
             file.materials[-1]["extensions"] = {"KHR_materials_unlit": {}}
-    animations = {}
+    animations: dict[str, Any] = {}
     if take is not None:
         pose = take["pose"]
         curves = {"rotation": Rotation.from_matrix(pose[:, :3, :3]).as_quat()}

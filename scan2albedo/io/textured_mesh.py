@@ -103,10 +103,11 @@ def write_textured_glb(path: str | Path, mesh: TexturedMesh) -> None:
         picture = next((p for p in mesh.pictures if Path(p.name).stem == name), None)
         material = plain_material(name, (1.0, 1.0, 1.0, 1.0))
         attributes: dict[str, NDArray[Any]] = {}
+        uv: FloatArray | None = None
         if picture is not None:
             _add_pictures(file, material, picture)
         if mesh.uv is None:
-            (vertex, faces), uv = np.unique(mesh.faces[chosen], return_inverse=True), None
+            vertex, faces = np.unique(mesh.faces[chosen], return_inverse=True)
         else:
             split = split_at_seams(mesh.faces[chosen], mesh.uv[chosen])
             if "normalTexture" in material:
