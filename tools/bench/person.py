@@ -8,7 +8,7 @@ mean and the median of the fits laid on each other. `strangers` are sets with on
 how many it is the farthest, the odds are right, and the odds of the others are. `albedo` are synthetic scans,
 each with an expression, a lamp near by and a pose of its own, through `scan2albedo person` as a user runs it,
 at draft; errors are relative RMSE on the texels of skin that two scans or more show, in % of the true albedo,
-beside each scan alone and the stated one. `traced` are the pairs of scans that `build_traced_scans.py FOLDER
+beside each scan alone and the stated one. `traced` are the pairs of scans that `python tools/worlds FOLDER
 --heads` makes, in the folder that S2A_TRACED names: both alone, and the common albedo on the texels of skin
 of either. `FIT_MM` and `PEOPLE_MM` were chosen on person1, person2 and the generic face.
 """

@@ -3,7 +3,8 @@
     python tools/build NAME [-o FILE]
 
 `schemas` makes data_schemas/, `lighting_model` and `reflectance_model` the light and the people of
-scan2albedo/reflectance/data; `albedo_prior`, `appearance` and `proportions` learn from ../shared/data.
+scan2albedo/reflectance/data; `albedo_prior`, `appearance` and `proportions` learn from ../shared/data;
+`recognition_calibration` prints the constants of recognition/result_identification.py.
 """
 
 import importlib

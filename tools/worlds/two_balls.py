@@ -11,11 +11,22 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.pinhole import look_at, pixel_directions, pixel_grid
 from scan2albedo.reflectance import CaptureRig
 
-RADIUS, BALL_RADIUS, BALL = 90.0, 14.0, np.array([20.0, 10.0, 135.0])
+RADIUS = 90.0
+"""Of the larger ball around the origin, mm."""
+BALL_RADIUS = 14.0
+"""Of the smaller one, mm."""
+BALL = np.array([20.0, 10.0, 135.0])
+"""Middle of the smaller one, mm."""
 SHAPE = (170, 170)
-GAMMA, ROOM = 1.2, 0.08
+"""Rows and columns of a picture."""
+GAMMA = 1.2
+"""Of the displayed values."""
+ROOM = 0.08
+"""Linear light of the room in the picture, the same everywhere."""
 WEIGHTS = np.array([0.10, 0.12, 0.08])
+"""Of the three lobes of gloss."""
 EXPOSURE = 0.7
+"""Factor from radiance to the picture."""
 
 
 def albedo_at(points: FloatArray) -> FloatArray:
