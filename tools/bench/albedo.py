@@ -5,8 +5,7 @@ Every scene has a known albedo and 8 bits. `synthetic` are from the package's ow
 256 texels. Errors are of V = max(R, G, B) after the best single scale, in percent: relative RMSE, what half
 of the texels and 95 in 100 err by at most, and 100 x MSE, the paper's figure, also of the texels below
 white alone. "true light" divides by the true shading: noise and 8 bits are all that is left. "light deg" is
-the largest angle of the best pairing of lights, where their number is right. Slow: SciPy's annealing, and
-gradients through Mitsuba.
+the largest angle of the best pairing of lights, where their number is right. Slow: SciPy's annealing.
 """
 
 from __future__ import annotations
@@ -152,7 +151,7 @@ def six_scenes(size: int) -> Iterator[Case]:
 
 def estimated(scene: Scene, options: EstimateOptions, budget: Budget | None = None) -> PeerAnswer:
     found = s2a.estimate_albedo(scene.image, budget=budget, options=options)
-    return PeerAnswer(value_of(found.albedo_linear), found.lights, 0.0, found.iterations)
+    return PeerAnswer(value_of(found.albedo_linear), found.lights, found.iterations)
 
 
 def light_error_deg(found: Sequence[s2a.PointLight], true: Sequence[s2a.PointLight]) -> float:

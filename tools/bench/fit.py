@@ -4,9 +4,8 @@
 hair, shoulders) with dense ground truth; the rigid pose is given. `scaling` are the same of 10,000 to a
 million vertices. `settings` are our options on synthetic scans, where errors are measured where skin was
 scanned. `james` is a textured scan with hand-placed landmarks, from any pose. trimesh's `nricp_amberg` and
-`nricp_sumner` and meshmonk deform the same template at the resolution of our samples; autofacemonker
-registers its own. They run in the Python that S2A_PEERS_PYTHON names (`pip install trimesh rtree meshmonk
-autofacemonker` in an environment of its own).
+`nricp_sumner` deform the same template at the resolution of our samples. They run in the Python that
+S2A_PEERS_PYTHON names, or in this one (the extra [peers]).
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from worlds.synthetic_scans import ScanScene, scan_scenes
 
 import scan2albedo as s2a
 from bench.landmarks import KEY_POINTS
-from bench.peers.fit import LEVEL, deformed, peer_answer
+from bench.peers.fit import LEVEL, deformed
 from bench.runner import Bench, Case, Timed
 from bench.settings import presets, varied, within
 from scan2albedo.core import Budget
@@ -48,7 +47,7 @@ TARGET = 20_000
 SCALES = (10_000, 20_000, 50_000, 100_000, 200_000, 300_000, 1_000_000)
 """Vertices of a scan."""
 STEPS = (5, 15, 30, 45, 60, 90)
-MESH_PEERS = ("nricp_amberg", "nricp_sumner", "meshmonk")
+MESH_PEERS = ("nricp_amberg", "nricp_sumner")
 CORRESPONDENCE_LEVEL = 2
 """Refinement of the model's surface at which corresponding points of synthetic scans are compared."""
 
@@ -164,14 +163,6 @@ def james_by_us(scan: s2a.RawScan) -> tuple[FloatArray, FloatArray]:
     return vertices, landmarks
 
 
-def james_by_autofacemonker(scan: s2a.RawScan) -> Timed:
-    found = peer_answer("autofacemonker", str(face_data("james.obj")))
-    number = {int(theirs): int(vertex) for theirs, vertex in found["key_points"]}
-    landmarks = np.full((68, 3), np.nan)
-    landmarks[list(KEY_POINTS.values())] = [found["vertices"][number[theirs]] for theirs in KEY_POINTS]
-    return Timed((found["vertices"], landmarks), float(found["cpu_s"]))
-
-
 def james_errors(scan: s2a.RawScan, answer: tuple[FloatArray, FloatArray]) -> dict[str, float]:
     distance = ClosestPointQuery(scan.vertices, scan.faces).query(answer[0]).distance
     placed = np.loadtxt(face_data("james_ibug68.csv"), delimiter=",")
@@ -180,7 +171,7 @@ def james_errors(scan: s2a.RawScan, answer: tuple[FloatArray, FloatArray]) -> di
         "surface mm": float(distance.mean()),
         "median": float(np.median(distance)),
         "95 %": float(np.percentile(distance, 95)),
-        "five points": float(off[list(KEY_POINTS.values())].mean()),
+        "five points": float(off[list(KEY_POINTS)].mean()),
         "51 mm": float(off[17:].mean()),
     }
 
@@ -264,7 +255,6 @@ BENCHES = {
     "james": Bench(
         lambda quick: [Case("james", lambda: s2a.load_scan(face_data("james.obj")))],
         methods={"scan2albedo": james_by_us},
-        peers={"autofacemonker": james_by_autofacemonker},
         score=james_errors,
     ),
     "settings": Bench(
@@ -272,7 +262,7 @@ BENCHES = {
         methods=settings(),
         peers={
             "rigid only": partial(moved_model, ""),
-            **{name: partial(moved_model, name) for name in MESH_PEERS[:2]},
+            **{name: partial(moved_model, name) for name in MESH_PEERS},
         },
         score=errors_on_skin,
         quick=("default", "steps 3", "rigid only"),

@@ -4,14 +4,13 @@
 "neutral" light-stage shapes made raw, "expressions" each of twelve at weights 0.6 and 1. Every scan is
 registered and fitted with the default model, without any help, by shape alone, with five landmarks given,
 with one of these 25 mm off, and with those that MediaPipe finds (where the extra [landmarks] is installed).
-"MediaPipe" are these landmarks themselves; the other peers run in the Python that S2A_PEERS_PYTHON names:
-"nricp_amberg" deforms the default model from the pose that ours has found, "autofacemonker" finds five points
-on scans with texture. Errors are mean distances in mm over the 51 inner points of iBUG-68; "within 1" and "2"
-are shares of coordinates within one and two stated deviations: 68 % and 95 % where these are right; "above"
-is by how much placed landmarks lie above the model's, mm. `mouths` asks of 200 scans of shut mouths with many
-expressions and of open jaws whether the jaw was judged rightly; `lamps` paints shapes in one colour under a
-lamp, and shows by how much landmarks get worse when colours are looked at; `glasses` puts glasses with lenses
-on shapes.
+"MediaPipe" are these landmarks themselves; "nricp_amberg" (the extra [peers]) deforms the default model from
+the pose that ours has found. Errors are mean distances in mm over the 51 inner points of iBUG-68; "within 1"
+and "2" are shares of coordinates within one and two stated deviations: 68 % and 95 % where these are right;
+"above" is by how much placed landmarks lie above the model's, mm. `mouths` asks of 200 scans of shut mouths
+with many expressions and of open jaws whether the jaw was judged rightly; `lamps` paints shapes in one colour
+under a lamp, and shows by how much landmarks get worse when colours are looked at; `glasses` puts glasses
+with lenses on shapes.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from worlds.light_stage import LightStage
 from worlds.raw_like import raw_like
 
 import scan2albedo as s2a
-from bench.peers.fit import deformed, peer_answer
+from bench.peers.fit import deformed
 from bench.runner import Bench, Case, Timed
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.landmarks import PLACED_SIGMA_MM, PlacedLandmarks
@@ -54,8 +53,8 @@ FEATURES = {
 NOSE_TOP = [27]
 BROW_ENDS = [21, 22]
 """Points that those who place landmarks put at different heights."""
-KEY_POINTS = {0: 51, 133: 39, 362: 42, 61: 48, 291: 54}
-"""autofacemonker's key points (MediaPipe's numbers) as iBUG-68 numbers."""
+KEY_POINTS = (51, 39, 42, 48, 54)
+"""Five that other libraries have, too: the nose, corners of the eyes and of the mouth."""
 WEIGHTS = (0.6, 1.0)
 """Of expressions."""
 SHUT = ("cheek_puff", "mouth_frown", "mouth_pucker", "mouth_roll_lower", "mouth_roll_upper", "mouth_upper_up")
@@ -72,11 +71,10 @@ BY_EYES_MM = 28.0
 
 @dataclass(frozen=True)
 class Scene:
-    """A scan and its landmarks (68, 3) in mm in its frame, NaN where nobody placed one; its textured file."""
+    """A scan and its landmarks (68, 3) in mm in its frame, NaN where nobody placed one."""
 
     scan: s2a.RawScan
     landmarks: FloatArray
-    file: str = ""
 
 
 @dataclass(frozen=True)
@@ -89,7 +87,7 @@ class Found:
 
 def james() -> Scene:
     placed = np.loadtxt(face_data("james_ibug68.csv"), delimiter=",")
-    return Scene(s2a.load_scan(face_data("james.obj")), placed, str(face_data("james.obj")))
+    return Scene(s2a.load_scan(face_data("james.obj")), placed)
 
 
 def flame_scan() -> Scene:
@@ -103,7 +101,7 @@ def traced(name: str) -> Scene:
     with np.load(file.with_name(f"{name}_truth.npz")) as truth:
         placed = truth["vertices_mm"][truth["landmarks68"]]
         placed = transform_points(truth["scan_from_truth"], placed) * float(truth["unit_mm"])
-    return Scene(s2a.load_scan(file), placed, str(file))
+    return Scene(s2a.load_scan(file), placed)
 
 
 def light_stage(person: str, move: str, weight: float, seed: int) -> Scene:
@@ -178,18 +176,6 @@ def nricp(scene: Scene) -> Timed:
     return Timed(Found(offset, np.full(68, np.nan)), moved.cpu_s)
 
 
-def autofacemonker(scene: Scene) -> Timed:
-    if not scene.file:
-        raise s2a.ScanError("autofacemonker needs a texture")
-    found = peer_answer("autofacemonker", scene.file)
-    number = {int(theirs): int(vertex) for theirs, vertex in found["key_points"]}
-    offset = np.full((68, 3), np.nan)
-    for theirs, ours in KEY_POINTS.items():
-        point = (scene.scan.mm_per_unit or 1.0) * found["vertices"][number[theirs]]
-        offset[ours] = point - scene.landmarks[ours]
-    return Timed(Found(offset, np.full(68, np.nan)), float(found["cpu_s"]))
-
-
 def mean_of(values: FloatArray) -> float:
     known = values[np.isfinite(values)]
     return float(known.mean()) if len(known) else float("nan")
@@ -200,7 +186,7 @@ def errors(scene: Scene, found: Found) -> dict[str, float]:
     row = {"51 mm": mean_of(error[INNER])}
     row |= {name: mean_of(error[part]) for name, part in FEATURES.items()}
     row["largest"] = float(np.max(error[INNER], initial=0, where=np.isfinite(error[INNER])))
-    row["five points"] = mean_of(error[list(KEY_POINTS.values())])
+    row["five points"] = mean_of(error[list(KEY_POINTS)])
     row["nose above"] = mean_of(-found.offset_mm[NOSE_TOP, 1])
     row["brows above"] = mean_of(-found.offset_mm[BROW_ENDS, 1])
     ratio = np.abs(found.offset_mm[INNER]) / found.deviation_mm[INNER, None]
@@ -323,9 +309,9 @@ BENCHES = {
             "one of five wrong": partial(with_five, one_wrong=True),
             "with MediaPipe": lambda scene: fitted(scene, detected(scene)),
         },
-        peers={"MediaPipe": mediapipe_alone, "nricp_amberg": nricp, "autofacemonker": autofacemonker},
+        peers={"MediaPipe": mediapipe_alone, "nricp_amberg": nricp},
         score=errors,
-        slow=("five given", "one of five wrong", "nricp_amberg", "autofacemonker"),
+        slow=("five given", "one of five wrong", "nricp_amberg"),
         quick=("scan2albedo", "shape alone"),
     ),
     "mouths": Bench(

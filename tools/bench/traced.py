@@ -12,8 +12,7 @@ scale, on V = max(R, G, B):
 
 Texels that got less than 3 % of the median light do not count; under single flashes those count that the
 flash explains to a quarter. Peers divide by ambient occlusion, by nine harmonics (SH), and by the same with
-the face's own shadows. Slow: the paper's objective, and inverse rendering by Mitsuba's gradients (one lamp
-and an environment of 24 directions; needs `mitsuba` and libLLVM).
+the face's own shadows. Slow: the paper's objective.
 """
 
 from __future__ import annotations
@@ -30,7 +29,6 @@ from worlds.files import DATA
 
 import scan2albedo as s2a
 from bench.judging import (
-    DIMMEST,
     PATTERNS,
     VARIABLE,
     Received,
@@ -46,14 +44,12 @@ from bench.judging import (
     score,
     simple_peers,
 )
-from bench.peers.light_search import DescentOptions, mitsuba_inverse
 from bench.runner import Bench, Case, Timed
 from scan2albedo.albedo import AlbedoEstimate, EstimateOptions
 from scan2albedo.core.arrays import BoolArray, FloatArray
 
 FOLDERS = {"skin": "real_skin", "flashes": "yale", "scans": "traced", "images": "traced"}
 """Where each kind of scene lies in ../shared/data."""
-RENDERED = DescentOptions(environment=24, trial_steps=60, steps=300)
 
 
 class Scene:
@@ -144,15 +140,6 @@ def papers_objective(scene: Scene) -> FloatArray:
     return np.asarray(found.albedo_linear, np.float64)
 
 
-def mitsuba_gradients(scene: Scene) -> FloatArray:
-    texture = np.asarray(scene.image.texture_linear, np.float64)
-    value = mitsuba_inverse(scene.image, 1, RENDERED).albedo_value
-    light = np.where(value > 0, texture.max(2) / np.maximum(value, 1e-9), 0.0)
-    # As much darkness as the other peers may divide by.
-    light = np.maximum(light, DIMMEST * np.median(light[scene.image.mask]))
-    return texture / light[..., None]
-
-
 def figures(scene: Scene, answer: AlbedoEstimate | FloatArray) -> dict[str, float | str]:
     estimate = answer if isinstance(answer, AlbedoEstimate) else None
     albedo = np.asarray(answer if estimate is None else estimate.albedo_linear, np.float64)
@@ -194,10 +181,9 @@ BENCHES = {
         peers={
             **{name: partial(simple_peer, name) for name in ("as is", "AO", "SH", "SH+shadows")},
             "paper's objective": papers_objective,
-            "Mitsuba gradients": mitsuba_gradients,
         },
         score=figures,
-        slow=("paper's objective", "Mitsuba gradients"),
+        slow=("paper's objective",),
         summaries=("least", "mean", "worst"),
     )
     for kind in PATTERNS

@@ -7,12 +7,11 @@ chart's albedo, and of the scan without light on the face alone and everywhere. 
 colour of skin steps across the face's rim more than the true albedo does (RMS); "hair" and "not" which part
 of what is called hair beyond the face is dark, or skin. `templates` lay a real scan's colours on the texture
 coordinates of a mask of 468 vertices and of a head: PSNR of the template's picture against the scan's, same
-camera, where the scan shows the template; "close dB" where it is within 0.3 mm of it. Peers, in the Python
-that S2A_PEERS_PYTHON names: trimesh's `nricp_amberg`, started from our pose, and some thirty lines that lay
-the colours on the mask; autofacemonker, whose own template has no coordinates, with colours at its vertices.
-None of them takes the light off. `normals` are synthetic scans, coarse and fine: mean angle in degrees to the
-true normals, where the scan shows it, of a mask of 468 vertices by itself, the fitted surface, the scan, and
-the mask's normal map.
+camera, where the scan shows the template; "close dB" where it is within 0.3 mm of it. The peer (the extra
+[peers]) is trimesh's `nricp_amberg`, started from our pose, and some thirty lines that lay the colours on the
+mask; it does not take the light off. `normals` are synthetic scans, coarse and fine: mean angle in degrees to
+the true normals, where the scan shows it, of a mask of 468 vertices by itself, the fitted surface, the scan,
+and the mask's normal map.
 """
 
 from __future__ import annotations
@@ -276,18 +275,6 @@ def nricp_and_bake(scene: Fitted) -> Timed:
     return Timed(Drawn({"dB": shown}), float(moved["cpu_s"] + baked["cpu_s"]))
 
 
-def autofacemonker(scene: Fitted) -> Timed:
-    scan = scene.scan
-    warped = peer_answer("autofacemonker", str(face_data("james.obj")))
-    hits = ClosestPointQuery(scan.vertices, scan.faces).query(warped["vertices"])
-    uv = np.einsum("nk,nkc->nc", hits.barycentric, scan.uv[hits.face])
-    colors = bilinear(scan.texture_linear, pixels_from_uv(uv, scan.texture_linear.shape[:2]))
-    mesh = transform_points(scene.fitted.model_from_scan, warped["vertices"]), warped["faces"]
-    shown = drawn(*mesh, vertex_color_srgb=encode_srgb_bytes(colors[None])[0] / 255)
-    counted = drawn(*mesh, vertex_color_srgb=np.zeros((len(mesh[0]), 3))).max(-1) == 0
-    return Timed(Drawn({"dB": (shown, counted)}), float(warped["cpu_s"]))
-
-
 def likeness(scene: Fitted, found: Drawn) -> dict[str, float]:
     """Return the PSNR of pictures beside that of the scan, in dB, and which part of the texels it shows."""
     row = {"seen %": 100 * found.seen}
@@ -394,9 +381,9 @@ BENCHES = {
     "templates": Bench(
         templates,
         methods={"scan2albedo": painted_by_us},
-        peers={"nricp_amberg and a bake": nricp_and_bake, "autofacemonker": autofacemonker},
+        peers={"nricp_amberg and a bake": nricp_and_bake},
         score=likeness,
-        slow=("nricp_amberg and a bake", "autofacemonker"),
+        slow=("nricp_amberg and a bake",),
         summaries=(),
     ),
     "normals": Bench(

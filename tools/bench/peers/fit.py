@@ -22,8 +22,8 @@ LEVEL = 1
 """Refinement of the model's surface that mesh peers deform."""
 
 
-def peer_answer(name: str, scan: str | dict[str, Any]) -> dict[str, Any]:
-    """Return the arrays that a peer of `programs.py` writes for a file, or for arrays of its input.
+def peer_answer(name: str, given: dict[str, Any]) -> dict[str, Any]:
+    """Return the arrays that a peer of `programs.py` writes for those that it is given.
 
     Raises
     ------
@@ -31,9 +31,8 @@ def peer_answer(name: str, scan: str | dict[str, Any]) -> dict[str, Any]:
         With the last line of what it said, where it failed.
     """
     with tempfile.TemporaryDirectory() as folder:
-        source = scan if isinstance(scan, str) else f"{folder}/in.npz"
-        if isinstance(scan, dict):
-            np.savez(source, **scan)
+        source = f"{folder}/in.npz"
+        np.savez(source, **given)
         python = os.environ.get("S2A_PEERS_PYTHON", sys.executable)
         command = [python, programs.__file__, name, source, f"{folder}/out.npz"]
         done = subprocess.run(command, capture_output=True, text=True, check=False)

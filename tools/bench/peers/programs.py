@@ -1,10 +1,8 @@
 """Run one peer of the fit in an environment that may be its own; `bench.peers.fit` calls this file.
 
-    PYTHON programs.py nricp_amberg|nricp_sumner|meshmonk IN.npz OUT.npz
-    PYTHON programs.py autofacemonker SCAN.obj OUT.npz
-    PYTHON programs.py bake IN.npz OUT.npz
+    PYTHON programs.py nricp_amberg|nricp_sumner|bake IN.npz OUT.npz
 
-Needs trimesh and rtree, `meshmonk`, or `autofacemonker` (PyPI); nothing of this repository.
+Needs trimesh and rtree; nothing of this repository.
 """
 
 from __future__ import annotations
@@ -34,17 +32,6 @@ def nricp(name: str, source: str, target: str) -> None:
     start = time.process_time()
     moved = getattr(registration, name)(template, scan, distance_threshold=REACH_MM)
     np.savez(target, vertices=np.asarray(moved), cpu_s=time.process_time() - start)
-
-
-def meshmonk(source: str, target: str) -> None:
-    """Deform the template by meshmonk's `pyramid_register` with its defaults."""
-    import meshmonk as peer
-
-    template, scan = meshes(source)
-    start = time.process_time()
-    result = peer.pyramid_register(floating=template, target=scan)
-    spent = time.process_time() - start
-    np.savez(target, vertices=np.asarray(result.aligned_vertices)[:, :3], cpu_s=spent)
 
 
 def bake(source: str, target: str) -> None:
@@ -88,23 +75,8 @@ def _picture(texture: np.ndarray):  # type: ignore[no-untyped-def]
     return Image.fromarray(texture)
 
 
-def autofacemonker(source: str, target: str) -> None:
-    """Register the peer's own template on a textured scan, from any pose."""
-    import trimesh
-    from autofacemonker import AutoFaceMonker
-    from autofacemonker._register import DEFAULT_CORRESPONDENCES
-
-    warped = target.replace(".npz", ".ply")
-    start = time.process_time()
-    AutoFaceMonker().register(source, save_path=warped)
-    spent = time.process_time() - start
-    mesh = trimesh.load_mesh(warped, process=False)
-    key_points = np.array([(int(k), int(v)) for k, v in DEFAULT_CORRESPONDENCES])
-    np.savez(target, vertices=mesh.vertices, faces=mesh.faces, key_points=key_points, cpu_s=spent)
-
-
 if __name__ == "__main__":
-    if sys.argv[1].startswith("nricp"):
-        nricp(*sys.argv[1:])
+    if sys.argv[1] == "bake":
+        bake(*sys.argv[2:])
     else:
-        {"meshmonk": meshmonk, "autofacemonker": autofacemonker, "bake": bake}[sys.argv[1]](*sys.argv[2:])
+        nricp(*sys.argv[1:])
