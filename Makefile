@@ -36,7 +36,7 @@ docs: $(STAMP)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 
 bench: $(STAMP)
-	$(BIN)/python tools/bench_pipeline.py
+	$(BIN)/python tools/bench pipeline/stages
 
 $(STAMP): pyproject.toml constraints.txt tools/bootstrap_system.sh
 	PYTHON=$(PYTHON) tools/bootstrap_system.sh

@@ -14,7 +14,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
-PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md"))]
 COMING: set[str] = set()
 """Pages that may be linked to before they are there."""
 ORDER = ["registration", "fitting", "geometry_image", "light_and_albedo", "face_model", "applications"]

@@ -51,11 +51,20 @@ class Browser:
         self._count, self._rest = 0, b""
         self._profile = tempfile.mkdtemp(prefix="chromium-")
         flags = [
-            "--headless=new", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--no-first-run",
-            "--enable-unsafe-swiftshader", "--hide-scrollbars", "--disable-dev-shm-usage",
-            "--disable-background-networking", f"--user-data-dir={self._profile}", "--remote-debugging-pipe",
-            "--disable-extensions", "about:blank",
-        ]  # fmt: skip
+            "--headless=new",
+            "--no-sandbox",
+            "--use-gl=angle",
+            "--use-angle=swiftshader",
+            "--no-first-run",
+            "--enable-unsafe-swiftshader",
+            "--hide-scrollbars",
+            "--disable-dev-shm-usage",
+            "--disable-background-networking",
+            f"--user-data-dir={self._profile}",
+            "--remote-debugging-pipe",
+            "--disable-extensions",
+            "about:blank",
+        ]
         there, self._out = os.pipe()
         self._in, back = os.pipe()
         with contextlib.ExitStack() as stack:

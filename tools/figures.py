@@ -3,7 +3,7 @@
     python tools/figures.py                           # count anew, and write all figures into their pages
     python tools/figures.py --check                   # exit 1 where a page, a count or a record is stale
     python tools/figures.py --run NAME ...            # run commands (minutes each) and record what they print
-    python tools/figures.py --run NAME --printed FILE # the same from what the command has printed before
+    python tools/figures.py --run NAME --printed FILE # the same from what the command has written before
 
 On a page a figure stands between two comments, `<!--=skin.half-->2-9 %<!--/-->`; a whole table between the
 same two, each on a line of its own. The record says for every NAME the command, when it ran, on which
@@ -15,11 +15,11 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import re
 import shlex
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from datetime import date
@@ -37,23 +37,49 @@ Value = str | list[str]
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of a page: one for each printed line that `line` matches; `{0}` in a cell is its first word.
+    """A row of a page for each case of a bench, of one `group` or of all, and for the means of groups.
 
-    `names` says what the first words stand for.
+    A cell is a format of the case's columns by method, such as `{ours[RMSE %]:.1f}`; `{case}` is its name,
+    for which `names` may have others. `means` are the names of rows by group.
     """
 
-    line: str
+    bench: str
     cells: dict[str, str]
     names: dict[str, str] = field(default_factory=dict)
+    group: str = ""
+    means: dict[str, str] = field(default_factory=dict)
+
+    def lines(self, record: dict[str, Any]) -> list[str]:
+        """Return the lines of the page; a method without an answer has a dash."""
+        cases: dict[str, dict[str, Any]] = {}
+        for row in record["rows"]:
+            if not row["failed"] and self.group in ("", row["group"]):
+                name = self.names.get(row["case"], f"`{row['case']}`")
+                cases.setdefault(name, {})[row["method"]] = row["values"]
+        for group, name in self.means.items():
+            cases[name] = {method: each["mean"] for method, each in record["summary"][group].items()}
+        rows = [list(self.cells)]
+        for name, methods in cases.items():
+            rows.append([_filled(cell, {"case": name, **methods}) for cell in self.cells.values()])
+        head, *lines = ("| " + " | ".join(row) + " |" for row in rows)
+        return [head, "|---" * len(self.cells) + "|", *lines]
+
+
+def _filled(cell: str, values: dict[str, Any]) -> str:
+    try:
+        return cell.format_map(values)
+    except KeyError:
+        return "-"
 
 
 @dataclass(frozen=True)
 class Source:
-    """A command and what to take from its output, in which `|` is a blank.
+    """A command and what to take from its output.
 
-    `lines` are beginnings of printed lines by name. A figure is a format of the words after them:
-    `{worst[6]}` is the seventh word after the beginning called "worst". `needs` is a folder or file beside
-    the repository.
+    Of a bench a figure is a format of its summaries: `{rays/shadows[all][Open3D][mean][CPU s]:.2f}` has the
+    bench, the group, the method, the summary and the column. Of other commands `lines` are beginnings of
+    printed lines by name, `|` a blank, and `{worst[6]}` is the seventh word after the beginning called
+    "worst". `needs` is a folder or file beside the repository.
     """
 
     command: str
@@ -63,29 +89,12 @@ class Source:
     figures: dict[str, str] = field(default_factory=dict)
     tables: dict[str, Table] = field(default_factory=dict)
 
+    @property
+    def is_bench(self) -> bool:
+        """Whether it writes JSON."""
+        return self.command.startswith("python tools/bench ")
 
-SUMMARY = {"least": "least ", "mean": "mean ", "worst": "worst "}
-ALBEDO = {
-    "means": "{mean[0]} -> {mean[4]}, {mean[5]} -> {mean[6]}, {mean[7]} -> {mean[8]} %",
-    "worst": "{worst[4]}, {worst[6]}, {worst[8]} %",
-    "half": "{mean[6]} %",
-    "most": "{mean[8]} %",
-    "mse": "{mean[11]} -> {mean[12]} %",
-    "said": "{least[13]} to {worst[13]}",
-    "peers": "{mean[1]}, {mean[2]}, {mean[3]} %",
-}
-"""Figures of what `tools/bench_traced.py` prints."""
-COLUMNS = {
-    "RMSE of V: texture -> albedo": "{1} -> {5} %",
-    "occlusion": "{2} %",
-    "harmonics": "{3} %",
-    "with shadows": "{4} %",
-    "half of the texels": "{6} -> {7} %",
-    "95 in 100": "{8} -> {9} %",
-    "RMSE of colour": "{10} -> {11} %",
-    "100 x MSE of V": "{12} -> {13} %",
-    "within the stated": "{14}",
-}
+
 SKIN = {
     "d_dome": "a dome",
     "d_emily_pods": "two pods, Emily",
@@ -95,25 +104,77 @@ SKIN = {
     "d_sun_sky": "sun and sky",
     "d_two_colours": "two coloured lamps",
     "d_window_lamp": "a window and a lamp",
-    "mean": "mean",
-}
-MAPPED = (SKIN | {name: f"`{name}`" for name in ("p105_front", "p106_gloss", "p108_smile_m")}) | {
-    "mean": "mean of those with a known albedo"
 }
 WORST = {"worst": "worst: "}
 PAINTED = "all of them, while the light's model and its priors were made"
+COLUMNS = {
+    "RMSE of V: texture -> albedo": "{as is[RMSE %]:.1f} -> {ours[RMSE %]:.1f} %",
+    "occlusion": "{AO[RMSE %]:.1f} %",
+    "harmonics": "{SH[RMSE %]:.1f} %",
+    "with shadows": "{SH+shadows[RMSE %]:.1f} %",
+    "half of the texels": "{as is[50 %]:.1f} -> {ours[50 %]:.1f} %",
+    "95 in 100": "{as is[95 %]:.1f} -> {ours[95 %]:.1f} %",
+    "RMSE of colour": "{as is[colour %]:.1f} -> {ours[colour %]:.1f} %",
+    "100 x MSE of V": "{as is[MSE]:.2f} -> {ours[MSE]:.2f} %",
+    "within the stated": "{ours[as said]:.2f}",
+}
+UNLIT = {
+    "the lit scan's own texels": ("lit", "face"),
+    "the chart's albedo there": ("chart", "face"),
+    "the unlit scan's own texels": ("unlit, face", "face"),
+    "lit beyond the face": ("lit", "beyond"),
+    "unlit beyond it, `all`": ("unlit, all", "beyond"),
+}
+"""Methods and parts of `bench/unlit.py` by heading."""
+ENGINE_MAPS = {
+    "texture": "texture",
+    "one colour": "constant",
+    "lit twice": "lit",
+    "albedo, Lambert": "lambert",
+    "albedo": "albedo",
+    "+ normals": "+normals",
+    "+ displacement": "+displaced",
+    "+ roughness": "+roughness",
+    "+ specular": "+specular",
+    "+ cavity": "+cavity",
+    "own normals": "own",
+    "no rays": "open",
+    "no rays, occlusion": "+occlusion",
+    "true albedo": "true",
+    "true albedo, all maps": "true+",
+}
+"""Methods of `bench/engine_maps.py` by heading."""
+RELIT = ("lit twice", "one colour", "albedo", "+ normals", "+ displacement", "own normals", "true albedo")
 
 
-def traced(kind: str, folder: str, seen: str, line: str, names: dict[str, str] | None = None) -> Source:
-    """Return what there is to tell of a set of scenes that `tools/bench_traced.py` judges."""
-    return Source(
-        f"S2A_TRACED=../shared/data/{folder} python tools/bench_traced.py --set {kind}",
-        seen,
-        f"../shared/data/{folder}",
-        SUMMARY,
-        ALBEDO,
-        {"table": Table(line, {"scene": "{0}"} | COLUMNS, names or {})} if line else {},
-    )
+def of(method: str, column: str, digits: int = 1, *, summary: str = "mean", group: str = "all") -> str:
+    """Return the format of a figure of the bench that is put in for BENCH."""
+    return f"{{BENCH[{group}][{method}][{summary}][{column}]:.{digits}f}}"
+
+
+def from_bench(bench: str, figures: dict[str, str]) -> dict[str, str]:
+    return {name: text.replace("BENCH", bench) for name, text in figures.items()}
+
+
+def traced(kind: str, folder: str, seen: str, names: dict[str, str] | None = None) -> Source:
+    """Return what there is to tell of a set of scenes of `tools/bench/traced.py`."""
+    columns = ("RMSE %", "50 %", "95 %")
+    figures = {
+        "means": ", ".join(f"{of('as is', column)} -> {of('ours', column)}" for column in columns) + " %",
+        "worst": ", ".join(of("ours", column, summary="worst") for column in columns) + " %",
+        "half": f"{of('ours', '50 %')} %",
+        "most": f"{of('ours', '95 %')} %",
+        "mse": f"{of('as is', 'MSE', 2)} -> {of('ours', 'MSE', 2)} %",
+        "said": " to ".join(of("ours", "as said", 2, summary=each) for each in ("least", "worst")),
+        "peers": ", ".join(of(peer, "RMSE %") for peer in ("AO", "SH", "SH+shadows")) + " %",
+    }
+    bench = f"traced/{kind}"
+    tables = {}
+    if names is not None:
+        means = {"all": "mean"} if names else {}
+        tables = {"table": Table(bench, {"scene": "{case}"} | COLUMNS, names, means=means)}
+    needs = f"../shared/data/{folder}"
+    return Source(f"python tools/bench {bench}", seen, needs, {}, from_bench(bench, figures), tables)
 
 
 SOURCES = {
@@ -121,34 +182,23 @@ SOURCES = {
         "skin",
         "real_skin",
         "all eight, while thresholds were chosen; the priors were learned from heads of the same family",
-        r"(d_\w+|mean) ",
         SKIN,
     ),
-    "flashes": traced("flashes", "yale", "all six people, while thresholds were chosen", ""),
-    "scans": traced("scans", "traced", PAINTED, r"p\d+_\w+ "),
-    "images": traced("images", "traced", PAINTED, r"soft_\w+ "),
+    "flashes": traced("flashes", "yale", "all six people, while thresholds were chosen"),
+    "scans": traced("scans", "traced", PAINTED, {}),
+    "images": traced("images", "traced", PAINTED, {}),
     "mitsuba": Source(
-        "python tools/bench_albedo.py --scenes mitsuba",
+        "python tools/bench albedo/mitsuba",
         "all scenes, while the search for the light was made",
-        lines={
-            name: rf"all +{method} +\d+ "
-            for name, method in {
-                "before": "as it is",
-                "ours": "scan2albedo",
-                "paper": "paper's objective",
-                "harmonics": "robust SH-2",
-                "homomorphic": "homomorphic",
-                "retinex": "retinex",
-            }.items()
-        },
-        figures={
-            "worst": "{before[1]} -> {ours[1]} %",
-            "texels": "{ours[3]}, {ours[5]} %",
-            "mse": "{ours[7]} %",
-            "paper": "{paper[1]} %",
-            "peers": "robust SH-2: {harmonics[1]}, homomorphic: {homomorphic[1]}, retinex: {retinex[1]} %",
-            "cpu": "{ours[11]} s",
-        },
+        figures=from_bench(
+            "albedo/mitsuba",
+            {
+                "worst": f"{of('as it is', 'RMSE %', summary='worst')} -> "
+                f"{of('scan2albedo', 'RMSE %', summary='worst')} %",
+                "mse": f"{of('scan2albedo', 'MSE %', 4, summary='worst')} %",
+                "cpu": f"{of('scan2albedo', 'CPU s')} s",
+            },
+        ),
     ),
     "hemisphere": Source("scan2albedo validate hemisphere", "all", "", WORST, {"worst": "{worst[0]} %"}),
     "face": Source("scan2albedo validate face", "all", "", WORST, {"worst": "{worst[0]} %"}),
@@ -162,153 +212,154 @@ SOURCES = {
         },
     ),
     "unlit": Source(
-        "python tools/bench_unlit.py traced",
+        "python tools/bench unlit/scans",
         PAINTED,
         "../shared/data/traced",
         tables={
             "table": Table(
-                r"p\d+_\w+ ",
-                {
-                    "scan": "{0}",
-                    "the lit scan's own texels": "{1}, {2}, {3} % ({4} %)",
-                    "the chart's albedo there": "{5}, {6}, {7} % ({8} %)",
-                    "the unlit scan's own texels": "{9}, {10}, {11} % ({12} %)",
-                    "lit beyond the face": "{13}, {14}, {15} % ({16} %)",
-                    "unlit beyond it, `all`": "{17}, {18}, {19} % ({20} %)",
+                "unlit/scans",
+                {"scan": "{case}"}
+                | {
+                    heading: f"{{{method}[{part} %]:.1f}}, {{{method}[{part} 50]:.1f}}, "
+                    f"{{{method}[{part} 95]:.1f}} % ({{{method}[{part} MSE]:.2f}} %)"
+                    for heading, (method, part) in UNLIT.items()
                 },
+                group="traced",
             )
         },
     ),
     "engine_maps": Source(
-        "python tools/bench_engine_maps.py",
+        "python tools/bench engine_maps",
         f"{PAINTED}; james and five others while these maps were mended",
         "../shared/data/traced",
         tables={
             "table": Table(
-                r"(james|fran|p\d+_\w+|d_\w+|mean) ",
-                {
-                    "scan": "{0}",
-                    "texture": "{1}",
-                    "one colour": "{2}",
-                    "lit twice": "{3}",
-                    "albedo, Lambert": "{4}",
-                    "albedo": "{5}",
-                    "+ normals": "{6}",
-                    "+ displacement": "{7}",
-                    "+ roughness": "{8}",
-                    "+ specular": "{9}",
-                    "+ cavity": "{10}",
-                    "own normals": "{11}",
-                    "no rays": "{12}",
-                    "no rays, occlusion": "{13}",
-                    "true albedo": "{14}",
-                    "true albedo, all maps": "{15}",
-                },
-                MAPPED,
+                "engine_maps/own_light",
+                {"scan": "{case}"} | {heading: f"{{{m}[dB]:.1f}}" for heading, m in ENGINE_MAPS.items()},
+                SKIN,
+                means={"albedo known": "mean of those with a known albedo"},
             ),
             "relit": Table(
-                r"relit:\w+ ",
-                {
-                    "scan": "{0}",
-                    "lit twice": "{1}",
-                    "one colour": "{2}",
-                    "albedo": "{3}",
-                    "+ normals": "{4}",
-                    "+ displacement": "{5}",
-                    "own normals": "{6}",
-                    "true albedo": "{7}",
-                },
-                {f"relit:{name}": shown for name, shown in MAPPED.items()},
+                "engine_maps/relit",
+                {"scan": "{case}"} | {heading: f"{{{ENGINE_MAPS[heading]}[dB]:.1f}}" for heading in RELIT},
+                SKIN,
+                means={"albedo known": "mean of those with a known albedo"},
             ),
         },
     ),
     "quality": Source(
-        "python tools/bench_quality.py presets",
+        "python tools/bench pipeline/presets",
         "all six people",
-        tables={
-            "table": Table(
-                "(draft|standard) ",
-                {
-                    "preset": "{0}",
-                    "texels": "{1} x {1}",
-                    "CPU": "{2} s",
-                    "surface": "{3} mm",
-                    "correspondence": "{5} mm",
-                    "landmarks": "{7} mm",
-                    "albedo: relative RMSE": "{9} %",
-                    "100 x MSE": "{11} %",
-                },
-            )
-        },
+        figures=from_bench(
+            "pipeline/presets",
+            {
+                preset: f"{of(preset, 'surface mm', 2)} mm, {of(preset, 'albedo %')} %, "
+                f"{of(preset, 'CPU s')} s"
+                for preset in ("draft", "standard")
+            },
+        ),
     ),
     "finetune": Source(
-        "python tools/bench_reflectance_finetune.py people",
+        "python tools/bench finetune/people",
         "none of these people and lights, while fine-tuning was made",
         tables={
             "table": Table(
-                r"(off_\d+|mean_\w+) ",
+                "finetune/people",
                 {
-                    "person": "{0}",
-                    "albedo: mean face": "{1} %",
-                    "not tuned -> tuned": "{2} -> {3} %",
-                    "relit: mean face": "{4} %",
-                    "not tuned -> tuned (relit)": "{5} -> {6} %",
-                    "photometric: mean face": "{7} %",
-                    "not tuned -> tuned (photometric)": "{8} -> {9} %",
+                    "person": "{case}",
+                    "albedo: mean face": "{mean face[albedo %]:.1f} %",
+                    "not tuned -> tuned": "{not tuned[albedo %]:.1f} -> {tuned[albedo %]:.1f} %",
+                    "relit: mean face": "{mean face[relit %]:.1f} %",
+                    "not tuned -> tuned (relit)": "{not tuned[relit %]:.1f} -> {tuned[relit %]:.1f} %",
+                    "photometric: mean face": "{mean face[photometric %]:.1f} %",
+                    "not tuned -> tuned (photometric)": "{not tuned[photometric %]:.1f} -> "
+                    "{tuned[photometric %]:.1f} %",
                 },
-                {f"off_{number}": f"{number}" for number in range(1, 11)}
-                | {
-                    "mean_off": "mean of the ten",
-                    "mean_noisy": "mean, pictures with 3 % noise and 3 % outliers",
-                    "mean_few": "mean, model of four people alike",
-                    "mean_right": "mean, model of sixty people, already right",
+                {f"off {number}": f"{number}" for number in range(1, 11)},
+                "off",
+                {
+                    "off": "mean of the ten",
+                    "noisy": "mean, pictures with 3 % noise and 3 % outliers",
+                    "few": "mean, model of four people alike",
+                    "right": "mean, model of sixty people, already right",
                 },
             )
         },
     ),
     "registration": Source(
-        "python tools/bench_registration.py --poses 300 --real-poses 50",
+        "python tools/bench registration/raw",
         "all shapes and both real scans, while thresholds were chosen",
         "../shared/data/ict_faces.npz",
-        {"every": "all ", "ours": "ours, where the truth is known", "peer": r"Open3D FPFH\+RANSAC\+ICP"},
-        {
-            "found": "{every[0]}",
-            "cpu": "{every[8]} s CPU",
-            "known": "{ours[7]}, {ours[11]} s CPU",
-            "peer": "{peer[1]}, {peer[5]} s",
-        },
+        figures=from_bench(
+            "registration/raw",
+            {
+                "found": f"{of('scan2albedo', 'repeated', 0, summary='sum')}/"
+                f"{of('scan2albedo', 'repeated', 0, summary='n')}",
+                "cpu": f"{of('scan2albedo', 'CPU s')} s CPU",
+                "known": f"{of('scan2albedo', 'in basin', 0, summary='sum')}/"
+                f"{of('scan2albedo', 'in basin', 0, summary='n')}, "
+                f"{of('scan2albedo', 'CPU s', group='truth known')} s CPU",
+                "peer": f"{of('Open3D FPFH+RANSAC+ICP', 'in basin', 0, summary='sum')}/"
+                f"{of('Open3D FPFH+RANSAC+ICP', 'in basin', 0, summary='n')}, "
+                f"{of('Open3D FPFH+RANSAC+ICP', 'CPU s', group='truth known')} s",
+            },
+        ),
     ),
     "fit": Source(
-        "python tools/bench_fit.py --shapes 8",
+        "python tools/bench fit/heads fit/james",
         "all shapes and james, while the fit was made",
         "../shared/data/ict_faces.npz",
-        {
-            "ours": "mean +scan2albedo ",
-            "amberg": "mean +nricp_amberg ",
-            "james": "scan2albedo ",
-        },
-        {
-            "surface": "{ours[0]} mm, {ours[6]} s CPU",
-            "surface_amberg": "{amberg[0]} mm, {amberg[6]} s",
-            "correspondence": "{ours[3]} mm",
-            "correspondence_amberg": "{amberg[3]} mm",
-            "james": "{james[0]} mm",
-            "james_five": "{james[0]} mm, {james[6]} mm, {james[7]} s CPU",
-        },
+        figures=from_bench(
+            "fit/heads",
+            {
+                "surface": f"{of('scan2albedo', 'surface mm', 2)} mm, {of('scan2albedo', 'CPU s')} s CPU",
+                "surface_amberg": f"{of('nricp_amberg', 'surface mm', 2)} mm, "
+                f"{of('nricp_amberg', 'CPU s')} s",
+                "correspondence": f"{of('scan2albedo', 'corr. mm')} mm",
+                "correspondence_amberg": f"{of('nricp_amberg', 'corr. mm')} mm",
+            },
+        )
+        | from_bench(
+            "fit/james",
+            {
+                "james": f"{of('scan2albedo', 'surface mm', 2)} mm",
+                "james_five": f"{of('scan2albedo', 'surface mm', 2)} mm, "
+                f"{of('scan2albedo', 'five points')} mm, {of('scan2albedo', 'CPU s')} s CPU",
+            },
+        ),
     ),
     "landmarks": Source(
-        "python tools/bench_landmarks.py",
+        "python tools/bench landmarks/placed --only james flame_scan",
         "all, while the fit was made",
         "../shared/data/james.obj",
-        {"james": "james ", "flame": "flame_scan "},
-        {"james": "{james[0]} mm", "flame": "{flame[0]} mm"},
+        figures=from_bench(
+            "landmarks/placed",
+            {
+                "james": f"{of('scan2albedo', '51 mm', 2, group='james')} mm",
+                "flame": f"{of('scan2albedo', '51 mm', 2, group='flame_scan')} mm",
+            },
+        ),
     ),
     "pipeline": Source(
-        "python tools/bench_pipeline.py",
+        "python tools/bench pipeline/stages",
         "james, all the time",
         "../shared/data/james.obj",
-        {"whole": "whole run with files"},
-        {"whole": "{whole[1]} s CPU, {whole[2]} MB"},
+        figures=from_bench(
+            "pipeline/stages", {"whole": f"{of('scan2albedo', 'CPU s', group='everything')} s CPU"}
+        ),
+    ),
+    "commands": Source(
+        "python tools/bench pipeline/commands",
+        "james, all the time",
+        "../shared/data/james.obj",
+        figures=from_bench(
+            "pipeline/commands",
+            {
+                name: f"{of('scan2albedo', 'CPU s', group=name)} s CPU, "
+                f"{of('scan2albedo', 'peak MB', 0, group=name)} MB"
+                for name in ("process", "draft", "relight", "report")
+            },
+        ),
     ),
 }
 
@@ -350,34 +401,34 @@ def counted() -> dict[str, Value]:
 
 
 def read_from(source: Source, printed: str) -> dict[str, Value]:
-    """Return the figures of a command's output.
+    """Return the figures of what a command printed, or a bench wrote as JSON.
 
     Raises
     ------
     ValueError
-        Where a line or a word is not there.
+        Where a line, a word or a number is not there.
     """
-    lines = printed.replace("|", " ").splitlines()
-    found: dict[str, list[str]] = {}
-    for name, beginning in source.lines.items():
-        match = next((match for line in lines if (match := re.match(beginning, line))), None)
-        if match is None:
-            raise ValueError(f"no line begins with {beginning!r}")
-        found[name] = match.string[match.end() :].split()
+    if source.is_bench:
+        record = json.loads(printed)
+        found: dict[str, Any] = {name: each["summary"] for name, each in record.items()}
+    else:
+        record, found = {}, {}
+        lines = printed.replace("|", " ").splitlines()
+        for name, beginning in source.lines.items():
+            ends = [line[match.end() :] for line in lines if (match := re.match(beginning, line))]
+            if not ends:
+                raise ValueError(f"no line begins with {beginning!r}")
+            found[name] = ends[0].split()
     values: dict[str, Value] = {}
     for name, text in source.figures.items():
         try:
-            values[name] = text.format(**found)
-        except IndexError:
-            raise ValueError(f"{name}: {text} asks for more words than are printed") from None
+            values[name] = text.format_map(found)
+        except (IndexError, KeyError):
+            raise ValueError(f"{name}: {text} asks for more than there is") from None
     for name, table in source.tables.items():
-        rows = [line.split() for line in lines if re.match(table.line, line)]
-        if not rows:
-            raise ValueError(f"{name}: no line matches {table.line!r}")
-        called = [[table.names.get(row[0], f"`{row[0]}`"), *row[1:]] for row in rows]
-        cells = [table.cells, *([cell.format(*row) for cell in table.cells.values()] for row in called)]
-        head, *lines_of_page = ("| " + " | ".join(row) + " |" for row in cells)
-        values[name] = [head, "|---" * len(table.cells) + "|", *lines_of_page]
+        if table.bench not in record:
+            raise ValueError(f"{name}: there is no bench {table.bench}")
+        values[name] = table.lines(record[table.bench])
     return values
 
 
@@ -449,17 +500,17 @@ def run(name: str, printed: Path | None) -> dict[str, Any]:
     """
     source = SOURCES[name]
     if printed is None:
-        words = shlex.split(source.command)
-        settings = dict(word.split("=", 1) for word in words if re.match(r"[A-Z0-9_]+=", word))
-        program, *rest = words[len(settings) :]
+        program, *rest = shlex.split(source.command)
         called = [sys.executable, *(() if program == "python" else ("-m", program)), *rest]
-        done = subprocess.run(
-            called, cwd=ROOT, env={**os.environ, **settings}, capture_output=True, text=True, check=False
-        )
-        if done.returncode:
-            last = (done.stderr.strip() or "no message").splitlines()[-1]
-            raise ValueError(f"the command ended with {done.returncode}: {last}")
-        text = done.stdout
+        with tempfile.TemporaryDirectory() as folder:
+            written = Path(folder) / "bench.json"
+            if source.is_bench:
+                called += ["--json", str(written)]
+            done = subprocess.run(called, cwd=ROOT, capture_output=True, text=True, check=False)
+            if done.returncode:
+                last = (done.stderr.strip() or "no message").splitlines()[-1]
+                raise ValueError(f"the command ended with {done.returncode}: {last}")
+            text = written.read_text(encoding="utf-8") if source.is_bench else done.stdout
     else:
         text = printed.read_text(encoding="utf-8")
     head = subprocess.run(
@@ -484,7 +535,9 @@ def main() -> int:
     parser.add_argument(
         "--run", nargs="+", default=[], choices=tuple(SOURCES), metavar="NAME", help=", ".join(SOURCES)
     )
-    parser.add_argument("--printed", type=Path, help="what the one command of --run has printed")
+    parser.add_argument(
+        "--printed", type=Path, help="what the one command of --run has printed, or a bench written"
+    )
     arguments = parser.parse_args()
     if arguments.printed and len(arguments.run) != 1:
         parser.error("--printed belongs to one NAME of --run")

@@ -59,8 +59,12 @@ SIDE_DEG = 40.0
 SEED = 6
 LAMP = s2a.PointLight(np.deg2rad(20), np.deg2rad(10), intensity=2.0)
 """In front of eyes, where neither brow nor nose shades them."""
-EYES_MM, MOUTH_MM, MOUTH_PITCH_DEG = 108.0, 62.0, 12.0
-"""Widths of the pictures of both eyes and of a mouth, and how far the latter is seen from below."""
+EYES_MM = 108.0
+"""Width of the picture of both eyes."""
+MOUTH_MM = 62.0
+"""Width of the picture of a mouth."""
+MOUTH_PITCH_DEG = 12.0
+"""How far the mouth is seen from below."""
 JAW_MM = np.array([0.0, -17.0, -6.0])
 """How far chin and lower lip move as the jaw opens."""
 Panels = list[tuple[str, Pixels]]

@@ -24,8 +24,15 @@ from scan2albedo.report.overview import preview_srgb
 from scan2albedo.synthetic import Scanner
 
 OUT = Path(__file__).resolve().parents[1] / "docs" / "images" / "before_after.jpg"
-HEIGHT, GAP, CAPTION, FONT_SIZE, FINER = 224, 8, 30, 18, 3
-"""Of the panels, between them, of the captions and their letters in pixels; samples a side of a pixel."""
+HEIGHT = 224
+"""Of the panels in pixels."""
+GAP = 8
+"""Between them."""
+CAPTION = 30
+"""Height of a caption in pixels."""
+FONT_SIZE = 18
+FINER = 3
+"""Samples along a side of a pixel."""
 NARROW = 0.72
 """Width over height of panels with a face from the front."""
 TILT_DEG = 50.0

@@ -15,7 +15,12 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "scan2albedo"
 HIDDEN = ("cli", "core", "io", "optimization", "report.html")
 """Packages whose names the others have, or that are called from the shell alone."""
-MOVED = {"README.md": "index.md", "docs/README.md": "all_pages.md", "CHANGELOG.md": "changelog.md"}
+MOVED = {
+    "README.md": "index.md",
+    "docs/README.md": "all_pages.md",
+    "CHANGELOG.md": "changelog.md",
+    "CONTRIBUTING.md": "contributing.md",
+}
 """Pages under another name on the site, since an index there stands for its folder."""
 
 _LINK = re.compile(r"(?<=\]\()(?!\w+:)([^)#\s]+)(#[^)\s]*)?(?=\))")

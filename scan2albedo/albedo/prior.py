@@ -81,7 +81,7 @@ class AlbedoPrior:
     @staticmethod
     @lru_cache(maxsize=1)
     def faces() -> AlbedoPrior:
-        """Return the prior of faces that ships with the package (cached; `tools/fit_albedo_prior.py`)."""
+        """Return the prior of faces that ships with the package (cached; `tools/build/albedo_prior.py`)."""
         with as_file(files("scan2albedo.albedo") / "data" / "facial_albedo.npz") as path:
             return AlbedoPrior.load(path)
 
@@ -110,7 +110,7 @@ class AlbedoPrior:
     @classmethod
     def load(cls, path: str | Path) -> Self:
         """Read a prior that `save` wrote; `LightingError` for anything else."""
-        what, advice = "albedo prior", "give a file that tools/fit_albedo_prior.py wrote"
+        what, advice = "albedo prior", "give a file that `AlbedoPrior.save` wrote"
         found: dict[str, Any] = read_npz(path, tuple(_SHAPES), what=what, advice=advice, error=LightingError)
         for name, shape in _SHAPES.items():
             got = found[name].shape

@@ -6,8 +6,9 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from scan2albedo.albedo import AlbedoEstimate
+from scan2albedo.applications.light_removal import usual_light
 from scan2albedo.applications.template_baking import REACH_MM, Appearance, Fields, TemplateTexture, painted
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import ApplicationError
 from scan2albedo.fitting import FittedFace
@@ -22,16 +23,20 @@ from scan2albedo.lighting.shadow_map import ShadowMap
 
 CARRIERS = ("chart", "scan", "template")
 """Whose texture coordinates the maps lie on."""
-SKIN_F0, PLASTIC_F0 = 0.028, 0.04
-"""Reflectance at normal incidence of skin (index of refraction 1.4), and of what glTF takes a surface for.
+SKIN_F0 = 0.028
+"""Reflectance of skin at normal incidence (index of refraction 1.4) [1]_.
 
 .. [1] T. Weyrich et al., "Analysis of human faces using a measurement-based skin reflectance model", SIGGRAPH
    2006.
 """
+PLASTIC_F0 = 0.04
+"""Reflectance at normal incidence of what glTF takes a surface for."""
 MATTE_EXPONENT = 6.0
 """Phong's, of skin whose highlights were not seen: roughness 0.53."""
 _PORE_MM = 0.05
 """Depth that is guessed for a spot that is darker by a factor of e."""
+_AROUND_MM = 1.0
+"""What lies farther away is no longer around."""
 _RELIEF_MM = 0.1
 """Height above the mean around, of 1 mm standard deviation, that makes a cavity map white."""
 
@@ -70,68 +75,47 @@ def engine_maps(
     """
     if on not in CARRIERS:
         raise ValueError(f"maps is {on!r}, expected one of {', '.join(CARRIERS)}")
-    raw, around_mm = transform_points(fitted.model_from_scan, scan.vertices), 1.0
-    if on == "template":
-        blank = TemplateTexture.of(fitted)
-    elif on == "chart":
-        blank = TemplateTexture(fitted.vertices, fitted.faces, fitted.uv[fitted.faces])
-    elif scan.uv is None or scan.texture_linear is None:
-        raise ApplicationError(f"{scan.name}: the scan has no texture coordinates; make maps on the chart")
-    else:
-        blank = TemplateTexture(raw, scan.faces, in_first_period(scan.uv, scan.texture_linear.shape))
     if not scan.has_color:
         raise ApplicationError(f"{scan.name}: the scan has no colours to make maps of")
+    blank = _carrier(scan, fitted, on)
     appearance, face = Appearance(fitted, scan), surface_query(fitted.vertices, fitted.faces)
-    image, gloss = estimate.image, estimate.reflectance
-    relative = np.ones(image.shape) if image.specular_scale is None else image.specular_scale
+    gloss = estimate.reflectance
     exponent = gloss.exponent if gloss.specular_strength > 0 else MATTE_EXPONENT
-    usual = np.median(estimate.shading.mean(-1)[image.seen if image.seen.any() else image.mask])
-    f0 = float(4 * usual * gloss.specular_strength / (2 * exponent + 1)) or SKIN_F0
-    strength = filled_from_nearest(relative, image.mask)[..., None] * (f0 / PLASTIC_F0)
-    thin = thinned(blank.vertices, blank.faces, around_mm)
-    occluder = thin.vertices, thin.faces
-    shadows = ShadowMap(RayCaster(*occluder), thin.vertices, vertex_normals(*occluder))
-    open_sky, around = shadowed_transfer(shadows)[:, :1], surface_query(*occluder)
-    raw_normals, mean = vertex_normals(raw, scan.faces), neighbour_mean(len(raw), scan.faces)
-    # How far the scan's vertices, freed from noise, stand out of their surroundings in mm; where edges are
-    # longer than those, their curvature, over the same surroundings. A mean over neighbours has a variance of
-    # half a squared edge.
-    step_mm2 = (usual_edge(raw, scan.faces) or around_mm) ** 2 / 2
-    passes = int(np.clip(round(around_mm**2 / step_mm2), 1, 100))
-    fine = smooth = mean @ (mean @ raw)
-    for _ in range(passes):
-        smooth = mean @ smooth
-    relief = np.sum((fine - smooth) * raw_normals, axis=1, keepdims=True)
-    relief *= around_mm**2 / (passes * step_mm2)
+    roughness = (2 * exponent + 1) ** (-1 / 4)
+    strength = _specular(estimate, exponent)
+    thin = thinned(blank.vertices, blank.faces, _AROUND_MM)
+    around, open_sky = surface_query(thin.vertices, thin.faces), _open_sky(thin.vertices, thin.faces)
+    raw = transform_points(fitted.model_from_scan, scan.vertices)
+    relief = _relief_mm(raw, scan.faces)
     # Noise is averaged out of what the scan differs by from the face, so that shape the fit follows stays.
-    feet = face.query(raw).points
+    feet, mean = face.query(raw).points, neighbour_mean(len(raw), scan.faces)
     raw = feet + mean @ (mean @ (raw - feet))
-    raw_normals, raw_surface = vertex_normals(raw, scan.faces), surface_query(raw, scan.faces)
+    normals, surface = vertex_normals(raw, scan.faces), surface_query(raw, scan.faces)
 
     def look(place: FloatArray, outward: FloatArray, tangents: FloatArray, steps: FloatArray) -> Fields:
-        on_face, hits, everywhere = face.query(place), raw_surface.query(place), np.ones(len(place), bool)
-        pixels = pixels_from_uv(on_face.interpolated(fitted.uv, fitted.faces), image.shape)
-        facing = np.einsum("nc,nc->n", hits.interpolated(raw_normals, scan.faces), outward)
+        on_face, hits, everywhere = face.query(place), surface.query(place), np.ones(len(place), bool)
+        pixels = pixels_from_uv(on_face.interpolated(fitted.uv, fitted.faces), estimate.image.shape)
+        facing = np.einsum("nc,nc->n", hits.interpolated(normals, scan.faces), outward)
         known = (hits.distance <= REACH_MM) & (facing > 0)
         found = {
             **appearance(place, outward, tangents, steps),
             "occlusion": (np.clip(around.query(place).interpolated(open_sky, thin.faces), 0, 1), everywhere),
             "specular": (bilinear(strength, pixels), on_face.distance <= REACH_MM),
-            "roughness": (np.full((len(place), 1), (2 * exponent + 1) ** (-1 / 4)), everywhere),
+            "roughness": (np.full((len(place), 1), roughness), everywhere),
             "cavity": (hits.interpolated(relief, scan.faces), known),
         }
         if on != "scan":
             # Phong tessellation, the mean of the point on the corners' tangent planes: no edges of faces.
             corners = scan.faces[hits.face]
-            off = np.einsum("nkc,nkc->nk", raw[corners] - hits.points[:, None], raw_normals[corners])
-            lift = np.einsum("nk,nk,nkc->nc", hits.barycentric, off, raw_normals[corners])
+            off = np.einsum("nkc,nkc->nk", raw[corners] - hits.points[:, None], normals[corners])
+            lift = np.einsum("nk,nk,nkc->nc", hits.barycentric, off, normals[corners])
             high = np.einsum("nc,nc->n", hits.points + lift - place, outward)
             found["displacement_mm"] = (high[:, None], known)
         return found
 
     made, tiles = painted(blank, size, look), []
     on_chart = np.abs(np.linalg.det(blank.uv[:, 1:] - blank.uv[:, :1])).sum() / 2
-    spread = around_mm * size * np.sqrt(on_chart / (face_areas(blank.vertices, blank.faces).sum() or 1.0))
+    spread = _AROUND_MM * size * np.sqrt(on_chart / (face_areas(blank.vertices, blank.faces).sum() or 1.0))
     for tile in made.tiles:
         # Relief and pores beside their surroundings, 0 to 1; 0.5 is flat.
         value = np.asarray(tile.color_linear, np.float32).max(-1)
@@ -139,3 +123,45 @@ def engine_maps(
         high = (tile.maps["cavity"] + pores - gaussian_filter(pores, spread)) / (2 * _RELIEF_MM)
         tiles.append(replace(tile, maps={**tile.maps, "cavity": np.clip(0.5 + high, 0, 1)}))
     return replace(made, tiles=tuple(tiles))
+
+
+def _carrier(scan: RawScan, fitted: FittedFace, on: str) -> TemplateTexture:
+    """Return the mesh that the maps lie on, without pictures."""
+    if on == "template":
+        return TemplateTexture.of(fitted)
+    if on == "chart":
+        return TemplateTexture(fitted.vertices, fitted.faces, fitted.uv[fitted.faces])
+    if scan.uv is None or scan.texture_linear is None:
+        raise ApplicationError(f"{scan.name}: the scan has no texture coordinates; make maps on the chart")
+    vertices = transform_points(fitted.model_from_scan, scan.vertices)
+    return TemplateTexture(vertices, scan.faces, in_first_period(scan.uv, scan.texture_linear.shape))
+
+
+def _specular(estimate: AlbedoEstimate, exponent: float) -> FloatArray:
+    """Return (H, W, 1) glTF's factor of the reflectance at normal incidence, on the chart."""
+    image, gloss = estimate.image, estimate.reflectance
+    relative = np.ones(image.shape) if image.specular_scale is None else image.specular_scale
+    f0 = float(4 * usual_light(estimate) * gloss.specular_strength / (2 * exponent + 1)) or SKIN_F0
+    return filled_from_nearest(relative, image.mask)[..., None] * (f0 / PLASTIC_F0)
+
+
+def _open_sky(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """Return (V, 1) the part of an even sky that reaches the vertices of a mesh."""
+    shadows = ShadowMap(RayCaster(vertices, faces), vertices, vertex_normals(vertices, faces))
+    return shadowed_transfer(shadows)[:, :1]
+
+
+def _relief_mm(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """Return (V, 1) how far a scan's vertices, freed from noise, stand out of their surroundings.
+
+    Where edges are longer than those, it is their curvature, over the same surroundings. A mean over
+    neighbours has a variance of half a squared edge.
+    """
+    mean = neighbour_mean(len(vertices), faces)
+    step_mm2 = (usual_edge(vertices, faces) or _AROUND_MM) ** 2 / 2
+    passes = int(np.clip(round(_AROUND_MM**2 / step_mm2), 1, 100))
+    fine = smooth = mean @ (mean @ vertices)
+    for _ in range(passes):
+        smooth = mean @ smooth
+    relief = np.sum((fine - smooth) * vertex_normals(vertices, faces), axis=1, keepdims=True)
+    return relief * (_AROUND_MM**2 / (passes * step_mm2))

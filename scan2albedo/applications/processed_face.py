@@ -76,7 +76,7 @@ class Eyeball:
     painted: bool
     """Whether the scan shows the eye; else its colours are usual ones, and it looks ahead."""
     rings_linear: FloatArray
-    """(K, 3): albedo in steps of `SIZES_MM["ring"]` away from the gaze, from the pupil to the white."""
+    """(K, 3): albedo in steps of `eyes.RING_MM` away from the gaze, from the pupil to the white."""
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
-from scan2albedo.applications.eyes_and_mouth import LOOKS, eyes_and_mouth
+from scan2albedo.applications.eyes import WET_EXPONENT, WET_REFLECTANCE
+from scan2albedo.applications.eyes_and_mouth import eyes_and_mouth
 from scan2albedo.applications.face_features import AROUND, feature_texels, without_gaps
 from scan2albedo.applications.processed_face import NO_MODEL, ProcessedFace
 from scan2albedo.core.arguments import require_linear, require_type
@@ -32,12 +33,12 @@ from scan2albedo.rendering.scene_light import SceneLight, shade
 
 Gloss = Literal["auto", "found", "none"]
 
-SKIN_GLOSS, SKIN_EXPONENT = 0.25, 12.0
-"""Usual highlight of skin as a part of its albedo's level, and Phong's exponent. A dielectric of index 1.4
-reflects F = 0.028; Beckmann's lobe of slope m = 0.2, which Phong's exponent 1 / (2 m^2) = 12 follows, peaks
-at pi F / (4 pi m^2) = 0.17 of a white surface, and skin's albedo is 0.5 to 0.7."""
-
-
+SKIN_GLOSS = 0.25
+"""Usual highlight of skin as a part of its albedo's level. A dielectric of index 1.4 reflects F = 0.028, and
+Beckmann's lobe of slope m = 0.2 peaks at pi F / (4 pi m^2) = 0.17 of a white surface; skin's albedo is 0.5 to
+0.7."""
+SKIN_EXPONENT = 12.0
+"""Phong's, 1 / (2 m^2), whose lobe follows that of slope m."""
 _DENT_MM = 3.5
 """How far the dents that scans have at eyes go into an eyeball at most."""
 
@@ -148,11 +149,9 @@ class RelitFace:
         outward = normalized(np.where(inward[:, None], -normal, normal))
         shadows = ShadowMap(caster, position, outward, self.face.shadow_offset_mm)
         # The highlight's peak beside a white surface, as of skin above; skin's albedo is a half.
-        reflectance, exponent = LOOKS["wet"]
-        strength = reflectance * exponent / 2 * self.face.level() / 0.5
-        diffuse, specular = shade(
-            shadows, self.light, Reflectance("lambert", 0.0, strength, exponent), toward
-        )
+        strength = WET_REFLECTANCE * WET_EXPONENT / 2 * self.face.level() / 0.5
+        wet = Reflectance("lambert", 0.0, strength, WET_EXPONENT)
+        diffuse, specular = shade(shadows, self.light, wet, toward)
         return np.asarray(albedo * diffuse + specular)
 
     def write_glb(self, path: str | Path, *, exposure: float | None = None) -> None:
@@ -167,13 +166,9 @@ class RelitFace:
             texture = np.dstack([texture, np.where(inside.cut_mm > 0, np.uint8(0), np.uint8(255))])
             view = normalized(np.asarray(self.face.view_direction, np.float64))
             for part in inside.parts:
-                xyz, normals = (
-                    part.vertices,
-                    vertex_normals(part.vertices, part.faces),
-                )
-                lit = self._lit_parts(
-                    xyz, normals, np.tile(view, (len(xyz), 1)), np.asarray(part.color_linear)
-                )
+                xyz, normals = part.vertices, vertex_normals(part.vertices, part.faces)
+                toward = np.tile(view, (len(xyz), 1))
+                lit = self._lit_parts(xyz, normals, toward, np.asarray(part.color_linear))
                 parts.append(replace(part, color_linear=factor * lit))
         write_glb(path, mesh.vertices, mesh.faces, mesh.uv, texture, emissive=True, parts=parts)
 

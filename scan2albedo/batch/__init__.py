@@ -7,6 +7,13 @@ from scan2albedo.batch.run import run_batch
 from scan2albedo.pipeline.options import ProcessOptions
 
 __all__ = [
-    "BatchManifest", "BatchProgress", "BatchReport", "ManifestScan", "ProcessOptions", "load_albedos",
-    "load_catalogue", "read_manifest", "run_batch",
-]  # fmt: skip
+    "BatchManifest",
+    "BatchProgress",
+    "BatchReport",
+    "ManifestScan",
+    "ProcessOptions",
+    "load_albedos",
+    "load_catalogue",
+    "read_manifest",
+    "run_batch",
+]

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from scan2albedo.batch.manifest import BatchManifest
 from scan2albedo.batch.records import CATALOGUE, FILES, FIXED, METRICS, STAGES, BatchScanRecord, path_column
-from scan2albedo.errors import BatchError, needs_extra
+from scan2albedo.errors import BatchError, needs_extra, one_line
 from scan2albedo.geometry.rasterization import area_mean
 from scan2albedo.io.atomic import atomic_path
 from scan2albedo.io.images import read_image_linear
-from scan2albedo.io.leftovers import settle
 from scan2albedo.io.npz import read_npz
+from scan2albedo.io.publication import check_whole
 from scan2albedo.io.result_records import column_name, metric_columns
 
 if TYPE_CHECKING:
@@ -135,9 +135,9 @@ def load_albedos(
         if ".." in Path(path).parts or len(Path(path).parts) != 2 or file.parent.is_symlink():
             raise BatchError(f"{folder}: its catalogue names {path!r}, no file of a scan in it; {anew}")
         try:
-            settle(file.parent)
+            check_whole(file.parent)
         except OSError as error:
-            raise BatchError(f"{file.parent}: a killed run is in the way: {error.strerror}") from error
+            raise BatchError(f"{file.parent}: cannot be read: {one_line(error)}") from error
         albedo, image = read_image_linear(file), file.parent / "geometry_image.npz"
         advice = "run the batch with --resume"
         more: dict[str, Any] = {"what": "geometry image", "advice": advice, "error": BatchError}

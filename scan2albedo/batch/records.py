@@ -221,7 +221,8 @@ class Layout:
         self.catalogue, self.record = self.out / CATALOGUE, self.out / RECORD
         self.kept = self.out / ".batch"
         self.rows, self.running = self.kept / "rows", self.kept / "running"
-        self.folders = (self.out, self.rows, self.running)  # in which files are made under hidden names
+        # In which files are made under hidden names; the user may have named a link as `out`.
+        self.folders = (Path(os.path.realpath(self.out)), self.rows, self.running)
         self._run = self.kept / "run"  # names the only run whose workers may write here
 
     def row_file(self, name: str) -> Path:

@@ -32,11 +32,12 @@ from scan2albedo.core.landmarks import AUTO
 from scan2albedo.core.raw_scan import lost_texture
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import BatchError, ModelError, Scan2AlbedoError, needs_extra
-from scan2albedo.io.atomic import check_writable, signals_held
+from scan2albedo.io.atomic import check_writable
 from scan2albedo.io.landmark_files import landmarks_file
-from scan2albedo.io.leftovers import remove_leftovers
+from scan2albedo.io.leftovers import JOURNAL, remove_leftovers
 from scan2albedo.io.linear_model_files import LinearFaceModel
 from scan2albedo.io.load_scan import file_sha256, files_of_scan
+from scan2albedo.io.publication import signals_held
 from scan2albedo.io.records import installed_versions, read_record, write_record
 from scan2albedo.pipeline.detected_landmarks import require_detector
 from scan2albedo.pipeline.options import ProcessOptions
@@ -196,7 +197,8 @@ def _tasks(
 
 def _still_valid(task: ScanTask, layout: Layout) -> tuple[BatchScanRecord | None, str]:
     """Return the record of a result of an earlier run that is still valid, or None and why it is not."""
-    remove_leftovers(layout.out / task.name)
+    folder = layout.out / task.name
+    remove_leftovers(folder)
     row = layout.row(task.name)
     if row is None:
         return None, "not run"
@@ -209,14 +211,17 @@ def _still_valid(task: ScanTask, layout: Layout) -> tuple[BatchScanRecord | None
             return None, "with a changed scan"
     except Scan2AlbedoError:
         return None, "without their scan"
+    changed = None, "with changed or missing files"
+    if folder.is_symlink() or os.path.lexists(folder / JOURNAL):
+        return changed
     for name, sha256 in row.files.items():
-        file = layout.out / task.name / name
         with suppress(OSError):
             # The record may have been edited: nothing outside the folder is read.
-            inside = len(parts := Path(name).parts) < 3 and not {"..", "/"} & {*parts}
-            if inside and file.is_file() and file_sha256(file) == sha256:
+            parts = Path(name).parts
+            inside = len(parts) < 3 and not {"..", "/"} & {*parts}
+            if inside and (folder / name).is_file() and file_sha256(folder / name) == sha256:
                 continue
-        return None, "with changed or missing files"
+        return changed
     return row, ""
 
 

@@ -20,6 +20,7 @@ from scan2albedo.cli.reflectance import app as reflectance_app
 from scan2albedo.cli.relight import relight
 from scan2albedo.core.landmarks import AUTO
 from scan2albedo.core.raw_scan import lost_texture, scan_name
+from scan2albedo.core.version import VERSION
 from scan2albedo.errors import Scan2AlbedoError, one_line
 
 if TYPE_CHECKING:
@@ -30,11 +31,27 @@ BARE_ERRORS = (ValueError, MemoryError, OverflowError, RecursionError)
 
 app = typer.Typer(
     cls=common.PrintableUsage,
-    help="A raw 3D face scan goes in; the registered, annotated, evenly sampled and unlit face comes out.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"scan2albedo {VERSION}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and end."),
+    ] = False,
+) -> None:
+    """A raw 3D face scan goes in; the registered, annotated, evenly sampled and unlit face comes out."""
+
 
 OutOption = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results, one subfolder a scan.")]
 Strict = Annotated[bool, typer.Option("--strict", help="Exit with 1 where a scan's texture is missing.")]

@@ -23,8 +23,10 @@ if TYPE_CHECKING:
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.io.run_folder import OwnFiles
 
-SOME_FAILED, USAGE_ERROR = 1, 2
-"""Exit statuses; 128 and the number of the signal where one ended the process."""
+SOME_FAILED = 1
+"""Exit status where part of the work failed; 128 and the signal's number where one ended the process."""
+USAGE_ERROR = 2
+"""Exit status where a command cannot do what it is asked."""
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print a machine-readable summary on stdout.")]
 OutFolder = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")]

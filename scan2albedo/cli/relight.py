@@ -2,15 +2,21 @@
 
 import math
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from scan2albedo.cli.common import JsonOption, echo_json, say, stop_cleanly_on_interrupt
 from scan2albedo.core.lights import LAMP_RADIUS_DEG
 
+if TYPE_CHECKING:
+    from scan2albedo.applications import Picture
+    from scan2albedo.core import PointLight
+
 LAMP_INTENSITY = 3.0
-PICTURES, TEXTURED, ANIMATED = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr"), ".glb", ".gif"
+TEXTURED = ".glb"
+ANIMATED = ".gif"
+WRITTEN = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", TEXTURED)
 
 
 def relight(
@@ -69,38 +75,31 @@ def relight(
     json_summary: JsonOption = False,
 ) -> None:
     """Show a processed face under other light, with its shadows."""
-    from scan2albedo.core import PointLight
-
-    lights = []
-    for text in light or ():
-        az, el, *others = _angles("--light", text, 2, 4)
-        intensity, distance = (*others, *(LAMP_INTENSITY, math.inf)[len(others) :])
-        if intensity < 0 or distance <= 0:
-            raise typer.BadParameter(f"--light {text}: intensity may not be negative, a distance is above 0")
-        lights.append(
-            PointLight(math.radians(az), math.radians(el), distance, intensity, radius_deg=lamp_radius)
-        )
-    camera_at = _angles("--view", view, 2, 2)
+    lamps = [_lamp(text, lamp_radius) for text in light or ()]
+    azimuth, elevation = (math.radians(angle) for angle in _angles("--view", view, 2, 2))
     extension = out.suffix.lower()
-    if sweep is None and extension not in (*PICTURES, TEXTURED):
-        wanted = ", ".join((*PICTURES, TEXTURED))
-        raise typer.BadParameter(f"-o takes {wanted}, not {extension or 'a name without extension'}")
-    if sweep is not None and extension not in (ANIMATED, ""):
-        raise typer.BadParameter(f"--sweep writes a .gif or a folder of frames, not {extension}")
-    if sweep is not None and texture:
-        raise typer.BadParameter("--sweep writes pictures; leave out --texture")
-    if sweep is not None and environment is not None:
-        raise typer.BadParameter("--sweep moves a lamp; leave out --environment")
-    if not lights and environment is None and sweep is None:
-        raise typer.BadParameter("no light is given; add --light, --environment or --sweep")
-    if exposure is not None and not (math.isfinite(exposure) and exposure > 0):
-        raise typer.BadParameter(f"--exposure is {exposure}, expected a number above 0")
-    import numpy as np
-
+    lit = bool(lamps) or environment is not None or sweep is not None
+    named = extension or "a name without extension"
+    for wrong, told in (
+        (sweep is None and extension not in WRITTEN, f"-o takes {', '.join(WRITTEN)}, not {named}"),
+        (
+            sweep is not None and extension not in (ANIMATED, ""),
+            f"--sweep writes a .gif or a folder of frames, not {extension}",
+        ),
+        (sweep is not None and texture, "--sweep writes pictures; leave out --texture"),
+        (sweep is not None and environment is not None, "--sweep moves a lamp; leave out --environment"),
+        (not lit, "no light is given; add --light, --environment or --sweep"),
+        (
+            exposure is not None and not (math.isfinite(exposure) and exposure > 0),
+            f"--exposure is {exposure}, expected a number above 0",
+        ),
+    ):
+        if wrong:
+            raise typer.BadParameter(told)
     from scan2albedo import applications
     from scan2albedo.applications.files import FACE_FILES
     from scan2albedo.applications.light_sweep import FRAMES
-    from scan2albedo.io.images import read_image_linear, write_exr, write_image
+    from scan2albedo.io.images import read_image_linear
     from scan2albedo.io.run_folder import RunFolder
     from scan2albedo.pipeline.result import FILES as SCAN_FILES
 
@@ -115,40 +114,65 @@ def relight(
     if sweep is not None and not extension:
         RunFolder(out, FRAMES).check()
     face = applications.load_result(result)
-    azimuth, elevation = (math.radians(angle) for angle in camera_at)
     shape = (size, size)
     try:
         camera = applications.default_camera(face, shape, azimuth_rad=azimuth, elevation_rad=elevation)
     except ValueError as error:
         raise typer.BadParameter(f"--view {view}: {error}") from None
     map_linear = None if environment is None else read_image_linear(environment)
-    relit = applications.relight(
-        face, lights, environment_linear=map_linear, ambient=ambient, options=options
-    )
+    relit = applications.relight(face, lamps, environment_linear=map_linear, ambient=ambient, options=options)
     for note in relit.notes:
         say(f"{face.name}: {note}")
     if sweep is not None:
         places = applications.light_arc(sweep, intensity=LAMP_INTENSITY, radius_deg=lamp_radius)
         as_prepared = applications.RelightOptions(gloss="found", fill_gaps=False)
-        asked: dict[str, Any] = {"others": lights, "ambient": ambient, "camera": camera, "shape": shape}
-        pictures = list(applications.sweep(relit.face, places, **asked, options=as_prepared))
+        pictures = applications.sweep(
+            relit.face,
+            places,
+            others=lamps,
+            ambient=ambient,
+            camera=camera,
+            shape=shape,
+            options=as_prepared,
+        )
         write = applications.write_gif if extension == ANIMATED else applications.write_frames
-        write(out, applications.frames_srgb(pictures, exposure))
+        write(out, applications.frames_srgb(list(pictures), exposure))
     elif extension == TEXTURED:
         relit.write_glb(out, exposure=exposure)
+    elif texture:
+        mask = relit.face.mask.astype("float32")
+        _write_picture(out, applications.Picture(relit.texture_linear, mask), exposure)
     else:
-        if texture:
-            picture = applications.Picture(relit.texture_linear, relit.face.mask.astype(np.float32))
-        else:
-            picture = relit.picture(camera, shape=shape)
-        if extension == ".exr":
-            write_exr(out, np.dstack([picture.linear * (exposure or 1.0), picture.alpha]))
-        else:
-            write_image(out, picture.srgb(exposure))
+        _write_picture(out, relit.picture(camera, shape=shape), exposure)
     say(f"{face.name}: relit; {out}")
     if json_summary:
-        summary = {"face": face.name, "status": "done", "out": str(out), "lights": len(lights)}
+        summary = {"face": face.name, "status": "done", "out": str(out), "lights": len(lamps)}
         echo_json({**summary, "notes": list(relit.notes)})
+
+
+def _write_picture(out: Path, picture: "Picture", exposure: float | None) -> None:
+    """Write a picture: linear as EXR, else as it is shown."""
+    import numpy as np
+
+    from scan2albedo.io.images import write_exr, write_image
+
+    if out.suffix.lower() == ".exr":
+        write_exr(out, np.dstack([picture.linear * (exposure or 1.0), picture.alpha]))
+    else:
+        write_image(out, picture.srgb(exposure))
+
+
+def _lamp(text: str, radius_deg: float) -> "PointLight":
+    """Return the lamp of one --light."""
+    from scan2albedo.core import PointLight
+
+    azimuth, elevation, *others = _angles("--light", text, 2, 4)
+    intensity, distance = (*others, *(LAMP_INTENSITY, math.inf)[len(others) :])
+    if intensity < 0 or distance <= 0:
+        raise typer.BadParameter(f"--light {text}: intensity may not be negative, a distance is above 0")
+    return PointLight(
+        math.radians(azimuth), math.radians(elevation), distance, intensity, radius_deg=radius_deg
+    )
 
 
 def _angles(option: str, text: str, fewest: int, most: int) -> list[float]:

@@ -7,6 +7,16 @@ from scan2albedo.core.plan import Plan, PlanStep
 from scan2albedo.core.raw_scan import RawScan
 
 __all__ = [
-    "Budget", "EnvironmentLight", "GeometryImage", "Meter", "Plan", "PlanStep", "PointLight",
-    "ProgressCallback", "RawScan", "Trace", "TraceRow", "checked_seed",
-]  # fmt: skip
+    "Budget",
+    "EnvironmentLight",
+    "GeometryImage",
+    "Meter",
+    "Plan",
+    "PlanStep",
+    "PointLight",
+    "ProgressCallback",
+    "RawScan",
+    "Trace",
+    "TraceRow",
+    "checked_seed",
+]

@@ -7,11 +7,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arguments import require_linear
-from scan2albedo.core.arrays import checked_mesh
+from scan2albedo.core.arrays import checked_array, checked_mesh
 from scan2albedo.errors import GeometryImageError, errors_of
 
-SMALLEST_SIZE, LARGEST_SIZE = 8, 16384
-"""A texel takes some hundred bytes on its way: 16384 texels a side are near 30 GB."""
+SMALLEST_SIZE = 8
+"""Least texels a side: below it no face can be told."""
+LARGEST_SIZE = 16384
+"""Most texels a side: a texel takes some hundred bytes on its way, these are near 30 GB."""
 
 NO_CAMERA = 255
 """In `GeometryImage.camera`: it is not known which camera took the texel."""
@@ -19,12 +21,21 @@ NO_CAMERA = 255
 Occluder = tuple[NDArray[np.float64], NDArray[np.int64]]
 
 ARRAYS = {
-    "position": (np.float64, 3), "normal": (np.float64, 3), "mask": (np.bool_, None),
-    "region": (np.uint8, None), "texture_linear": (np.float32, 3), "texture_valid": (np.bool_, None),
-    "specular_scale": (np.float32, None), "inpaint": (np.bool_, None), "skin": (np.float32, None),
-    "labels": (np.uint8, None), "camera": (np.uint8, None), "face_chart": (np.float32, 2),
-    "filled": (np.bool_, None), "on_face": (np.bool_, None),
-}  # fmt: skip
+    "position": (np.float64, 3),
+    "normal": (np.float64, 3),
+    "mask": (np.bool_, None),
+    "region": (np.uint8, None),
+    "texture_linear": (np.float32, 3),
+    "texture_valid": (np.bool_, None),
+    "specular_scale": (np.float32, None),
+    "inpaint": (np.bool_, None),
+    "skin": (np.float32, None),
+    "labels": (np.uint8, None),
+    "camera": (np.uint8, None),
+    "face_chart": (np.float32, 2),
+    "filled": (np.bool_, None),
+    "on_face": (np.bool_, None),
+}
 """Type and channels, None for a plain (H, W), of the arrays that have a value a texel."""
 
 _LENGTH = 0.01
@@ -101,9 +112,8 @@ class GeometryImage:
         if (self.camera is None) != (self.camera_positions is None):
             raise GeometryImageError("camera and camera_positions belong together, and one of them is None")
         if self.camera is not None:
-            positions = np.array(self.camera_positions, np.float64)
-            if positions.ndim != 2 or positions.shape[1] != 3 or not np.isfinite(positions).all():
-                raise GeometryImageError(f"camera_positions has {positions.shape}, expected (K, 3), finite")
+            given, error = self.camera_positions, GeometryImageError
+            positions = checked_array(given, ("K", 3), "camera_positions", error, finite=error)  # type: ignore[arg-type]
             unknown = (self.camera >= len(positions)) & (self.camera != NO_CAMERA)
             if unknown.any():
                 raise GeometryImageError(

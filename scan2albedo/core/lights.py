@@ -7,6 +7,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from scan2albedo.core.arrays import checked_array
+
 LAMP_RADIUS_DEG = 4.0
 """Angular radius of a usual lamp for portraits: 30 cm across, two metres away."""
 
@@ -82,16 +84,12 @@ class EnvironmentLight:
     """Albedo of the surface that throws light onto itself; 0 or more."""
 
     def __post_init__(self) -> None:
-        given = np.array(self.coefficients, np.float64)
-        if given.shape != (9, 3):
-            raise ValueError(f"coefficients have shape {given.shape}, expected (9, 3): harmonics by channels")
-        if not np.isfinite(given).all():
-            raise ValueError("coefficients of an environment must be finite")
+        given = checked_array(self.coefficients, (9, 3), "coefficients", finite=ValueError)
         if not 0 <= self.fill <= 1:
             raise ValueError(f"fill is {self.fill}, expected a part from 0 to 1 of what is hidden")
         if not 0 <= self.bounce < np.inf:
             raise ValueError(f"bounce is {self.bounce}, expected a finite number, 0 or more")
-        object.__setattr__(self, "coefficients", given)
+        object.__setattr__(self, "coefficients", given.copy())
 
     @classmethod
     def constant(cls) -> Self:

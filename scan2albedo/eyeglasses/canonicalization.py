@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray, checked_array
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import mean_keypoints as means
 from scan2albedo.eyeglasses import unbending
@@ -68,9 +68,7 @@ class CanonicalEyeglasses:
 
         The exact inverse of `apply`. Raises ValueError when there are not as many vertices as weights.
         """
-        xyz = np.asarray(vertices, np.float64)
-        if xyz.shape != (len(self.weights), 3):
-            raise ValueError(f"vertices must have shape ({len(self.weights)}, 3), got {xyz.shape}")
+        xyz = checked_array(vertices, (len(self.weights), 3), "vertices")
         blended = (self.weights @ self.handle_transforms[:, :3].reshape(-1, 12)).reshape(-1, 3, 4)
         back = np.linalg.solve(blended[:, :, :3], (xyz - blended[:, :, 3])[:, :, None])
         return np.asarray(back[:, :, 0])
@@ -187,7 +185,8 @@ def canonicalize(
     scales = means.unit_factors([f.unit_exponent for f in frames], common)
     points = [scale * f.points for scale, f in zip(scales, frames, strict=True)]
     widths = scales * [f.width for f in frames]
-    mean, settled, rounds = reference, True, 0
+    mean, settled = reference, True
+    rounds = 0
     if mean is None:
         own = meter.sub_meter("eyeglasses.mean", "bones")
         mean, settled, rounds = means.mean_key_points(points, own)
@@ -201,30 +200,10 @@ def canonicalize(
     steps |= {i: Plan((PlanStep("eyeglasses.weights", False, why),)) for i, why in failures.items()}
     rows = [replace(s, reason=f"frame {i}: {s.reason}") for i, part in sorted(steps.items()) for s in part]
     names = [f.name or f"frame {f.number}" for f in frames]
-    wide = f"fronts {', '.join(f'{width:.4g}' for width in widths)} wide"
-    if (scales != 1).any():
-        factors = f"factors {', '.join(f'{s:.6g}' for s in scales)}; then {wide}"
-        rows.append(PlanStep("eyeglasses.units", True, "widths are those of different units", factors))
-    else:
-        rows.append(PlanStep("eyeglasses.units", False, "widths agree: one unit", wide))
+    rows.append(_unit_step(scales, widths))
     unusual = means.outliers(points, widths)
-    if not unusual:
-        among = f"none among {len(frames)} frame{'s' * (len(frames) > 1)}"
-        rows.append(PlanStep("eyeglasses.outliers", False, among))
-    for i, why in unusual.items():
-        rows.append(PlanStep.doubt("eyeglasses.outliers", f"{names[i]} is unlike the others: {why}"))
-    if single := means.single_bridges(points, widths, reference) if options.mode == "mean" else ():
-        reason = (
-            f"{', '.join(names[i] for i in single)}: one bridge, while other frames or the "
-            "mean given have two: bridge_top of the mean lies between both kinds and draws the single bridge "
-            "out into a spike; leave bridge_top out of the key points of frames with one bridge, or bring "
-            "the two kinds to means of their own"
-        )
-        rows.append(PlanStep.doubt("eyeglasses.bridges", reason))
-    behind = [np.isnan(p[means.BEHIND]).any(1).all() for p in points]
-    if bare := [name for name, unknown in zip(names, behind, strict=True) if unknown]:
-        reason = f"{', '.join(bare)}: without temples, left and right cannot be checked reliably"
-        rows.append(PlanStep.doubt("eyeglasses.sides", reason))
+    single = means.single_bridges(points, widths, reference) if options.mode == "mean" else ()
+    rows += _doubts(names, points, unusual, single)
     evidence = f"{'' if settled else 'not '}settled after {rounds} round{'s' if rounds != 1 else ''}"
     found = PlanStep("eyeglasses.mean", True, f"mean of {len(done)} frame{'s' * (len(done) > 1)}", evidence)
     rows.append(found if reference is None else PlanStep("eyeglasses.mean", False, "given"))
@@ -239,6 +218,41 @@ def canonicalize(
         plan=Plan(tuple(rows)),
         trace=meter.trace,
     )
+
+
+def _unit_step(scales: FloatArray, widths: FloatArray) -> PlanStep:
+    """Return the step that brings frames to one unit by `scales` (n,), where the fronts' widths differ."""
+    wide = f"fronts {', '.join(f'{width:.4g}' for width in widths)} wide"
+    if (scales == 1).all():
+        return PlanStep("eyeglasses.units", False, "widths agree: one unit", wide)
+    factors = f"factors {', '.join(f'{s:.6g}' for s in scales)}; then {wide}"
+    return PlanStep("eyeglasses.units", True, "widths are those of different units", factors)
+
+
+def _doubts(
+    names: Sequence[str], points: Sequence[FloatArray], unusual: Mapping[int, str], single: Sequence[int]
+) -> list[PlanStep]:
+    """Return doubts about a set: `unusual` frames, `single` bridges among double ones, missing temples."""
+    rows = [
+        PlanStep.doubt("eyeglasses.outliers", f"{names[i]} is unlike the others: {why}")
+        for i, why in unusual.items()
+    ]
+    if not unusual:
+        among = f"none among {len(names)} frame{'s' * (len(names) > 1)}"
+        rows.append(PlanStep("eyeglasses.outliers", False, among))
+    if single:
+        reason = (
+            f"{', '.join(names[i] for i in single)}: one bridge, while other frames or the "
+            "mean given have two: bridge_top of the mean lies between both kinds and draws the single bridge "
+            "out into a spike; leave bridge_top out of the key points of frames with one bridge, or bring "
+            "the two kinds to means of their own"
+        )
+        rows.append(PlanStep.doubt("eyeglasses.bridges", reason))
+    bare = [n for n, p in zip(names, points, strict=True) if np.isnan(p[means.BEHIND]).any(1).all()]
+    if bare:
+        reason = f"{', '.join(bare)}: without temples, left and right cannot be checked reliably"
+        rows.append(PlanStep.doubt("eyeglasses.sides", reason))
+    return rows
 
 
 @dataclass(frozen=True)
@@ -260,11 +274,8 @@ class _Frame:
     def checked(cls, number: int, mesh: Any, keypoints: ArrayLike, weights: ArrayLike | None) -> Self:
         """Return what a caller gave as one frame; raises ValueError for shapes and numbers not finite."""
         vertices, faces = (mesh.vertices, mesh.faces) if hasattr(mesh, "vertices") else mesh
-        xyz = np.asarray(vertices, np.float64)
+        xyz = checked_array(vertices, ("V", 3), f"vertices of frame {number}", finite=ValueError)
         shares = None if weights is None else checked_weights(f"weights {number}", weights, len(xyz))
-        for name, array in (("vertices", xyz), ("weights", shares)):
-            if array is not None and not np.isfinite(array).all():
-                raise ValueError(f"frame {number}: {name} hold NaN or infinity; repair it or leave it out")
         marks = checked_keypoints(f"keypoints {number}", keypoints)
         return cls(number, getattr(mesh, "name", None), xyz, np.asarray(faces, np.int64), marks, shares)
 
@@ -326,8 +337,15 @@ class _Frame:
         transforms = carriers @ np.diag([scale, scale, scale, 1.0])
         off = transform_points(rigid, points) - targets
         return CanonicalEyeglasses(
-            vertices=skin(self.vertices, self.weights, transforms), faces=self.faces, weights=self.weights,
-            keypoints=targets, canonical_from_frame=rigid, scale=scale, handle_transforms=transforms,
+            vertices=skin(self.vertices, self.weights, transforms),
+            faces=self.faces,
+            weights=self.weights,
+            keypoints=targets,
+            canonical_from_frame=rigid,
+            scale=scale,
+            handle_transforms=transforms,
             residual=float(np.sqrt((off[np.isfinite(off).all(1)] ** 2).sum(1).mean())),
-            unbent=options.mode == "unbend", converged=self.converged, plan=self.plan + rows,
-        )  # fmt: skip
+            unbent=options.mode == "unbend",
+            converged=self.converged,
+            plan=self.plan + rows,
+        )

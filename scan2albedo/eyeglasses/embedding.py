@@ -79,41 +79,18 @@ def embed(
         if spacing != "auto":
             raise ValueError(f'spacing must be "auto" or a number, got {spacing!r}')
         # Places two spacings apart along one axis lie in cells with another cell between them.
-        closest = float(apart[a, b]) / 2
-        # The thickness that a tenth of 2,000 places, even in area, stay below; infinite where nothing is met.
-        thin, area = math.inf, np.cumsum(face_areas(vertices, faces))
-        if area[-1] > 0:
-            chosen = np.searchsorted(area, (np.arange(2000) + 0.5) / 2000 * area[-1])
-            caster = RayCaster(vertices, faces)
-            center, normal = vertices[faces[chosen]].mean(1), face_normals(vertices, faces[chosen])
-            skin = _SKIN * caster.size
-            sides = [caster.first_hit(center + skin * way, way).distance + skin for way in (normal, -normal)]
-            thin = float(np.quantile(np.minimum(*sides), _THIN_PART, method="lower"))
-        wanted = float(np.clip(thin, size / 150, size / 40))
-        reason = f"the mesh's thin parts measure {thin:.4g}"
-        if closest < wanted:
-            wanted, reason = max(closest, size / 150), "two key points are close together"
-        count = math.ceil(size / wanted * (1 - 1e-9))
-        while (touched := _cells(vertices, faces, low, size / count, max_nodes)) is None:
-            if count <= 2:
-                raise EyeglassesError(
-                    f"no lattice of {max_nodes} nodes holds the mesh: it is far larger than the box of its "
-                    f"key points ({size:.4g}); remove what lies far away, or raise max_nodes"
-                )
-            # About a twelfth coarser each time.
-            count, reason = max(23 * count // 25, 2), f"finer ones have more than {max_nodes} nodes"
-        used = size / count
-        step = PlanStep("eyeglasses.weights.spacing", True, reason, f"{used:.6g}")
+        used, touched, reason = _automatic_spacing(vertices, faces, low, size, apart[a, b] / 2, max_nodes)
     else:
-        used = float(spacing)
+        used, reason = float(spacing), "given"
         if not (used > 0 and np.isfinite(used)):
             raise ValueError(f"spacing must be > 0, got {used}")
         limit = 10 * max_nodes
-        touched = _cells(vertices, faces, low, used, limit)
-        if touched is None:
+        found = _cells(vertices, faces, low, used, limit)
+        if found is None:
             said = f"a spacing of {used:.4g} makes more than {limit} lattice nodes"
             raise EyeglassesError(f"{said}; give a larger one, or raise max_nodes")
-        step = PlanStep("eyeglasses.weights.spacing", False, "given", f"{used:.6g}")
+        touched = found
+    step = PlanStep("eyeglasses.weights.spacing", reason != "given", reason, f"{used:.6g}")
     origin = _origin(low, used)
     # A handle lies in the middle of its key points; those whose cells touch become one, the nearest first.
     placed, groups = (handles - origin) / used, [[k] for k in range(len(handles))]
@@ -149,8 +126,49 @@ def embed(
         leader = follower[by_distance[first]][np.searchsorted(labels, part)]
         evidence = f"{len(labels)} parts, {len(follower)} vertices"
         left_out = PlanStep(stage, True, "parts out of reach of every key point", evidence)
-    # Shares of the key points of one handle in its weight fall with the square of the distance (Shepard's
-    # interpolation): each is 1 at its own key point, and far away they are equal.
+    handle, shares = _divided_handles(vertices, handles, groups)
+    plan = Plan((step, left_out, merged))
+    interpolation = lattice.interpolation(local)
+    return Embedding(lattice, owners, handle, shares, interpolation, used, follower, leader, plan)
+
+
+def _automatic_spacing(
+    vertices: FloatArray, faces: IntArray, low: FloatArray, size: float, closest: float, max_nodes: int
+) -> tuple[float, IntArray, str]:
+    """Return the spacing that thin parts ask for, at least `closest` and within `max_nodes`; cells; why."""
+    # The thickness that a tenth of 2,000 places, even in area, stay below; infinite where nothing is met.
+    thin, area = math.inf, np.cumsum(face_areas(vertices, faces))
+    if area[-1] > 0:
+        chosen = np.searchsorted(area, (np.arange(2000) + 0.5) / 2000 * area[-1])
+        caster = RayCaster(vertices, faces)
+        center, normal = vertices[faces[chosen]].mean(1), face_normals(vertices, faces[chosen])
+        skin = _SKIN * caster.size
+        sides = [caster.first_hit(center + skin * way, way).distance + skin for way in (normal, -normal)]
+        thin = float(np.quantile(np.minimum(*sides), _THIN_PART, method="lower"))
+    wanted = float(np.clip(thin, size / 150, size / 40))
+    reason = f"the mesh's thin parts measure {thin:.4g}"
+    if closest < wanted:
+        wanted, reason = max(float(closest), size / 150), "two key points are close together"
+    count = math.ceil(size / wanted * (1 - 1e-9))
+    while (touched := _cells(vertices, faces, low, size / count, max_nodes)) is None:
+        if count <= 2:
+            raise EyeglassesError(
+                f"no lattice of {max_nodes} nodes holds the mesh: it is far larger than the box of its "
+                f"key points ({size:.4g}); remove what lies far away, or raise max_nodes"
+            )
+        # About a twelfth coarser each time.
+        count, reason = max(23 * count // 25, 2), f"finer ones have more than {max_nodes} nodes"
+    return size / count, touched, reason
+
+
+def _divided_handles(
+    vertices: FloatArray, handles: FloatArray, groups: Sequence[Sequence[int]]
+) -> tuple[IntArray, FloatArray]:
+    """Return the handle (K,) of each key point, and its share (V, K) in the weight of a handle.
+
+    Shares fall with the square of the distance (Shepard's interpolation): each is 1 at its own key point, and
+    far away they are equal.
+    """
     handle, shares = np.zeros(len(handles), np.int64), np.empty((len(vertices), len(handles)))
     for number, group in enumerate(map(sorted, groups)):
         handle[group] = number
@@ -158,8 +176,7 @@ def embed(
         nearness = square.min(1, keepdims=True) / np.maximum(square, np.finfo(float).tiny)
         nearness[square == 0] = 1.0
         shares[:, group] = nearness / nearness.sum(1, keepdims=True)
-    interpolation, plan = lattice.interpolation(local), Plan((step, left_out, merged))
-    return Embedding(lattice, owners, handle, shares, interpolation, used, follower, leader, plan)
+    return handle, shares
 
 
 def _distances(places: FloatArray, metric: str) -> FloatArray:

@@ -87,48 +87,33 @@ def typical_key_points() -> FloatArray:
 
 
 def checked_points(name: str, values: ArrayLike) -> FloatArray:
-    """Return finite points (N, 3), N >= 1, as float64.
-
-    Raises EyeglassesError when there is none or numbers are not finite, ValueError for another shape.
-    """
-    points = np.ascontiguousarray(values, np.float64)
-    if points.size == 0:
+    """Return finite points (N, 3), N >= 1; EyeglassesError for none or not finite, ValueError for a shape."""
+    if np.size(values) == 0:
         raise EyeglassesError(f"{name} hold nothing; give one or more")
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise ValueError(f"{name} must have shape (N, 3), got {points.shape}")
-    bad = np.flatnonzero(~np.isfinite(points).all(1))
-    if len(bad):
-        said = f"{name}[{bad[0]}] is not finite: {points[bad[0]].tolist()}"
-        raise EyeglassesError(f"{said} ({len(bad)} of {len(points)} are not); repair the input first")
-    return points
+    points = arrays.checked_array(values, ("N", 3), name, finite=EyeglassesError)
+    return np.ascontiguousarray(points)
 
 
-def checked_mesh(vertices: ArrayLike, faces: ArrayLike, owner: str = "") -> tuple[FloatArray, IntArray]:
+def checked_mesh(
+    vertices: ArrayLike, faces: ArrayLike, owner: str = "the mesh"
+) -> tuple[FloatArray, IntArray]:
     """Return vertices (V, 3) and faces (F, 3) of a mesh with faces; messages begin with its `owner`.
 
     Raises EyeglassesError when it is empty or not finite, ValueError when arrays do not fit together.
     """
-    of = f"{owner}: " if owner else ""
-    xyz, index = checked_points(f"{of}vertices", vertices), np.asarray(faces)
-    if index.size == 0:
-        raise EyeglassesError(f"{of}no faces; give a mesh with faces")
-    if not np.issubdtype(index.dtype, np.integer):
-        raise ValueError(f"{of}faces must hold integers, got {index.dtype}")
-    xyz, index = arrays.checked_mesh(xyz, index, owner or "the mesh")
-    return xyz, np.ascontiguousarray(index)
+    xyz = checked_points(f"{owner}: vertices", vertices)
+    if np.size(faces) == 0:
+        raise EyeglassesError(f"{owner}: no faces; give a mesh with faces")
+    index = arrays.checked_array(faces, ("F", 3), f"{owner}: faces", kind=int)
+    return arrays.checked_mesh(xyz, index, owner)
 
 
 def checked_keypoints(name: str, values: ArrayLike) -> FloatArray:
     """Return key points (20, 3) as a new array; raises ValueError for another shape."""
-    points = np.array(values, np.float64)
-    if points.shape != (KEY_POINT_COUNT, 3):
-        raise ValueError(f"{name} must have shape (20, 3), got {points.shape}; NaN rows for missing ones")
-    return points
+    return np.array(arrays.checked_array(values, (KEY_POINT_COUNT, 3), name))
 
 
 def checked_weights(name: str, values: ArrayLike, count: int) -> FloatArray:
-    """Return weights (V, 20) of `count` vertices; raises ValueError for another shape."""
-    weights = np.ascontiguousarray(values, np.float64)
-    if weights.shape != (count, KEY_POINT_COUNT):
-        raise ValueError(f"{name} must have shape ({count}, {KEY_POINT_COUNT}), got {weights.shape}")
-    return weights
+    """Return finite weights (V, 20) of `count` vertices; raises ValueError for others."""
+    shape = (count, KEY_POINT_COUNT)
+    return np.ascontiguousarray(arrays.checked_array(values, shape, name, finite=ValueError))

@@ -71,7 +71,8 @@ def mean_key_points(keypoints: Sequence[FloatArray], meter: Meter) -> tuple[Floa
     """
     mean = fullest(keypoints)
     size = key_point_size(mean)
-    iteration, settled = 0, False
+    iteration = 0
+    settled = False
     while not settled and iteration < 200 and not (iteration and meter.exhausted):
         iteration += 1
         aligned = np.array([transform_points(align_key_points(p, mean), p) for p in keypoints])

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray, checked_array
 from scan2albedo.eyeglasses.keypoints import SKELETON
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import procrustes
@@ -35,17 +35,11 @@ def skin(vertices: ArrayLike, weights: ArrayLike, transforms: ArrayLike) -> Floa
     array([[0., 0., 0.],
            [1., 0., 1.]])
     """
-    xyz, shares, maps = (np.asarray(a, np.float64) for a in (vertices, weights, transforms))
-    if xyz.ndim != 2 or xyz.shape[1] != 3:
-        raise ValueError(f"vertices must have shape (V, 3), got {xyz.shape}")
-    if maps.ndim != 3 or maps.shape[1:] not in ((4, 4), (3, 4)):
+    maps = checked_array(transforms, ("K", "R", 4), "transforms", finite=ValueError)
+    if maps.shape[1] not in (3, 4):
         raise ValueError(f"transforms must have shape (K, 4, 4) or (K, 3, 4), got {maps.shape}")
-    if shares.shape != (wanted := (len(xyz), len(maps))):
-        raise ValueError(f"weights must have shape {wanted} of vertices and transforms, got {shares.shape}")
-    for name, array in (("vertices", xyz), ("weights", shares), ("transforms", maps)):
-        if not np.isfinite(array).all():
-            bad = np.flatnonzero(~np.isfinite(array.reshape(len(array), -1)).all(1))
-            raise ValueError(f"{name}[{bad[0]}] is not finite ({len(bad)} of {len(array)} are not)")
+    xyz = checked_array(vertices, ("V", 3), "vertices", finite=ValueError)
+    shares = checked_array(weights, (len(xyz), len(maps)), "weights", finite=ValueError)
     blended = (shares @ maps[:, :3].reshape(-1, 12)).reshape(-1, 3, 4)
     return np.asarray(np.einsum("vij,vj->vi", blended[:, :, :3], xyz) + blended[:, :, 3])
 

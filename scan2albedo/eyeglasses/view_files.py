@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, checked_array
 from scan2albedo.errors import EyeglassesError, ScanError, errors_of
 from scan2albedo.eyeglasses.frame_files import KeyPointName, LengthUnit, named_key_points, read_json
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
@@ -33,11 +33,7 @@ class Camera:
 
     def __post_init__(self) -> None:
         checked_name(self.name)
-        matrix = np.asarray(self.matrix, np.float64)
-        if matrix.shape != (3, 4):
-            raise ValueError(f"camera {self.name!r}: its matrix has shape {matrix.shape}, expected (3, 4)")
-        if not np.isfinite(matrix).all():
-            raise ValueError(f"camera {self.name!r}: its matrix holds numbers that are not finite")
+        matrix = checked_array(self.matrix, (3, 4), f"camera {self.name!r}: its matrix", finite=ValueError)
         rows = np.linalg.norm(matrix[:, :3], axis=1)
         # The volume that the rows' unit vectors span: 0 where space is mapped onto a line.
         if not (rows.min() > 0 and abs(np.linalg.det(matrix[:, :3] / rows[:, None])) > 1e-9):
@@ -220,10 +216,7 @@ def write_labels(path: str | Path, labels: ArrayLike, camera_names: Sequence[str
     ----------
     path, labels, camera_names
     """
-    pixels = np.asarray(labels, np.float64)
-    if pixels.shape != (count := len(camera_names), KEY_POINT_COUNT, 2):
-        wanted = f"({count}, {KEY_POINT_COUNT}, 2) for {count} cameras"
-        raise ValueError(f"labels must have shape {wanted}, got {pixels.shape}")
+    pixels = checked_array(labels, (len(camera_names), KEY_POINT_COUNT, 2), "labels")
     require_distinct_names(camera_names)
     views = {
         name: {

@@ -133,7 +133,7 @@ class AnnotatedSurface:
             "template_face": entry.control_faces,
             "template_faces": entry.template_vertices,
         }.items():
-            if name in arrays and (arrays[name].min() < 0 or arrays[name].max() >= limit):
+            if name in arrays and not ((arrays[name] >= 0) & (arrays[name] < limit)).all():
                 raise ModelError(f"face model: {name} in {file} points outside 0 ... {limit - 1}")
         found: dict[str, Any] = {
             name: arrays[name].astype(np.int64 if kind is np.int32 else kind)

@@ -2,7 +2,7 @@
 
 Texels of about a millimetre have four features, all relative to this face's own skin: how much darker,
 redder and bluer they are (logarithms), and how much stronger their grain is. Of each class there are the
-distribution of the features and the places on a face's chart, learned by ``tools/fit_appearance.py`` from
+distribution of the features and the places on a face's chart, learned by ``tools/build/appearance.py`` from
 heads in many lights. The colour of the skin turns with the light: it is a quadratic in the normal [1]_,
 fitted together with the classes by expectation maximisation. Neighbours are likely alike (a Potts model).
 

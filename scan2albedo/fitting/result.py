@@ -25,8 +25,8 @@ NEAR_MM, UNSEEN_MM = 12.0, 4.0
 """The surface around a landmark that shows it, about an eye's height, and the deviation of one, along an
 axis, around which there is no scan."""
 _FEATURES_MM = np.repeat((8.0, 4.2, 8.0, 2.2, 1.9, 1.1, 2.0, 2.1), (1, 15, 1, 10, 4, 5, 12, 20))
-"""Deviation in mm along an axis of each landmark of iBUG-68: what `tools/bench_landmarks.py
---expressions` found on its faces. No others have judged it."""
+"""Deviation in mm along an axis of each landmark of iBUG-68: what
+`tools/bench/landmarks.py` found on its faces. No others have judged it."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class FittedFace(FittedSurface):
     covered_faces: BoolArray | None = None
     """(F,): faces of the raw scan that were left out because they stand far before the eyes; None: none."""
     landmark_deviation_mm: FloatArray | None = None
-    """(68,): standard deviation of each landmark along an axis (`tools/bench_landmarks.py`)."""
+    """(68,): standard deviation of each landmark along an axis (`tools/bench/landmarks.py`)."""
 
 
 def fitted_face(

@@ -11,16 +11,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core.arrays import FloatArray, IntArray, checked_mesh
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array, checked_mesh
 from scan2albedo.geometry.mesh import vertex_normals, without_unreferenced
 from scan2albedo.io.atomic import write_bytes
 from scan2albedo.io.images import encode_image
 
 METRES_PER_MM = 1e-3
-OF_VERTICES, OF_INDICES = 34962, 34963
-"""What a buffer view is for, in the standard's numbers."""
+OF_VERTICES = 34962
+"""Target of a buffer view that holds an attribute of vertices (glTF 2.0, 5.11.5: ARRAY_BUFFER)."""
+OF_INDICES = 34963
+"""Target of a buffer view that holds the corners of faces (glTF 2.0, 5.11.5: ELEMENT_ARRAY_BUFFER)."""
 
 _COMPONENT = {"u1": 5121, "u2": 5123, "u4": 5125, "f4": 5126}
+_KIND = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
 
 
 class GlbFile:
@@ -31,6 +34,7 @@ class GlbFile:
         self.views: list[dict[str, int]] = []
         self.accessors: list[dict[str, Any]] = []
         self.meshes: list[dict[str, Any]] = []
+        self.materials: list[dict[str, Any]] = []
         self.images: list[dict[str, Any]] = []
 
     def add_bytes(self, data: bytes, target: int | None = None) -> int:
@@ -45,45 +49,52 @@ class GlbFile:
         self.images.append({**entries, "bufferView": self.add_bytes(png), "mimeType": "image/png"})
         return {"index": len(self.images) - 1}
 
-    def add_array(
-        self, array: NDArray[Any], kind: str, target: int | None = None, *, bounds: bool = False
-    ) -> int:
-        """Append an array, one element a row, and return the number of its accessor."""
-        little = np.ascontiguousarray(array, array.dtype.newbyteorder("<"))
+    def add_array(self, array: NDArray[Any], target: int | None = None, *, bounds: bool = False) -> int:
+        """Append an array, one element a row, floats in 32 bits, and return the number of its accessor."""
+        stored = array.astype("<f4") if array.dtype.kind == "f" else array
+        little = np.ascontiguousarray(stored, stored.dtype.newbyteorder("<"))
         accessor: dict[str, Any] = {
             "bufferView": self.add_bytes(little.tobytes(), target),
-            "componentType": _COMPONENT[array.dtype.str[1:]],
+            "componentType": _COMPONENT[stored.dtype.str[1:]],
             "count": len(array),
-            "type": kind,
+            "type": _KIND[array.shape[1:]],
         }
         if bounds:
-            accessor |= {"min": array.min(0).tolist(), "max": array.max(0).tolist()}
+            rows = stored.reshape(len(stored), -1)
+            accessor |= {"min": rows.min(0).tolist(), "max": rows.max(0).tolist()}
         self.accessors.append(accessor)
         return len(self.accessors) - 1
 
     def add_mesh(
         self,
-        name: str,
-        vertices_mm: NDArray[np.float64],
-        faces: NDArray[np.int64],
-        material: int = 0,
-        attributes: Mapping[str, tuple[NDArray[Any], str]] | None = None,
+        material: dict[str, Any],
+        vertices_mm: FloatArray,
+        faces: IntArray,
+        attributes: Mapping[str, NDArray[Any]] | None = None,
         *,
-        normals: NDArray[np.float64] | None = None,
+        uv: FloatArray | None = None,
+        normals: FloatArray | None = None,
     ) -> int:
-        """Append a mesh, attributes (array, kind), `normals` (V, 3) where it was split; return its number."""
+        """Append a mesh of one material, whose name it takes, and return its number.
+
+        `uv` (V, 2) has v = 0 at the bottom, `normals` (V, 3) are those of a mesh that was split.
+        """
         places = vertices_mm * METRES_PER_MM
         normals = vertex_normals(places, faces) if normals is None else normals.copy()
         normals[~normals.any(1)] = (0.0, 0.0, 1.0)
         stored = {
-            "POSITION": self.add_array(places.astype("f4"), "VEC3", OF_VERTICES, bounds=True),
-            "NORMAL": self.add_array(normals.astype("f4"), "VEC3", OF_VERTICES),
+            "POSITION": self.add_array(places, OF_VERTICES, bounds=True),
+            "NORMAL": self.add_array(normals, OF_VERTICES),
         }
-        for key, (array, kind) in (attributes or {}).items():
-            stored[key] = self.add_array(array, kind, OF_VERTICES)
-        indices = self.add_array(faces.astype("u4").ravel(), "SCALAR", OF_INDICES)
-        primitive = {"attributes": stored, "indices": indices, "material": material}
-        self.meshes.append({"name": name, "primitives": [primitive]})
+        further = dict(attributes or {})
+        if uv is not None:  # glTF counts v from the top
+            further["TEXCOORD_0"] = uv * (1, -1) + (0, 1)
+        for key, array in further.items():
+            stored[key] = self.add_array(array, OF_VERTICES)
+        indices = self.add_array(faces.astype("u4").ravel(), OF_INDICES)
+        self.materials.append(material)
+        primitive = {"attributes": stored, "indices": indices, "material": len(self.materials) - 1}
+        self.meshes.append({"name": material["name"], "primitives": [primitive]})
         return len(self.meshes) - 1
 
     def add_targets(
@@ -93,37 +104,52 @@ class GlbFile:
         targets: FloatArray,
         weights: FloatArray,
         kept: IntArray | slice = slice(None),
+        names: Sequence[str] = (),
     ) -> None:
         """Append morph targets (K, V, 3) mm, with weights (K,), of the vertices that a mesh `kept` of another
         one (V, 3), (F, 3) when it was split."""
-        (vertices_mm, faces), primitive = surface, self.meshes[mesh]["primitives"][0]
-        normals, self.meshes[mesh]["weights"] = vertex_normals(vertices_mm, faces), weights.tolist()
-        primitive["targets"] = []
+        (vertices_mm, faces), entry = surface, self.meshes[mesh]
+        normals, stored = vertex_normals(vertices_mm, faces), list[dict[str, int]]()
         for move in targets:
-            turned = (vertex_normals(vertices_mm + move, faces) - normals)[kept].astype("f4")
-            moved = (METRES_PER_MM * move[kept]).astype("f4")
-            place = self.add_array(moved, "VEC3", OF_VERTICES, bounds=True)
-            primitive["targets"].append(
-                {"POSITION": place, "NORMAL": self.add_array(turned, "VEC3", OF_VERTICES)}
-            )
+            turned = (vertex_normals(vertices_mm + move, faces) - normals)[kept]
+            place = self.add_array(METRES_PER_MM * move[kept], OF_VERTICES, bounds=True)
+            stored.append({"POSITION": place, "NORMAL": self.add_array(turned, OF_VERTICES)})
+        entry["primitives"][0]["targets"] = stored
+        entry["weights"] = weights.tolist()
+        if names:
+            entry["extras"] = {"targetNames": [*names]}
 
     def write(
-        self, path: str | Path, nodes: list[dict[str, Any]], roots: list[int], **entries: list[Any]
+        self,
+        path: str | Path,
+        nodes: list[dict[str, Any]] | None = None,
+        roots: Sequence[int] = (),
+        **entries: list[Any],
     ) -> None:
-        """Write the file atomically, with `nodes`, of which `roots` stand in the scene, and further lists."""
-        textures = [{"source": number} for number in range(len(self.images))]
+        """Write the file atomically, with further lists, and `nodes`, of which `roots` stand in the scene.
+
+        Without nodes each mesh has one, of its name.
+        """
+        if nodes is None:
+            nodes = [{"name": mesh["name"], "mesh": number} for number, mesh in enumerate(self.meshes)]
+            roots = range(len(nodes))
         tree = {
             "asset": {"version": "2.0", "generator": "scan2albedo"},
             "scene": 0,
-            "scenes": [{"nodes": roots}],
+            "scenes": [{"nodes": [*roots]}],
             "nodes": nodes,
             "meshes": self.meshes,
             **entries,
-            **({"images": self.images, "textures": textures} if textures else {}),
+            "materials": self.materials,
             "accessors": self.accessors,
             "bufferViews": self.views,
             "buffers": [{"byteLength": len(self.data)}],
         }
+        if self.images:
+            textures = [{"source": number} for number in range(len(self.images))]
+            tree |= {"images": self.images, "textures": textures}
+        if used := {name for material in self.materials for name in material.get("extensions", ())}:
+            tree["extensionsUsed"] = sorted(used)
         text = json.dumps(tree, separators=(",", ":"), allow_nan=False).encode()
         text += b" " * (-len(text) % 4)
         body = struct.pack("<I4s", len(text), b"JSON") + text
@@ -159,12 +185,11 @@ def write_glb(
     if uv is not None and np.shape(uv) != (len(points), 2):
         raise ValueError(f"uv has shape {np.shape(uv)}, expected ({len(points)}, 2)")
     file = GlbFile()
-    attributes: dict[str, tuple[NDArray[Any], str]] = {}
-    if uv is not None:
-        attributes["TEXCOORD_0"] = ((np.asarray(uv, np.float64) * (1, -1) + (0, 1)).astype("f4"), "VEC2")
-    mesh = file.add_mesh("face", points, triangles, attributes=attributes)
     grey = 200 / 255 if texture_srgb is None else 1.0
-    material = plain_material("albedo", (grey, grey, grey, 1.0), double_sided=False)
+    material = plain_material("face", (grey, grey, grey, 1.0), double_sided=False)
+    coordinates = None if uv is None else np.asarray(uv, np.float64)
+    mesh = file.add_mesh(material, points, triangles, uv=coordinates)
+    material["name"] = "albedo"
     if texture_srgb is not None:
         picture = file.add_picture(encode_image(np.asarray(texture_srgb, np.uint8), ".png"))
         if emissive:
@@ -175,26 +200,23 @@ def write_glb(
         if texture_srgb.shape[2] == 4:
             material |= {"alphaMode": "MASK", "doubleSided": True}
             material["pbrMetallicRoughness"]["baseColorTexture"] = picture
-    lists: dict[str, Any] = {"materials": [material]}
     for part in parts:
-        lists["materials"].append(part.add_to(file, len(lists["materials"]))[1])
+        part.add_to(file)
         if emissive:
-            lists["materials"][-1]["extensions"] = {"KHR_materials_unlit": {}}
-            lists["extensionsUsed"] = ["KHR_materials_unlit"]
+            file.materials[-1]["extensions"] = {"KHR_materials_unlit": {}}
+    animations: dict[str, Any] = {}
     if take is not None:
         pose = take["pose"]
-        curves = {"rotation": (Rotation.from_matrix(pose[:, :3, :3]).as_quat(), "VEC4")}
-        curves["translation"] = METRES_PER_MM * pose[:, :3, 3], "VEC3"
+        curves = {"rotation": Rotation.from_matrix(pose[:, :3, :3]).as_quat()}
+        curves["translation"] = METRES_PER_MM * pose[:, :3, 3]
         if len(take["targets"]):
-            curves["weights"] = take["weights"].ravel(), "SCALAR"
+            curves["weights"] = take["weights"].ravel()
             file.add_targets(mesh, (points, triangles), take["targets"], take["weights"][0])
-        times = file.add_array(take["time_s"].astype("f4")[:, None], "SCALAR", bounds=True)
-        outputs = [file.add_array(values.astype("f4"), kind) for values, kind in curves.values()]
-        samplers = [{"input": times, "output": number} for number in outputs]
+        times = file.add_array(take["time_s"], bounds=True)
+        samplers = [{"input": times, "output": file.add_array(values)} for values in curves.values()]
         channels = [{"sampler": k, "target": {"node": 0, "path": p}} for k, p in enumerate(curves)]
-        lists["animations"] = [{"samplers": samplers, "channels": channels}]
-    nodes = [{"name": made["name"], "mesh": number} for number, made in enumerate(file.meshes)]
-    file.write(path, nodes, list(range(len(nodes))), **lists)
+        animations = {"animations": [{"samplers": samplers, "channels": channels}]}
+    file.write(path, **animations)
 
 
 @dataclass(frozen=True)
@@ -210,17 +232,18 @@ class GlbPart:
     follows: FloatArray | None = None
     """(V, 68): how far vertices move with each landmark of a face; None where they stay."""
 
-    def add_to(self, file: "GlbFile", material: int) -> tuple[int, dict[str, Any]]:
-        """Append the part with a material of that number; return its mesh's, and the material."""
+    def add_to(self, file: "GlbFile") -> int:
+        """Append the part and return the number of its mesh."""
         vertices, faces = np.asarray(self.vertices, np.float64), np.asarray(self.faces, np.int64)
         if len(faces) == 0 or not np.isfinite(vertices).all():
             raise ValueError(f"{self.name!r} needs faces and finite vertices")
         color = np.clip(np.asarray(self.color_linear, np.float64), 0, 1)
-        attributes = {"COLOR_0": (color.astype("f4"), "VEC3")} if color.ndim > 1 else {}
-        mesh = file.add_mesh(self.name, vertices, faces, material, attributes)
+        attributes = {"COLOR_0": color} if color.ndim > 1 else {}
         base = (*((1.0, 1.0, 1.0) if color.ndim > 1 else color.tolist()), min(max(self.opacity, 0.0), 1.0))
-        made = plain_material(self.name, base, self.roughness)
-        return mesh, made if self.opacity >= 1 else {**made, "alphaMode": "BLEND"}
+        material = plain_material(self.name, base, self.roughness)
+        if self.opacity < 1:
+            material["alphaMode"] = "BLEND"
+        return file.add_mesh(material, vertices, faces, attributes)
 
 
 def write_parts_glb(path: str | Path, parts: Sequence[GlbPart]) -> None:
@@ -230,13 +253,11 @@ def write_parts_glb(path: str | Path, parts: Sequence[GlbPart]) -> None:
     """
     if not parts:
         raise ValueError("a GLB file needs a mesh")
-    file, materials = GlbFile(), []
-    for number, part in enumerate(parts):
+    file = GlbFile()
+    for part in parts:
         kept, renumbered = without_unreferenced(np.asarray(part.vertices), np.asarray(part.faces))
-        own = replace(part, vertices=np.asarray(part.vertices)[kept], faces=renumbered)
-        materials.append(own.add_to(file, number)[1])
-    nodes = [{"name": part.name, "mesh": number} for number, part in enumerate(parts)]
-    file.write(path, nodes, list(range(len(parts))), materials=materials)
+        replace(part, vertices=np.asarray(part.vertices)[kept], faces=renumbered).add_to(file)
+    file.write(path)
 
 
 def plain_material(
@@ -245,9 +266,6 @@ def plain_material(
     """Return the entry of a material of one colour (red, green, blue, opacity), which is not a metal."""
     surface = {"baseColorFactor": list(color), "metallicFactor": 0.0, "roughnessFactor": roughness}
     return {"name": name, "doubleSided": double_sided, "pbrMetallicRoughness": surface}
-
-
-_MATERIAL = plain_material("frame", (0.25, 0.25, 0.28, 1.0), 0.6)
 
 
 def write_skinned_glb(
@@ -279,68 +297,83 @@ def write_skinned_glb(
     finite, negative weights, weights of missing joints or parents that form a cycle.
     """
     xyz, index = checked_mesh(vertices, faces, "the skinned mesh")
-    joints, shares, parent = np.array(keypoints, float), np.array(weights, float), np.array(parents, np.int64)
-    count, joint_count = len(xyz), len(names)
-    for name, (array, shape) in {
-        "keypoints": (joints, (joint_count, 3)),
-        "weights": (shares, (count, joint_count)),
-        "parents": (parent, (joint_count,)),
-    }.items():
-        if array.shape != shape:
-            raise ValueError(f"{name} has shape {array.shape}, expected {shape}")
-    if not (np.isfinite(shares).all() and len(index)):
-        raise ValueError("weights must be finite, and there must be faces")
+    joints = checked_array(keypoints, (len(names), 3), "keypoints")
+    shares = checked_array(weights, (len(xyz), len(names)), "weights", finite=ValueError)
+    parent = checked_array(parents, (len(names),), "parents", kind=int)
+    if not len(index):
+        raise ValueError("there must be faces")
     if influences is not None and influences < 1:
         raise ValueError(f"influences must be 1 or more, or None, got {influences}")
     there = np.isfinite(joints).all(1)
     if shares.min() < 0 or shares[:, ~there].any() or np.abs(shares.sum(1) - 1).max() > 1e-6:
         raise ValueError("weights must not be negative, sum to 1, and be 0 for missing key points")
     known = np.flatnonzero(there)
-    above: dict[int, int] = {}  # the nearest joint above each that is known too
-    for joint in known.tolist():
-        above[joint], climb = -1, int(parent[joint])
-        for _ in parent:
-            if above[joint] < 0 and climb in known:
+    bound = _bound(shares[:, known], influences)
+    file, attributes = GlbFile(), dict[str, NDArray[Any]]()
+    kind = "u1" if len(known) <= 256 else "u2"
+    for n, start in enumerate(range(0, bound.joint.shape[1], 4)):
+        attributes[f"JOINTS_{n}"] = bound.joint[:, start : start + 4].astype(kind)
+        attributes[f"WEIGHTS_{n}"] = bound.weight[:, start : start + 4]
+    frame = plain_material("frame", (0.25, 0.25, 0.28, 1.0), 0.6)
+    mesh = file.add_mesh(frame, xyz, index, attributes)
+    # A skinned mesh stands beside its skeleton: transforms of its own node do not count.
+    number = {int(joint): i + 2 for i, joint in enumerate(known)}
+    skeleton: dict[str, Any] = {"name": "skeleton"}
+    nodes: list[dict[str, Any]] = [{"name": "frame", "mesh": mesh, "skin": 0}, skeleton]
+    places = joints * METRES_PER_MM
+    above = _nearest_known(parent, there)
+    nodes += [{"name": names[joint]} for joint in number]
+    for joint, carrier in above.items():
+        origin, holder = np.zeros(3), skeleton
+        if carrier >= 0:
+            origin, holder = places[carrier], nodes[number[carrier]]
+        nodes[number[joint]]["translation"] = (places[joint] - origin).tolist()
+        holder.setdefault("children", []).append(number[joint])
+    inverse = np.tile(np.eye(4), (len(known), 1, 1))
+    inverse[:, :3, 3] = -places[known]
+    matrices = file.add_array(inverse.transpose(0, 2, 1))  # column by column
+    skin = {"skeleton": 1, "joints": list(number.values()), "inverseBindMatrices": matrices}
+    file.write(path, nodes, [0, 1], skins=[skin])
+    written = np.zeros(shares.shape)
+    np.add.at(written, (np.arange(len(shares))[:, None], known[bound.joint]), bound.weight)
+    return written / written.sum(1, keepdims=True), bound.cut
+
+
+def _nearest_known(parents: IntArray, known: BoolArray) -> dict[int, int]:
+    """Return the nearest known joint above each known one, -1 for none; ValueError for a circle."""
+    above: dict[int, int] = {}
+    for joint in np.flatnonzero(known).tolist():
+        above[joint], climb = -1, int(parents[joint])
+        for _ in parents:
+            if above[joint] < 0 and climb >= 0 and known[climb]:
                 above[joint] = climb
-            climb = int(parent[climb]) if climb >= 0 else -1
+            climb = int(parents[climb]) if climb >= 0 else -1
         if climb >= 0:
             raise ValueError(f"parents go round in a circle from joint {joint}")
-    # Joints (V, 4 n) of each vertex, heaviest first, and their weights.
-    present = shares[:, known]
-    some = present > np.finfo(np.float32).epsneg  # others vanish beside 1 in 32 bits
+    return above
+
+
+@dataclass(frozen=True)
+class _Bound:
+    """The joints (V, 4 n) that move each vertex, heaviest first, and their weights, whose sum is 1."""
+
+    joint: IntArray
+    weight: NDArray[np.float32]
+    cut: float
+    """The greatest part of a vertex's weight that was left out."""
+
+
+def _bound(shares: FloatArray, influences: int | None) -> _Bound:
+    """Keep the `influences` largest of the weights (V, K) of each vertex, None for all that 32 bits keep."""
+    some = shares > np.finfo(np.float32).epsneg  # others vanish beside 1 in 32 bits
     width = int(some.sum(1).max())
     if influences is not None:
         width = min(influences, width)
-    order = np.argsort(-present, axis=1, kind="stable")[:, :width]
-    kept = np.take_along_axis(np.where(some, present, 0.0), order, 1)
+    order = np.argsort(-shares, axis=1, kind="stable")[:, :width]
+    kept = np.take_along_axis(np.where(some, shares, 0.0), order, 1)
     total = kept.sum(1, keepdims=True)
-    cut = max(float((present.sum(1) - total[:, 0]).max()), 0.0)
+    cut = max(float((shares.sum(1) - total[:, 0]).max()), 0.0)
     filling = ((0, 0), (0, -width % 4))
-    kept = np.pad((kept / total).astype(np.float32), filling)
-    order = np.where(kept > 0, np.pad(order, filling), 0)  # the standard wants joint 0 where a weight is 0
-    file = GlbFile()
-    kind, attributes = "u1" if order.max() < 256 else "u2", dict[str, tuple[NDArray[Any], str]]()
-    for n, start in enumerate(range(0, order.shape[1], 4)):
-        attributes[f"JOINTS_{n}"] = (order[:, start : start + 4].astype(kind), "VEC4")
-        attributes[f"WEIGHTS_{n}"] = (kept[:, start : start + 4].astype("f4"), "VEC4")
-    # A skinned mesh stands beside its skeleton: transforms of its own node do not count.
-    number = {int(joint): i + 2 for i, joint in enumerate(known)}
-    nodes: list[dict[str, Any]] = [
-        {"name": "frame", "mesh": file.add_mesh("frame", xyz, index, attributes=attributes), "skin": 0},
-        {"name": "skeleton", "children": [number[joint] for joint in number if above[joint] < 0]},
-    ]
-    places = joints * METRES_PER_MM
-    for joint in number:
-        origin = places[above[joint]] if above[joint] >= 0 else np.zeros(3)
-        node: dict[str, Any] = {"name": names[joint], "translation": (places[joint] - origin).tolist()}
-        if children := [number[j] for j in number if above[j] == joint]:
-            node["children"] = children
-        nodes.append(node)
-    inverse = np.tile(np.eye(4), (len(known), 1, 1))
-    inverse[:, :3, 3] = -places[known]
-    matrices = file.add_array(inverse.transpose(0, 2, 1).astype("f4"), "MAT4")  # column by column
-    skin = {"skeleton": 1, "joints": list(number.values()), "inverseBindMatrices": matrices}
-    file.write(path, nodes, [0, 1], skins=[skin], materials=[_MATERIAL])
-    written = np.zeros(shares.shape)
-    np.add.at(written, (np.arange(len(shares))[:, None], known[order]), kept)
-    return written / written.sum(1, keepdims=True), cut
+    weight = np.pad((kept / total).astype(np.float32), filling)
+    # The standard wants joint 0 where a weight is 0.
+    return _Bound(np.where(weight > 0, np.pad(order, filling), 0), weight, cut)

@@ -51,13 +51,16 @@ class GltfFile:
         tree = limits.parse_json(path.name, data[start:end])
         for material in tree.get("materials", ()):
             base = material.setdefault("pbrMetallicRoughness", {})
-            gloss = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness", {})
-            found = {f"baseColor{end}": gloss.get(f"diffuse{end}") for end in ("Factor", "Texture")}
-            base.update((name, value) for name, value in found.items() if value is not None)
-            if "emissiveTexture" in material and "baseColorTexture" not in base:
+            gloss = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness")
+            if gloss is not None:
+                base["baseColorFactor"] = gloss.get("diffuseFactor", (1, 1, 1, 1))
+            if gloss is not None and "diffuseTexture" in gloss:
+                base["baseColorTexture"] = gloss["diffuseTexture"]
+            glow = material.get("emissiveFactor", (0, 0, 0))
+            if any(glow) and "emissiveTexture" in material and "baseColorTexture" not in base:
                 # Shadeless exports have the colour in the slot of what glows.
                 base["baseColorTexture"] = material["emissiveTexture"]
-                base["baseColorFactor"] = [*material.get("emissiveFactor", (0, 0, 0)), 1]
+                base["baseColorFactor"] = [*glow, 1]
         return cls(path, folder, tree, data[end + 8 :])  # behind the second chunk's header
 
     def require_readable(self) -> None:

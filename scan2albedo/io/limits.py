@@ -51,10 +51,23 @@ _FOREIGN = {
 """Beginnings, in lower case, of files that are no scan's, whatever their names end with."""
 
 DAMAGE = (
-    ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError, NameError, OSError,
-    RuntimeError, SyntaxError, TypeError, ValueError, struct.error, tokenize.TokenError, zipfile.BadZipFile,
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    EOFError,
+    LookupError,
+    MemoryError,
+    NameError,
+    OSError,
+    RuntimeError,
+    SyntaxError,
+    TypeError,
+    ValueError,
+    struct.error,
+    tokenize.TokenError,
+    zipfile.BadZipFile,
     zlib.error,
-)  # fmt: skip
+)
 """What parsers, NumPy's and trimesh's among them, raise of bytes that are not what was written."""
 
 

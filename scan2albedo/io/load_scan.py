@@ -22,7 +22,7 @@ from scan2albedo.io.parsed_mesh import ParsedMesh, ScanFolder
 READERS = {
     ".obj": ("scan2albedo.io.obj:read_obj", "scan2albedo.io.obj:files_of_obj"),
     ".ply": ("scan2albedo.io.ply:read_ply", "scan2albedo.io.ply:files_of_ply"),
-    ".glb": ("scan2albedo.io.gltf:read_gltf", ""),
+    ".glb": ("scan2albedo.io.gltf:read_gltf", "scan2albedo.io.gltf:files_of_gltf"),
     ".gltf": ("scan2albedo.io.gltf:read_gltf", "scan2albedo.io.gltf:files_of_gltf"),
     ".stl": ("scan2albedo.io.ply:read_stl", ""),
     ".off": ("scan2albedo.io.ply:read_off", ""),
@@ -163,7 +163,8 @@ def read_mesh_file(file: Path, textures: Path | None = None) -> ParsedMesh:
         if limits.require_file(file, advice="decimate it") == 0:
             raise ScanError(f"{file.name}: the file is empty (0 bytes); export the scan again")
         with memory_errors_named(file.name):
-            mesh: ParsedMesh = resolve_name(READERS[extension][0])(file, ScanFolder(file.parent, textures))
+            folder = ScanFolder(file.parent, textures, frozenset(files_of_scan(file, textures)))
+            mesh: ParsedMesh = resolve_name(READERS[extension][0])(file, folder)
     except (OSError, ValueError) as error:
         raise ScanError(f"{file}: cannot be read: {one_line(error)}; check the path") from error
     return mesh
@@ -185,7 +186,10 @@ def input_sha256(source: str | Path | RawScan, textures: str | Path | None = Non
         return digest.hexdigest()
     try:
         limits.require_file(Path(source), math.inf)
-        for file in files_of_scan(Path(source), textures):
+        files: tuple[Path, ...] = (Path(source),)
+        with suppress(TooLargeError):  # load_scan says so
+            files = files_of_scan(files[0], textures)
+        for file in files:
             digest.update(f"{file.stat().st_size}:".encode())
             with file.open("rb") as opened:
                 hashlib.file_digest(opened, lambda: digest)
@@ -201,12 +205,14 @@ def file_sha256(path: Path) -> str:
 
 
 def files_of_scan(path: Path, textures: str | Path | None = None) -> tuple[Path, ...]:
-    """Return the scan file and the existing files it refers to: material libraries, textures, buffers."""
+    """Return the scan file and the existing files it refers to: material libraries, textures, buffers.
+
+    Its reader reads no others, see `ScanFolder`, and its hash is that of all of them. Raises TooLargeError.
+    """
     _, reader = READERS.get(path.suffix.lower(), ("", ""))
     folder = ScanFolder(path.parent, None if textures is None else Path(textures))
     names: list[str] = []
     if reader and path.is_file():  # a pipe or a device may never end
-        with suppress(TooLargeError):  # load_scan says so
-            names = resolve_name(reader)(path, folder)
+        names = resolve_name(reader)(path, folder)
     found = map(folder.find, names)
     return (path, *dict.fromkeys(file for file in found if file is not None))

@@ -19,7 +19,7 @@ class ObjLines:
     """The lines of an OBJ file by their first words, with the byte ranges of what follows these."""
 
     def __init__(self, data: bytes, name: str) -> None:
-        data = _plain_text(data).replace(b"\\\n", b"  ")
+        data = _plain_text(data)
         limits.require_at_most(name, "lines", data.count(b"\n"), limits.TEXT_LINES, "decimate it")
         self.name, self.text = name, np.frombuffer(data, np.uint8)
         begins, self.ends = tables.line_ranges(self.text)
@@ -132,10 +132,11 @@ def read_obj(path: Path, folder: ScanFolder) -> ParsedMesh:
 
 
 def _plain_text(data: bytes) -> bytes:
-    """Return a file's text in UTF-8 without a mark of its order, its lines ended by line feeds alone."""
+    """Return a file's text in UTF-8 without a mark of its order; line feeds alone end lines, none goes on."""
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         data = data.decode("utf-16", "replace").encode("utf-8", "replace")
-    return data.removeprefix(codecs.BOM_UTF8).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    data = data.removeprefix(codecs.BOM_UTF8).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    return data.replace(b"\\\n", b"  ")
 
 
 def files_of_obj(path: Path, folder: ScanFolder) -> list[str]:
@@ -143,7 +144,7 @@ def files_of_obj(path: Path, folder: ScanFolder) -> list[str]:
     names: list[str] = []
     materials: dict[str, Material] = {}
     text = _plain_text(limits.read_bytes(path))
-    for match in re.findall(rb"^[ \t]*mtllib[ \t]+([^\n]+)", text, re.MULTILINE):
+    for match in re.findall(rb"mtllib[ \t\v\f]+([^\n]+)", text):  # in comments, too: more than is read
         for library in folder.library_names(decoded(match).strip()):
             names.append(library)
             if (file := folder.find(library)) is not None:

@@ -30,11 +30,14 @@ _CODE_PAGES = ("cp1252", "cp932", "gbk", "cp949", "cp1251", "cp437")
 class ScanFolder:
     """The files that a scan may refer to: those in its folder and, where given, in the folder `textures`.
 
-    Links that lead elsewhere lead to none of these files. Raises ScanError when `textures` is not a folder.
+    Links that lead elsewhere lead to none of these files. With `only`, what `load_scan.files_of_scan` names,
+    there are no others: a reader reads no file that the scan's hash leaves out. Raises ScanError when
+    `textures` is not a folder.
     """
 
     path: Path
     textures: Path | None = None
+    only: frozenset[Path] | None = None
 
     def __post_init__(self) -> None:
         if self.textures is not None and not os.path.isdir(self.textures):
@@ -56,7 +59,8 @@ class ScanFolder:
                     named = (place / relative.name for place in places)
                     others = (file for place in places if place.is_dir() for file in sorted(place.iterdir()))
                     for file in chain(named, (file for file in others if _folded(file.name) == wanted)):
-                        if file.is_file() and self._allows(file):
+                        known = self.only is None or file in self.only
+                        if known and file.is_file() and self._allows(file):
                             return file
             except (OSError, ValueError):  # a name that no file may have, a folder that may not be read
                 continue
@@ -67,8 +71,8 @@ class ScanFolder:
         return [words] if not words or self.find(words) else words.split()
 
     def or_named_like(self, scan: Path, textures: list[str]) -> list[str]:
-        """Return names of textures, where none exists also those that an image of the scan may have."""
-        lost = all(self.find(name) is None for name in textures)
+        """Return names of textures, where one is missing also those that an image of the scan may have."""
+        lost = not textures or any(self.find(name) is None for name in textures)
         return textures + ([scan.stem + extension for extension in SUPPORTED_IMAGES] if lost else [])
 
     def why_missing(self, name: str) -> str:

@@ -16,8 +16,8 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, JsonValue, Validati
 from scan2albedo.errors import Scan2AlbedoError, one_line, printable
 from scan2albedo.io.atomic import write_text
 from scan2albedo.io.csv_tables import read_text
-from scan2albedo.io.leftovers import settle
 from scan2albedo.io.limits import FILE_BYTES
+from scan2albedo.io.publication import check_whole
 
 _LIBRARIES = ("numpy", "scipy", "numba", "libigl", "open3d-cpu", "open3d", "embreex", "xatlas", "trimesh")
 
@@ -96,14 +96,14 @@ def read_record(
     """Read and check a record, for example ``read_record("out/james/result.json", ResultRecord)``.
 
     Messages call the content `what`, such as "key points"; `advice` says what to do about a file that does
-    not fit. A folder whose publication was killed is settled first. Raises `error`, naming the file
-    and the first fault, when it is missing, no JSON, or does not fit.
+    not fit. Raises `error`, naming the file and the first fault, when it is missing, no JSON, or does not
+    fit, or when the publication of its folder was cut off.
     """
     place = f"{what} {path}".lstrip()
     try:
-        settle(Path(path).parent)
+        check_whole(Path(path).parent)
     except OSError as cause:
-        raise error(f"{place} cannot be read ({one_line(cause)}); {advice}") from cause
+        raise error(f"{place} cannot be read: {one_line(cause)}") from cause
     text = read_text(Path(path), what=place, advice=advice, error=error, limit=FILE_BYTES)
     return parse_record(text, kind, place=place, advice=advice, error=error)
 

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from scan2albedo.core.budget import Trace
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import OutputError, Scan2AlbedoError
-from scan2albedo.io.atomic import cannot_write, publish, staged
-from scan2albedo.io.leftovers import folder_lock, is_hidden_path, settle
+from scan2albedo.io.atomic import cannot_write
+from scan2albedo.io.leftovers import is_hidden_path
+from scan2albedo.io.publication import folder_lock, go_on, publish, settle, staged
 from scan2albedo.io.records import Record, installed_versions, read_record, write_record
 
 if TYPE_CHECKING:
@@ -44,6 +45,12 @@ class OwnFiles(Generic[Kind]):
         """Return whether the command may write a file of this name."""
         plain = "/" not in name and "\\" not in name
         return plain and (name == self.record or any(fnmatchcase(name, known) for known in self.names))
+
+    def holds_path(self, path: str) -> bool:
+        """Return whether the command may write a file of this path, in the folder or in a folder in it."""
+        below, _, name = path.rpartition("/")
+        files = self.inside if below else self
+        return "/" not in below and files is not None and files.holds(name)
 
     def listed(self, folder: Path) -> tuple[frozenset[str], str]:
         """Return the names of the files in a folder that an earlier run wrote; if none, why."""
@@ -117,7 +124,7 @@ class RunFolder(Generic[Kind]):
         """
         own: set[str] = set()
         with cannot_write(self.path):
-            settle(self.path)
+            settle(self.path, self.files.holds_path)
             for below in ("", *sorted(subfolders)):
                 files = self.files.inside if below else self.files
                 assert files is not None, f"{self.files.command} writes a folder {below}"
@@ -157,9 +164,9 @@ class RunFolder(Generic[Kind]):
             names = {path.name for path in folder.iterdir()}.difference(folders)
             unknown = [name for name in names if not self.files.holds(name)]
             assert not unknown, f"{self.files.command} writes {unknown}, which OwnFiles does not name"
-            with folder_lock(target):
-                own = self.check(folders)
-                publish(folder, target, own, (self.files.record,))
+            with folder_lock(target) as locked:
+                go_on(target, self.files.holds_path, locked)
+                publish(folder, target, self.check(folders))
 
     def read(self, error: type[Scan2AlbedoError] = Scan2AlbedoError) -> Kind:
         """Return the record; raises `error` like `read_record`."""

@@ -10,7 +10,14 @@ from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.io import limits
 
 # Numbers, since `ord` takes long to compile.
-_N, _I, _D, _E, _HASH, _SLASH, _POINT, _COMMA = b"nide#/.,"
+_HASH = 35
+_SLASH = 47
+_POINTS = (44, 46)
+"""A comma or a point before the fraction."""
+_EXPONENTS = (100, 101)
+"""d and e."""
+_NONE = (105, 110)
+"""i and n, with which infinity and NaN begin."""
 
 
 @njit(cache=True, nogil=True)
@@ -67,17 +74,17 @@ def _parse_float(text, position, end):  # type: ignore[no-untyped-def]
         sign = -1.0 if text[position] == 45 else 1.0
         position += 1
     letter = text[position] | 32 if position < end else 0
-    if letter in (_N, _I):
-        return np.nan if letter == _N else sign * np.inf, True, _token_end(text, position, end)
+    if letter in _NONE:
+        return np.nan if letter == 110 else sign * np.inf, True, _token_end(text, position, end)
     mantissa, exponent, seen, position = _parse_unsigned(text, position, end, 0)
-    if position < end and text[position] in (_POINT, _COMMA):
+    if position < end and text[position] in _POINTS:
         mantissa, dropped, digits, position = _parse_unsigned(text, position + 1, end, mantissa)
         exponent -= digits - dropped
         seen += digits
     if position < end and text[position] == _HASH:
         # 1.#QNAN and 1.#INF of old Microsoft compilers
         return np.nan, seen > 0, _token_end(text, position, end)
-    if position < end and (text[position] | 32) in (_D, _E):
+    if position < end and (text[position] | 32) in _EXPONENTS:
         position += 1
         negative = position < end and text[position] == 45
         if position < end and (text[position] == 43 or text[position] == 45):

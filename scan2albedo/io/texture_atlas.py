@@ -28,6 +28,16 @@ class PackedTexture:
     tiles: tuple[TextureTile, ...] = ()
 
 
+@dataclass(frozen=True)
+class _Tile:
+    """A picture of the atlas, the faces (N,) that show it, and their coordinates (N, 3, 2) in it."""
+
+    name: str
+    picture: Image
+    faces: IntArray
+    uv: FloatArray
+
+
 def pack_texture(mesh: ParsedMesh) -> PackedTexture:
     """Bring all materials of a mesh into one texture.
 
@@ -44,68 +54,82 @@ def pack_texture(mesh: ParsedMesh) -> PackedTexture:
     material = np.zeros(len(mesh.faces), np.int64) if mesh.material is None else mesh.material
     textured = np.array([m.texture_linear is not None for m in mesh.materials] + [False])
     mapped = has_uv & textured[material]
+    if not mapped.any():
+        return PackedTexture(np.where(has_uv[:, None, None], mesh.uv, 0.0), None, ())
     first: dict[int, int] = {}  # material of each picture: several may share one
     same = [first.setdefault(id(m.texture_linear), i) for i, m in enumerate(mesh.materials)]
     material_of_picture = np.array([*same, -1])
-    if not mapped.any():
-        return PackedTexture(np.where(has_uv[:, None, None], mesh.uv, 0.0), None, ())
-    texture_of_face = np.where(mapped, material_of_picture[material], -1)
-    uv, tile = np.full(mesh.uv.shape, 0.5), np.full(len(mesh.uv), -1)  # inside its tile, of each face
-    tiles: list[Image] = []
-    names: list[str] = []
-    notes: list[str] = []
-    used = {int(index): mesh.materials[index] for index in np.unique(texture_of_face[mapped])}
-    pictures = {index: m.texture_linear for index, m in used.items() if m.texture_linear is not None}
-    left = limits.PIXELS - sum(p.shape[0] * p.shape[1] for p in pictures.values())
-    for index, texture in pictures.items():
-        faces = np.flatnonzero(texture_of_face == index)
-        texels = texture.shape[0] * texture.shape[1]
-        uv[faces], repeated, note = _inside_unit_square(mesh.uv[faces], texture, left + texels)
-        left -= repeated.shape[0] * repeated.shape[1] - texels
-        tile[faces] = len(tiles)
-        tiles.append(repeated)
-        names.append(used[index].name)
-        notes += [f"{used[index].name}: {note}"] if note else []
-    plain = np.flatnonzero(tile < 0)
-    own = np.full(len(uv), -1) if mesh.material is None else mesh.material
-    colors, color_of_face = np.unique(own[plain], return_inverse=True)
-    tile[plain] = len(tiles) + color_of_face
-    for index in colors:
-        one = mesh.materials[index] if index >= 0 else Material("no material")
-        tiles.append(np.full((2 * GUTTER, 2 * GUTTER, 4), (*one.base_color_linear, 0), np.float32))
-        names.append(one.name)
+    tiles, notes = _pictures(mesh, mesh.uv, np.where(mapped, material_of_picture[material], -1))
+    plain = np.flatnonzero(~mapped)
+    tiles += _patches(mesh, plain)
     if len(tiles) == 1:
-        return PackedTexture(uv, tiles[0], tuple(notes))
-    # Tiles on shelves of about square total: (left, top, width, height) of each.
-    sizes = [(t.shape[1] + 2 * GUTTER, t.shape[0] + 2 * GUTTER) for t in tiles]
-    most = max(max(w for w, _ in sizes), math.ceil(math.sqrt(sum(w * h for w, h in sizes))))
-    boxes = np.zeros((len(tiles), 4), np.int64)
-    column = row = shelf = 0
-    for i in sorted(range(len(tiles)), key=lambda i: (-sizes[i][1], i)):
-        if column + sizes[i][0] > most:
-            column, row, shelf = 0, row + shelf, 0
-        boxes[i] = (column + GUTTER, row + GUTTER, tiles[i].shape[1], tiles[i].shape[0])
-        column, shelf = column + sizes[i][0], max(shelf, sizes[i][1])
-    channels = max(tile.shape[2] for tile in tiles)
-    shape = (row + shelf, int((boxes[:, 0] + boxes[:, 2]).max()) + GUTTER, channels)
+        return PackedTexture(tiles[0].uv, tiles[0].picture, tuple(notes))
+    boxes, height, width = _on_shelves([tile.picture.shape[:2] for tile in tiles])
     most = limits.PIXELS * 5 // 4  # gutters and sizes leave gaps
     what, advice = "the texture of the scan's materials", "save its textures as one picture"
-    limits.require_at_most(what, "pixels", shape[0] * shape[1], most, advice)
-    atlas = np.zeros(shape, np.float32)
-    for picture, (x, y, w, h) in zip(tiles, boxes, strict=True):
+    limits.require_at_most(what, "pixels", height * width, most, advice)
+    atlas = np.zeros((height, width, max(tile.picture.shape[2] for tile in tiles)), np.float32)
+    uv = np.empty(mesh.uv.shape)
+    for tile, (x, y, w, h) in zip(tiles, boxes, strict=True):
         area = atlas[y - GUTTER : y + h + GUTTER, x - GUTTER : x + w + GUTTER]
         area[..., 3:] = 1
-        area[..., : picture.shape[2]] = np.pad(picture, ((GUTTER, GUTTER), (GUTTER, GUTTER), (0, 0)), "edge")
+        padding = ((GUTTER, GUTTER), (GUTTER, GUTTER), (0, 0))
+        area[..., : tile.picture.shape[2]] = np.pad(tile.picture, padding, "edge")
+        # Texel centres of a tile stay texel centres in its box of the atlas.
+        uv[tile.faces, :, 0] = (x + tile.uv[..., 0] * w) / width
+        uv[tile.faces, :, 1] = 1 - (y + (1 - tile.uv[..., 1]) * h) / height
     if len(plain):
         notes.append(f"faces without texture, given their material's colour: {len(plain)}")
     if (count := len(np.unique(material_of_picture[textured]))) > 1:
-        notes.append(f"packed {count} textures into one of {shape[1]}x{shape[0]}")
-    placed = tuple(TextureTile(name, *box) for name, box in zip(names, boxes.tolist(), strict=True))
-    # Texel centres of a tile stay texel centres in its box of the atlas.
-    start, top, width, height = (boxes[tile, k, None].astype(float) for k in range(4))
-    across, down = start + uv[..., 0] * width, top + (1 - uv[..., 1]) * height
-    uv = np.stack([across / shape[1], 1 - down / shape[0]], axis=-1)
+        notes.append(f"packed {count} textures into one of {width}x{height}")
+    placed = tuple(TextureTile(tile.name, *box) for tile, box in zip(tiles, boxes, strict=True))
     return PackedTexture(uv, atlas, tuple(notes), placed)
+
+
+def _pictures(mesh: ParsedMesh, uv: FloatArray, material: IntArray) -> tuple[list[_Tile], list[str]]:
+    """Return tiles and notes for the materials (F,) with a texture, -1 for none, repeated as faces need."""
+    tiles: list[_Tile] = []
+    notes: list[str] = []
+    used = [(index, mesh.materials[index]) for index in np.unique(material[material >= 0])]
+    textures = [(i, one.name, one.texture_linear) for i, one in used if one.texture_linear is not None]
+    left = limits.PIXELS - sum(texture.shape[0] * texture.shape[1] for _, _, texture in textures)
+    for index, name, texture in textures:
+        faces = np.flatnonzero(material == index)
+        texels = texture.shape[0] * texture.shape[1]
+        inside, repeated, note = _inside_unit_square(uv[faces], texture, left + texels)
+        left -= repeated.shape[0] * repeated.shape[1] - texels
+        tiles.append(_Tile(name, repeated, faces, inside))
+        notes += [f"{name}: {note}"] if note else []
+    return tiles, notes
+
+
+def _patches(mesh: ParsedMesh, faces: IntArray) -> list[_Tile]:
+    """Return the tiles of base colours for faces (N,) without a picture."""
+    own = np.full(len(faces), -1) if mesh.material is None else mesh.material[faces]
+    tiles = []
+    for index in np.unique(own):
+        one = mesh.materials[index] if index >= 0 else Material("no material")
+        patch = np.full((2 * GUTTER, 2 * GUTTER, 4), (*one.base_color_linear, 0), np.float32)
+        chosen = faces[own == index]
+        tiles.append(_Tile(one.name, patch, chosen, np.full((len(chosen), 3, 2), 0.5)))
+    return tiles
+
+
+def _on_shelves(sizes: list[tuple[int, ...]]) -> tuple[list[tuple[int, int, int, int]], int, int]:
+    """Return where tiles (height, width) stand, each with a gutter, as (left, top, width, height); and the
+    height and width of all, about square: the tallest first, side by side on shelves."""
+    wide = [width + 2 * GUTTER for _, width in sizes]
+    tall = [height + 2 * GUTTER for height, _ in sizes]
+    most = max(*wide, math.ceil(math.sqrt(np.dot(wide, tall))))
+    boxes = dict[int, tuple[int, int, int, int]]()
+    column = row = shelf = 0
+    for i in sorted(range(len(sizes)), key=lambda i: (-tall[i], i)):
+        if column + wide[i] > most:
+            column, row, shelf = 0, row + shelf, 0
+        boxes[i] = (column + GUTTER, row + GUTTER, sizes[i][1], sizes[i][0])
+        column, shelf = column + wide[i], max(shelf, tall[i])
+    right = max(left + width for left, _, width, _ in boxes.values())
+    return [boxes[i] for i in range(len(sizes))], row + shelf, right + GUTTER
 
 
 def _inside_unit_square(uv: FloatArray, texture: Image, most: int) -> tuple[FloatArray, Image, str]:

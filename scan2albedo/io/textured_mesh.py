@@ -96,60 +96,56 @@ def write_textured_obj(path: str | Path, mesh: TexturedMesh, *, mm_per_unit: flo
 
 def write_textured_glb(path: str | Path, mesh: TexturedMesh) -> None:
     """Write a mesh as GLB, in metres, split where coordinates differ, with tangents for normal maps."""
-    file, materials = GlbFile(), list[dict[str, Any]]()
+    file, names = GlbFile(), [*mesh.targets]
     whole = mesh.vertices if mesh.rest is None else mesh.rest
     normals = vertex_normals(whole, mesh.faces)
     for name, chosen in _materials(mesh):
         picture = next((p for p in mesh.pictures if Path(p.name).stem == name), None)
         material = plain_material(name, (1.0, 1.0, 1.0, 1.0))
-        attributes: dict[str, tuple[NDArray[Any], str]] = {}
+        attributes: dict[str, NDArray[Any]] = {}
+        uv: FloatArray | None = None
         if picture is not None:
-            png = picture.cut_png or picture.png
-            material["pbrMetallicRoughness"]["baseColorTexture"] = file.add_picture(png, name=name)
-            if picture.cut_png:
-                material["alphaMode"] = "MASK"
+            _add_pictures(file, material, picture)
         if mesh.uv is None:
             vertex, faces = np.unique(mesh.faces[chosen], return_inverse=True)
         else:
             split = split_at_seams(mesh.faces[chosen], mesh.uv[chosen])
-            if picture is not None and picture.normal_png is not None:
+            if "normalTexture" in material:
                 frames = tangent_mesh(whole, mesh.faces[chosen], mesh.uv[chosen], normals)
-                split = frames.split
-                attributes["TANGENT"] = (frames.tangents.astype("f4"), "VEC4")
-                stem = Path(picture.normal_name).stem
-                material["normalTexture"] = file.add_picture(picture.normal_png, name=stem)
-            if picture is not None and picture.surface_png is not None:
-                texture = file.add_picture(picture.surface_png, name=f"{name}_surface")
-                material["pbrMetallicRoughness"] |= {
-                    "metallicRoughnessTexture": texture,
-                    "roughnessFactor": 1.0,
-                }
-                material["occlusionTexture"] = texture
-                material["extensions"] = {"KHR_materials_specular": {"specularTexture": texture}}
-            vertex, faces = split.vertex, split.faces
-            attributes["TEXCOORD_0"] = ((split.uv * (1, -1) + (0, 1)).astype("f4"), "VEC2")
+                split, attributes["TANGENT"] = frames.split, frames.tangents
+            vertex, faces, uv = split.vertex, split.faces, split.uv
         if picture is None and mesh.vertex_color_linear is not None:
-            attributes["COLOR_0"] = (np.clip(mesh.vertex_color_linear[vertex], 0, 1).astype("f4"), "VEC3")
-        vertices, faces = whole[vertex], faces.reshape(-1, 3)
-        number = file.add_mesh(name, vertices, faces, len(materials), attributes, normals=normals[vertex])
-        if mesh.targets:
+            attributes["COLOR_0"] = np.clip(mesh.vertex_color_linear[vertex], 0, 1)
+        places, corners = whole[vertex], faces.reshape(-1, 3)
+        number = file.add_mesh(material, places, corners, attributes, uv=uv, normals=normals[vertex])
+        if names:
             moves = np.array([*mesh.targets.values()])
-            file.add_targets(number, (whole, mesh.faces), moves, mesh.weights, vertex)
-            file.meshes[number]["extras"] = {"targetNames": [*mesh.targets]}
-        materials.append(material)
+            file.add_targets(number, (whole, mesh.faces), moves, mesh.weights, vertex, names)
     for part in mesh.parts:
-        moves, still = np.zeros((0, *np.shape(part.vertices))), part
-        if part.follows is not None and mesh.landmarks is not None and mesh.targets:
-            moves = np.array([part.follows @ move[mesh.landmarks] for move in mesh.targets.values()])
-            still = replace(part, vertices=part.vertices - np.tensordot(mesh.weights, moves, 1))
-        number, material = still.add_to(file, len(materials))
-        if len(moves):
-            file.add_targets(number, (still.vertices, part.faces), moves, mesh.weights)
-            file.meshes[number]["extras"] = {"targetNames": [*mesh.targets]}
-        materials.append(material)
-    nodes = [{"name": file.meshes[k]["name"], "mesh": k} for k in range(len(materials))]
-    further = {"extensionsUsed": [*materials[0]["extensions"]]} if "extensions" in materials[0] else {}
-    file.write(path, nodes, list(range(len(nodes))), materials=materials, **further)
+        if part.follows is None or mesh.landmarks is None or not names:
+            part.add_to(file)
+            continue
+        moves = np.array([part.follows @ move[mesh.landmarks] for move in mesh.targets.values()])
+        still = part.vertices - np.tensordot(mesh.weights, moves, 1)
+        number = replace(part, vertices=still).add_to(file)
+        file.add_targets(number, (still, part.faces), moves, mesh.weights, names=names)
+    file.write(path)
+
+
+def _add_pictures(file: GlbFile, material: dict[str, Any], picture: MeshPicture) -> None:
+    """Append the pictures of a mesh to a file, and to its material."""
+    name, surface = material["name"], material["pbrMetallicRoughness"]
+    surface["baseColorTexture"] = file.add_picture(picture.cut_png or picture.png, name=name)
+    if picture.cut_png:
+        material["alphaMode"] = "MASK"
+    if picture.normal_png is not None:
+        stem = Path(picture.normal_name).stem
+        material["normalTexture"] = file.add_picture(picture.normal_png, name=stem)
+    if picture.surface_png is not None:
+        texture = file.add_picture(picture.surface_png, name=f"{name}_surface")
+        surface |= {"metallicRoughnessTexture": texture, "roughnessFactor": 1.0}
+        material["occlusionTexture"] = texture
+        material["extensions"] = {"KHR_materials_specular": {"specularTexture": texture}}
 
 
 def _materials(mesh: TexturedMesh) -> Iterator[tuple[str, NDArray[np.bool_]]]:

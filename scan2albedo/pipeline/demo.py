@@ -108,14 +108,18 @@ def compare_with_truth(result: ProcessResult, truth: SyntheticTruth) -> DemoRepo
     inner = np.linalg.norm(landmarks - truth.landmarks, axis=1)[17:]
     assert image.texture_linear is not None
     return DemoReport(
-        result=result, pose_rotation_deg=float(np.degrees(rotation_angle_rad(truth_from_fit[:3, :3]))),
+        result=result,
+        pose_rotation_deg=float(np.degrees(rotation_angle_rad(truth_from_fit[:3, :3]))),
         pose_translation_mm=float(np.linalg.norm(transform_points(truth_from_fit, center[None])[0] - center)),
         surface_mm=float(surface.query(truth.image.position[truth.image.mask]).distance.mean()),
         correspondence_mm=float(np.linalg.norm(position - truth.image.position[both], axis=1).mean()),
-        landmarks_mm=float(inner.mean()), light_deg=light_deg, lights_found=len(estimate.lights),
-        lights_true=len(truth.lights), texture=albedo_error(image.texture_linear[both], true_albedo, usable),
+        landmarks_mm=float(inner.mean()),
+        light_deg=light_deg,
+        lights_found=len(estimate.lights),
+        lights_true=len(truth.lights),
+        texture=albedo_error(image.texture_linear[both], true_albedo, usable),
         albedo=albedo_error(estimate.albedo_linear[both], true_albedo, usable),
-    )  # fmt: skip
+    )
 
 
 def _albedo_text(error: AlbedoError) -> str:

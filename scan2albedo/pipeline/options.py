@@ -68,7 +68,7 @@ PRESETS: Mapping[str, Quality] = MappingProxyType(
         ),
     }
 )
-"""The presets by name; `tools/bench_quality.py` measures each one's error and time."""
+"""The presets by name; `tools/bench/pipeline.py` measures each one's error and time."""
 
 
 @dataclass(frozen=True, kw_only=True)

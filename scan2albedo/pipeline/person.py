@@ -11,15 +11,17 @@ from typing import Any
 import numpy as np
 
 from scan2albedo.albedo import AlbedoEstimate, CommonAlbedo, estimate_common_albedo
-from scan2albedo.core import GeometryImage, Plan, PlanStep, ProgressCallback, RawScan, Trace
+from scan2albedo.core import Budget, GeometryImage, Plan, PlanStep, ProgressCallback, RawScan, Trace
 from scan2albedo.core.first_run import compiled_beside
 from scan2albedo.core.raw_scan import is_folder_name, lost_texture, scan_name
 from scan2albedo.errors import RegistrationError, Scan2AlbedoError, one_line
 from scan2albedo.fitting import FittedFace, PersonShape, common_shape
 from scan2albedo.io.atomic import check_writable
 from scan2albedo.io.run_folder import RunFolder
+from scan2albedo.pipeline.clock import Clock
 from scan2albedo.pipeline.options import ProcessOptions
-from scan2albedo.pipeline.process import process, without_light
+from scan2albedo.pipeline.outputs import without_light
+from scan2albedo.pipeline.process import process
 from scan2albedo.pipeline.result import FILES, ProcessResult, write_result
 from scan2albedo.recognition import Templates, albedo_templates, certainty, same_person_log_odds
 from scan2albedo.recognition.result_identification import CALIBRATION, log_odds_by_kind
@@ -207,8 +209,9 @@ def _common_albedo(
 
     def keep(k: int, estimate: AlbedoEstimate) -> None:
         result = spool.read(spool.names[k])
-        lit = result.scan, result.fitted, estimate, chosen
-        more, steps = without_light(*lit, 0.0, np.inf)
+        # The scan's own budget, of which its stages took their part.
+        clock = Clock(Budget.of(chosen.budget), sum(result.timings_s.values()))
+        more, steps = without_light(result.scan, result.fitted, estimate, chosen, clock)
         plan = Plan((*(step for step in result.plan if step.stage != "albedo"), *estimate.plan, *steps))
         options = {**result.options, "skip": sorted(set(chosen.skip)), "unlit": chosen.unlit}
         spool.keep(spool.names[k], replace(result, albedo=estimate, plan=plan, options=options, **more))
@@ -310,8 +313,18 @@ def _assembled(
             image=image,
         )
     return PersonResult(
-        scan=RawScan(shape.vertices, shape.faces, name=name), registration=None, fitted=neutral,
-        geometry_image=image, albedo=estimate, plan=Plan(tuple(rows)),
-        trace=Trace() if common is None else common.trace, timings_s={}, options={}, seed=chosen.seed,
-        maps=maps, shape=shape, common=common, members=tuple(spool.names),
-    )  # fmt: skip
+        scan=RawScan(shape.vertices, shape.faces, name=name),
+        registration=None,
+        fitted=neutral,
+        geometry_image=image,
+        albedo=estimate,
+        plan=Plan(tuple(rows)),
+        trace=Trace() if common is None else common.trace,
+        timings_s={},
+        options={},
+        seed=chosen.seed,
+        maps=maps,
+        shape=shape,
+        common=common,
+        members=tuple(spool.names),
+    )

@@ -10,28 +10,28 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.applications import template_baking as baking
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import lost_texture
-from scan2albedo.geometry.rasterization import filled_from_nearest, interpolate, pixels_from_uv, rasterize
+from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
-from scan2albedo.io.color import encode_srgb_integers, is_deep
+from scan2albedo.io.color import is_deep
 from scan2albedo.io.geometry_image_files import write_geometry_image, write_geometry_image_exr
 from scan2albedo.io.glb import write_glb
-from scan2albedo.io.images import encode_image, write_exr, write_indexed_png, write_png
+from scan2albedo.io.images import write_exr, write_indexed_png, write_png
 from scan2albedo.io.landmark_files import LANDMARKS_FILE, LandmarksRecord, write_landmarks_csv
 from scan2albedo.io.npz import write_npz
 from scan2albedo.io.obj import write_obj
 from scan2albedo.io.records import write_record
 from scan2albedo.io.result_records import InputRecord, RegistrationRecord, ResultRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
-from scan2albedo.io.textured_mesh import MeshPicture, TexturedMesh, write_textured_glb, write_textured_obj
-from scan2albedo.io.usd import write_usda
+from scan2albedo.io.textured_mesh import TexturedMesh, write_textured_glb
+from scan2albedo.pipeline.mesh_files import gray_bytes, write_template, write_unlit
 from scan2albedo.report.overview import figure_png, overview_figure, preview_srgb, result_panels
 
 if TYPE_CHECKING:
     from scan2albedo.albedo import AlbedoEstimate
     from scan2albedo.applications.light_removal import UnlitScan
+    from scan2albedo.applications.template_baking import TemplateTexture
     from scan2albedo.core import GeometryImage, Plan, RawScan, Trace
     from scan2albedo.fitting import FittedFace
     from scan2albedo.fitting.linear_model import LinearModelFit
@@ -98,9 +98,9 @@ class ProcessResult:
     seed: int
     unlit: UnlitScan | None = None
     """The scan itself without its light, where it was asked for."""
-    template: baking.TemplateTexture | None = None
+    template: TemplateTexture | None = None
     """The model's own template with its texture, where it has coordinates and the scan has colour."""
-    maps_of_skin: baking.TemplateTexture | None = None
+    maps_of_skin: TemplateTexture | None = None
     """A mesh with the maps of a skin material, where they were asked for; see `engine_maps`."""
     linear_model: LinearModelFit | None = None
     """Coefficients of a linear model, where they were asked for; its mesh is the `template`."""
@@ -203,13 +203,14 @@ def write_result(
     Their PNG have 16 bits where the scan's texture has more than 8. Raises `OutputError` when the folder is
     somebody else's or cannot be written.
     """
-    scan, image, estimate, fitted = result.scan, result.geometry_image, result.albedo, result.fitted
     left_out = _LEFT_OUT if files == "minimal" else frozenset() if pictures else _PICTURES
+    image, estimate, exr = result.geometry_image, result.albedo, files == "all"
     preview = None if estimate is None else preview_srgb(estimate.albedo_linear, image.mask)
-    deep = np.uint16 if scan.texture_linear is not None and is_deep(scan.texture_linear) else np.uint8
     # Colours go on beyond the mask: viewers that filter a texture mix in no white.
     shown = None if preview is None else filled_from_nearest(preview, image.mask).astype(np.uint8)
-    folder = RunFolder(out / scan.name, FILES, recorded)
+    texture = result.scan.texture_linear
+    deep = np.uint16 if texture is not None and is_deep(texture) else np.uint8
+    folder = RunFolder(out / result.scan.name, FILES, recorded)
     with folder.publishing() as staging:
 
         def write(name: str, writer: Callable[..., object], *content: Any, **options: Any) -> None:
@@ -218,203 +219,104 @@ def write_result(
 
         write("trace.csv", result.trace.to_csv)
         result.write_more(staging.folder, shown)
-        for name, values in result.maps.items():
-            write(name, write_png, _gray_bytes(values))
-        write("geometry_image.npz", write_geometry_image, image)
-        write("geometry_image.exr", write_geometry_image_exr, image)
-        if image.skin is not None:
-            write("skin.png", write_png, _gray_bytes(np.where(image.mask, image.skin, 0)))
-        if image.labels is not None:
-            write("labels.png", write_indexed_png, image.labels)
-        if estimate is not None and shown is not None:
-            seen = np.where(image.seen, np.uint8(255), np.uint8(0))
-            write("albedo.exr", write_exr, estimate.albedo_linear)
-            write("albedo.png", write_png, np.dstack([shown, seen]))
-            if estimate.expected_error is not None:
-                write("expected_error.exr", write_exr, estimate.expected_error)
-            write("shading.exr", write_exr, estimate.shading)
-            write("specular.exr", write_exr, estimate.specular)
-            write("shadow.png", write_png, _gray_bytes(estimate.shadow))
-        if fitted is not None:
-            write("fitted.glb", write_glb, fitted.vertices, fitted.faces, fitted.uv, shown)
-            vertices, faces = fitted.template_vertices, fitted.model.template_faces
-            linear, moves = result.linear_model, dict[str, Any]()
-            if linear is not None and linear.model.names:
-                moves = dict(zip(("rest", "targets", "weights"), linear.neutral_and_targets(), strict=True))
+        _write_chart(result, shown, write)
+        if result.fitted is not None:
+            write(
+                "fitted.glb", write_glb, result.fitted.vertices, result.fitted.faces, result.fitted.uv, shown
+            )
+            moves = _linear_moves(result.linear_model)
+            vertices, faces = result.fitted.template_vertices, result.fitted.model.template_faces
             if result.template is not None:
-                write_template(staging.folder, result.template, deep, exr=files == "all", **moves)
+                write_template(staging.folder, result.template, deep, exr=exr, **moves)
             elif vertices is not None and faces is not None:
                 write("template.obj", write_obj, vertices, faces)
                 if moves:
                     write("template.glb", write_textured_glb, TexturedMesh(vertices, faces, **moves))
-        if fitted is not None and linear is not None:
-            placed = np.diag([*np.ones(3) / scan.mm_per_unit, 1]) @ invert_rigid(fitted.model_from_scan)
-            write("coefficients.json", write_record, linear.record(placed))
-            arrays = {"vertices": transform_points(placed, linear.vertices), "faces": linear.model.faces}
-            arrays |= {name: getattr(linear, name) for name in ("residual_mm", "displacement_mm")}
-            write("linear_model.npz", write_npz, arrays, what="linear model")
         if result.maps_of_skin is not None:
-            write_template(staging.folder, result.maps_of_skin, np.uint16, exr=files == "all", stem="maps")
+            write_template(staging.folder, result.maps_of_skin, np.uint16, exr=exr, stem="maps")
         if result.unlit is not None:
-            write_unlit(staging.folder, result.unlit, deep, exr=files == "all")
-        if (registration := result.registration) is not None:
-            names = ("rmse_mm", "depth_error", "converged", "confidence", "iterations")
-            poses = RegistrationRecord(
-                model_from_scan=registration.model_from_scan.tolist(),
-                fitted_from_scan=None if fitted is None else fitted.model_from_scan.tolist(),
-                **{name: getattr(registration, name) for name in names},
-            )
-            write("registration.json", write_record, poses)
-        in_scan = result.landmarks_scan
-        deviation_mm = None if fitted is None else fitted.landmark_deviation_mm
-        if fitted and fitted.landmarks is not None and in_scan is not None and deviation_mm is not None:
-            landmarks = LandmarksRecord.of(fitted.landmarks, in_scan, deviation_mm, scan.mm_per_unit)
-            write(LANDMARKS_FILE, write_record, landmarks)
-            write("landmarks.csv", write_landmarks_csv, landmarks)
+            write_unlit(staging.folder, result.unlit, deep, exr=exr)
+        _write_places(result, write)
         if "overview.png" not in left_out:
             unlit = None if result.unlit is None else result.unlit.scan
-            panels = result_panels(scan, fitted, image, estimate, preview, unlit)
+            panels = result_panels(result.scan, result.fitted, image, estimate, preview, unlit)
             overview = figure_png(overview_figure(result.summary(), panels, columns=6))
             write("overview.png", Path.write_bytes, overview)
             write("error_vs_time.png", Path.write_bytes, figure_png(result.trace.plot(), dpi=110))
-        own = None if fitted is None else fitted.model.template_from_model
+        own = None if result.fitted is None else result.fitted.model.template_from_model
         staging.write_record(
-            name=scan.name, seed=result.seed, options=dict(result.options),
-            input=InputRecord.of(scan, result.source, result.input_sha256), plan=tuple(result.plan),
-            metrics=result.metrics(), lights=() if estimate is None else tuple(estimate.lights),
+            name=result.scan.name,
+            seed=result.seed,
+            options=dict(result.options),
+            input=InputRecord.of(result.scan, result.source, result.input_sha256),
+            plan=tuple(result.plan),
+            metrics=result.metrics(),
+            lights=() if estimate is None else tuple(estimate.lights),
             environment=None if estimate is None else estimate.environment,
-            parameters={} if estimate is None else estimate.parameters, timings_s=dict(result.timings_s),
-            notes=result.notes, template_from_model=None if own is None else own.tolist(),
-        )  # fmt: skip
+            parameters={} if estimate is None else estimate.parameters,
+            timings_s=dict(result.timings_s),
+            notes=result.notes,
+            template_from_model=None if own is None else own.tolist(),
+        )
     return folder.path
 
 
-def write_unlit(folder: Path, unlit: UnlitScan, samples: type = np.uint8, *, exr: bool = False) -> None:
-    """Write the unlit scan: OBJ in the unit of the scan's file, GLB in metres, both in the scan's own frame.
-
-    Pictures, of uint8 or uint16 `samples`, and coordinates stay, with a picture of how sure each texel is,
-    and one of hair, where there is some, as it was lit, alpha: how surely hair; without them colours of
-    vertices. `exr`: the pictures as linear EXR, too.
-    """
-    scan, uv, texture = unlit.scan, unlit.scan.uv, unlit.scan.texture_linear
-    lit = None if unlit.lit is None or unlit.hair is None else unlit.lit.texture_linear
-    if uv is None or texture is None:
-        mesh = TexturedMesh(scan.vertices, scan.faces, vertex_color_linear=scan.vertex_color_linear)
-    else:
-        confidence = _gray_bytes(unlit.confidence)
-        own_uv, pictures, whole = uv.copy(), list[MeshPicture](), texture.shape[:2]
-        tiles = scan.texture_tiles if len(scan.texture_tiles) > 1 else ()
-        for number, tile in enumerate(tiles):
-            chosen = tile.holds(uv, whole)
-            own_uv[chosen] = tile.own_uv(uv[chosen], whole)
-            place = np.s_[tile.top : tile.top + tile.height, tile.left : tile.left + tile.width]
-            write_png(folder / f"unlit_confidence.{number}.png", confidence[place])
-            if lit is not None and unlit.hair is not None:
-                _write_hair(folder / f"unlit_hair.{number}.png", lit[place], unlit.hair[place], samples)
-            picture = _encoded(folder / f"unlit.{number}.exr", texture[place], samples, exr)
-            pictures.append(MeshPicture(f"unlit.{number}.png", picture, chosen))
-        if not pictures:
-            write_png(folder / "unlit_confidence.png", confidence)
-            if lit is not None and unlit.hair is not None:
-                _write_hair(folder / "unlit_hair.png", lit, unlit.hair, samples)
-            every = np.ones(len(scan.faces), bool)
-            picture = _encoded(folder / "unlit.exr", texture, samples, exr)
-            pictures.append(MeshPicture("unlit.png", picture, every))
-        mesh = TexturedMesh(scan.vertices, scan.faces, own_uv, tuple(pictures))
-    write_textured_obj(folder / "unlit.obj", mesh, mm_per_unit=scan.mm_per_unit)
-    write_textured_glb(folder / "unlit.glb", mesh)
+def _write_chart(result: ProcessResult, shown: NDArray[np.uint8] | None, write: Callable[..., None]) -> None:
+    """Write what lies on the chart; `shown` (H, W, 3) is the albedo as it is shown."""
+    image, estimate = result.geometry_image, result.albedo
+    for name, values in result.maps.items():
+        write(name, write_png, gray_bytes(values))
+    write("geometry_image.npz", write_geometry_image, image)
+    write("geometry_image.exr", write_geometry_image_exr, image)
+    if image.skin is not None:
+        write("skin.png", write_png, gray_bytes(np.where(image.mask, image.skin, 0)))
+    if image.labels is not None:
+        write("labels.png", write_indexed_png, image.labels)
+    if estimate is not None and shown is not None:
+        seen = np.where(image.seen, np.uint8(255), np.uint8(0))
+        write("albedo.exr", write_exr, estimate.albedo_linear)
+        write("albedo.png", write_png, np.dstack([shown, seen]))
+        if estimate.expected_error is not None:
+            write("expected_error.exr", write_exr, estimate.expected_error)
+        write("shading.exr", write_exr, estimate.shading)
+        write("specular.exr", write_exr, estimate.specular)
+        write("shadow.png", write_png, gray_bytes(estimate.shadow))
 
 
-def _write_hair(file: Path, linear: NDArray[np.floating], share: NDArray[np.floating], samples: type) -> None:
-    picture: NDArray[Any] = np.empty((*share.shape, 4), samples)
-    encode_srgb_integers(linear, samples, picture[..., :3])
-    picture[..., 3] = baking.integers(share, samples)
-    write_png(file, picture)
+def _linear_moves(linear: LinearModelFit | None) -> dict[str, Any]:
+    """Return how a linear model's mesh moves, as a `TexturedMesh` has it; nothing where it has no names."""
+    if linear is None or not linear.model.names:
+        return {}
+    return dict(zip(("rest", "targets", "weights"), linear.neutral_and_targets(), strict=True))
 
 
-def _encoded(exr_file: Path, linear: NDArray[np.float32], samples: type, exr: bool) -> bytes:
-    """Return a picture's PNG with such samples; with `exr` write it in linear colour, too."""
-    if exr:
-        write_exr(exr_file, linear)
-    return encode_image(linear, ".png", samples)
-
-
-def write_template(
-    folder: Path,
-    template: baking.TemplateTexture,
-    samples: type = np.uint8,
-    *,
-    exr: bool = False,
-    stem: str = "template",
-    mm_per_unit: float = 1.0,
-    **moves: Any,
-) -> None:
-    """Write a baked mesh in its own frame: OBJ in a unit of `mm_per_unit`, GLB in metres; alpha: seen.
-
-    `moves` are those of a `TexturedMesh`. With maps of a skin material they are PNG of 16 bits, 0 to 1, but
-    for the displacement: from -4 to 4 mm, and as EXR in mm; there is a normal map for DirectX, too, whose y
-    points down, and an OpenUSD file.
-    """
-    alone = len(template.tiles) == 1 and template.tiles[0].number == baking.FIRST_TILE
-    pictures, end = list[MeshPicture](), ".png"
-    for tile in template.tiles:
-        end = ".png" if alone else f".{tile.number}.png"
-        if exr:
-            write_exr((folder / f"{stem}{end}").with_suffix(".exr"), tile.color_linear)
-        normal = encode_image(baking.normal_bytes(tile.normal, samples if tile.maps else np.uint8), ".png")
-        color: NDArray[Any] = np.empty((*tile.seen.shape, 4), samples)
-        encode_srgb_integers(tile.color_linear, samples, color[..., :3])
-        color[..., 3] = tile.seen * samples(np.iinfo(samples).max)
-        picture, surface = encode_image(color, ".png"), None
-        cut = None  # alpha of a GLB, where eyes and mouth are seen through the mesh
-        if template.cut_mm is not None and (template.cut_mm > 0).any():
-            corners = (
-                template.uv[tile.faces].reshape(-1, 2) - divmod(tile.number - baking.FIRST_TILE, 10)[::-1]
-            )
-            pixels = pixels_from_uv(corners, tile.seen.shape)
-            index = np.arange(len(corners)).reshape(-1, 3)
-            raster = rasterize(pixels, np.zeros(len(corners)), index, tile.seen.shape)
-            depth = template.cut_mm[template.faces[tile.faces]].reshape(-1, 1)
-            inside = raster.covered & (interpolate(raster, index, depth)[..., 0] > 0)
-            cut = encode_image(
-                np.dstack([color[..., :3], ~inside * color.dtype.type(np.iinfo(samples).max)]), ".png"
-            )
-        del color  # beside the next tile's normals it would be the most that is kept
-        if tile.hair is not None:
-            _write_hair(folder / f"{stem}_hair{end}", tile.hair[..., :3], tile.hair[..., 3], samples)
-        if tile.maps:
-            write_png(
-                folder / f"{stem}_normal_directx{end}", baking.normal_bytes(tile.normal * (1, -1, 1), samples)
-            )
-            for name, values in tile.maps.items():
-                if name == "displacement_mm":
-                    write_exr((folder / f"{stem}_displacement{end}").with_suffix(".exr"), values)
-                    name, values = "displacement", 0.5 + values / (2 * baking.REACH_MM)
-                write_png(folder / f"{stem}_{name}{end}", baking.integers(values, samples))
-            layers = [tile.maps[name] for name in ("occlusion", "roughness", "specular")]
-            layers.insert(2, np.zeros_like(layers[0]))
-            surface = encode_image(baking.integers(np.stack(layers, -1)), ".png")
-        named = f"{stem}{end}", picture, tile.faces, f"{stem}_normal{end}", normal
-        pictures.append(MeshPicture(*named, surface, cut))
-    mesh = TexturedMesh(
-        template.vertices,
-        template.faces,
-        template.uv,
-        tuple(pictures),
-        parts=template.parts,
-        landmarks=template.landmarks,
-        **moves,
-    )
-    write_textured_obj(folder / f"{stem}.obj", mesh, mm_per_unit=mm_per_unit)
-    write_textured_glb(folder / f"{stem}.glb", mesh)
-    if template.tiles and template.tiles[0].maps:
-        end = ".png" if alone else ".<UDIM>.png"
-        inputs = "normal", "occlusion", "roughness", "displacement"
-        there = inputs[: 3 + ("displacement_mm" in template.tiles[0].maps)]
-        textures = {"diffuseColor": f"{stem}{end}", **{name: f"{stem}_{name}{end}" for name in there}}
-        surface_of = template.vertices, template.faces, template.uv
-        write_usda(folder / f"{stem}.usda", *surface_of, textures, baking.REACH_MM, ior=7 / 5, metallic=0)
-
-
-def _gray_bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
-    return np.round(255 * np.clip(values, 0, 1)).astype(np.uint8)
+def _write_places(result: ProcessResult, write: Callable[..., None]) -> None:
+    """Write the pose, the coefficients of a linear model and the landmarks, in the scan's own frame."""
+    fitted, linear, registration = result.fitted, result.linear_model, result.registration
+    if fitted is not None and linear is not None:
+        placed = np.diag([*np.ones(3) / result.scan.mm_per_unit, 1]) @ invert_rigid(fitted.model_from_scan)
+        write("coefficients.json", write_record, linear.record(placed))
+        arrays = {
+            "vertices": transform_points(placed, linear.vertices),
+            "faces": linear.model.faces,
+            "residual_mm": linear.residual_mm,
+            "displacement_mm": linear.displacement_mm,
+        }
+        write("linear_model.npz", write_npz, arrays, what="linear model")
+    if registration is not None:
+        poses = RegistrationRecord(
+            model_from_scan=registration.model_from_scan.tolist(),
+            fitted_from_scan=None if fitted is None else fitted.model_from_scan.tolist(),
+            rmse_mm=registration.rmse_mm,
+            depth_error=registration.depth_error,
+            converged=registration.converged,
+            confidence=registration.confidence,
+            iterations=registration.iterations,
+        )
+        write("registration.json", write_record, poses)
+    in_scan = result.landmarks_scan
+    deviation_mm = None if fitted is None else fitted.landmark_deviation_mm
+    if fitted and fitted.landmarks is not None and in_scan is not None and deviation_mm is not None:
+        landmarks = LandmarksRecord.of(fitted.landmarks, in_scan, deviation_mm, result.scan.mm_per_unit)
+        write(LANDMARKS_FILE, write_record, landmarks)
+        write("landmarks.csv", write_landmarks_csv, landmarks)

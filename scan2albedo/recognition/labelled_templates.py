@@ -41,7 +41,9 @@ class LabelledTemplates:
 
     @property
     def templates(self) -> tpl.Templates:
-        """The templates of the first kind."""
+        """The templates of the first kind; RecognitionError when there are none."""
+        if not self.sets:
+            raise RecognitionError(f"{self.source}: holds no template; leave it out")
         return next(iter(self.sets.values()))
 
     def select(self, indices: ArrayLike) -> Self:

@@ -7,7 +7,7 @@ from typing import get_args
 
 import numpy as np
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import RecognitionError
 from scan2albedo.recognition import identification as matching
 from scan2albedo.recognition.labelled_templates import (
@@ -59,7 +59,7 @@ CALIBRATION = Calibration(
     0.003509,
 )
 """Of the default templates, by scans and photographs of sixteen heads under rendered lights and three scans
-each of twelve synthetic people: `python tools/bench_recognition.py --calibrate FOLDER`."""
+each of twelve synthetic people: `python tools/build recognition_calibration FOLDER`."""
 
 
 def log_odds_by_kind(
@@ -231,23 +231,18 @@ def identify_results(
             f"{' and '.join(shown.sets)}; process all scans alike, or choose what to use"
         )
     known, shown = _with_windows(known, kinds), _with_windows(shown, kinds)
-    # Similarities (P, images) of each kind, NaN where one of a pair lacks it, and pairs without a common
-    # window, which have similarity 0.
-    scores = {kind: np.full((len(shown), len(known)), np.nan) for kind in kinds}
-    apart = np.zeros((len(shown), len(known)), bool)
-    for kind in both & set(known.sets) & set(shown.sets):  # may have lost results without a window
-        a, b = shown.sets[kind], known.sets[kind]
-        common_chart(b.chart, a.chart, str(known.source), str(shown.source))
-        here = np.ix_(shown.rows[kind], known.rows[kind])
-        found = comparable_similarities(a, b, WINDOW)
-        scores[kind][here], apart[here] = np.nan_to_num(found), apart[here] | np.isnan(found)
-    names = [person or "" for person in known.persons]
+    scores, apart = _pair_similarities(known, shown, kinds)
     compared = common_similarities(scores)
     parts = log_odds_by_kind(compared)
     total = np.asarray(sum(parts.values()))
-    # A pair with nothing in common is as unlike as similarities of 0.
-    unlike = sum(log_odds_by_kind({kind: np.zeros((1, 1)) for kind in kinds}).values())
-    filled = np.where(np.isnan(total), unlike, total)
+    notes = _limits(known, shown, compared)
+    for pairs, lack in ((np.isnan(total), "have nothing to compare"), (apart, "have no window")):
+        if pairs.any():
+            notes.append(
+                f"{pairs.sum()} of {pairs.size} pairs of a probe and an image {lack} in common: they count "
+                "as similarity 0"
+            )
+    notes += _repeated(known, shown)
     # Several scans of one person are one probe: the mean of its rows.
     groups: dict[str | int, list[int]] = {}
     for k, person in enumerate(shown.persons):
@@ -258,27 +253,69 @@ def identify_results(
 
     labels = tuple(_few([shown.labels[k] for k in group]) for group in groups.values())
     judged = replace(shown.select([group[0] for group in groups.values()]), labels=labels)
-    filled = mean(filled)
-    parts = {kind: mean(np.nan_to_num(part)) for kind, part in parts.items()}
+    # A pair with nothing in common is as unlike as similarities of 0.
+    unlike = sum(log_odds_by_kind({kind: np.zeros((1, 1)) for kind in kinds}).values())
+    log_odds = mean(np.where(np.isnan(total), unlike, total))
+    names = [person or "" for person in known.persons]
     persons = [person if person in known.persons else None for person in judged.persons]
-    matches = matching.identify_by_similarity(filled, names, persons, combine=combine)
+    matches = matching.identify_by_similarity(log_odds, names, persons, combine=combine)
     by_kind = {
         kind: matching.similarities_by_person(mean(s), names, combine)[1] for kind, s in scores.items()
     }
+    parts = {kind: mean(np.nan_to_num(part)) for kind, part in parts.items()}
     if "shading" in parts:
         parts["texture"] = parts["texture"] + parts.pop("shading")
-    decided_by = []
+    decided_by = _leading_kinds(parts, matches, names, log_odds)
+    return ResultIdentification(
+        known, judged, matches, by_kind, decided_by, (*known.notes, *shown.notes, *notes)
+    )
+
+
+def _pair_similarities(
+    known: LabelledTemplates, shown: LabelledTemplates, kinds: Sequence[Kind]
+) -> tuple[dict[Kind, FloatArray], BoolArray]:
+    """Return similarities (P, images) by kind, NaN where one of a pair lacks it, and pairs without a window.
+
+    A pair whose masks have no window in common has similarity 0.
+    """
+    shape = len(shown), len(known)
+    scores, apart = {kind: np.full(shape, np.nan) for kind in kinds}, np.zeros(shape, bool)
+    for kind in kinds:
+        if kind not in known.sets or kind not in shown.sets:
+            continue  # all results of the kind were left out, for they had no window
+        a, b = shown.sets[kind], known.sets[kind]
+        common_chart(b.chart, a.chart, str(known.source), str(shown.source))
+        here = np.ix_(shown.rows[kind], known.rows[kind])
+        found = comparable_similarities(a, b, WINDOW)
+        scores[kind][here], apart[here] = np.nan_to_num(found), apart[here] | np.isnan(found)
+    return scores, apart
+
+
+def _leading_kinds(
+    parts: Mapping[Kind, FloatArray],
+    matches: matching.Identification,
+    names: Sequence[str],
+    log_odds: FloatArray,
+) -> tuple[Kind, ...]:
+    """Return (P,) the kind that adds most to the lead of the predicted person over the next."""
+    found = []
     for probe, order in enumerate(matches.order):
         lead = np.zeros(len(parts))
         for sign, person in zip((1, -1), order[:2], strict=False):
             images = np.flatnonzero(np.array(names) == matches.persons[person])
-            if combine == "best":
-                images = images[[filled[probe, images].argmax()]]
+            if matches.combine == "best":
+                images = images[[log_odds[probe, images].argmax()]]
             lead += sign * np.array([part[probe, images].mean() for part in parts.values()])
-        decided_by.append(list(parts)[lead.argmax()])
-    # What limits the comparison. First probes that are compared by less than others are.
-    notes = [*known.notes, *shown.notes]
-    cues = [kind for kind in kinds if kind != "shading"]
+        found.append(list(parts)[lead.argmax()])
+    return tuple(found)
+
+
+def _limits(
+    known: LabelledTemplates, shown: LabelledTemplates, compared: Mapping[Kind, FloatArray]
+) -> list[str]:
+    """Return a sentence for probes that are compared by less than others, and for unknown persons."""
+    notes = []
+    cues = [kind for kind in compared if kind != "shading"]
     uses = np.array([(~np.isnan(compared[kind])).any(axis=1) for kind in cues])
     for pattern in np.unique(uses[:, uses.any(axis=0) & ~uses.all(axis=0)], axis=1).T:
         by, missing = (
@@ -297,21 +334,21 @@ def identify_results(
             f"{known.source} has no image of the persons on {len(strangers)} probes: {_few(strangers)}; "
             "they are identified, but count in no rate"
         )
-    for pairs, lack in ((np.isnan(total), "have nothing to compare"), (apart, "have no window")):
-        if pairs.any():
-            notes.append(
-                f"{pairs.sum()} of {pairs.size} pairs of a probe and an image {lack} in common: they count "
-                "as similarity 0"
-            )
+    return notes
+
+
+def _repeated(known: LabelledTemplates, shown: LabelledTemplates) -> list[str]:
+    """Return a sentence for probes whose templates are those of an image of the gallery."""
     kind = next(kind for kind in shown.sets if kind in known.sets)
     stored = {values.tobytes() for values in known.sets[kind].coefficients}
     rows = zip(shown.rows[kind], shown.sets[kind].coefficients, strict=True)
-    if same := [shown.labels[row] for row, values in rows if values.tobytes() in stored]:
-        notes.append(
-            f"{len(same)} of {len(shown)} probes are in the gallery themselves ({_few(same)}): that they are "
-            "recognised means nothing"
-        )
-    return ResultIdentification(known, judged, matches, by_kind, tuple(decided_by), tuple(notes))
+    same = [shown.labels[row] for row, values in rows if values.tobytes() in stored]
+    if not same:
+        return []
+    return [
+        f"{len(same)} of {len(shown)} probes are in the gallery themselves ({_few(same)}): that they are "
+        "recognised means nothing"
+    ]
 
 
 def _with_windows(labelled: LabelledTemplates, kinds: Sequence[Kind]) -> LabelledTemplates:
@@ -321,18 +358,15 @@ def _with_windows(labelled: LabelledTemplates, kinds: Sequence[Kind]) -> Labelle
         lacking[labelled.rows[kind]] = False
     if usable.all():
         return labelled
-    reasons = (
-        (
-            lacking,
-            f"no {' or '.join(set(kinds) - {'shading'})}, which is all that both sides can be compared by",
-        ),
+    either = " or ".join(kind for kind in kinds if kind != "shading")
+    left = []
+    for which, reason in (
+        (lacking, f"no {either}, which is all that both sides can be compared by"),
         (~usable & ~lacking, f"no window of {WINDOW} x {WINDOW} coefficients lies inside the mask"),
-    )
-    left = [
-        f"{labelled.source}: {_few([labelled.labels[k] for k in np.flatnonzero(which)])}: {reason}"
-        for which, reason in reasons
-        if which.any()
-    ]
+    ):
+        if which.any():
+            names = _few([labelled.labels[k] for k in np.flatnonzero(which)])
+            left.append(f"{labelled.source}: {names}: {reason}")
     if not usable.any():
         raise RecognitionError(f"{'; '.join(left)}, and no result is left; scan more of the faces")
     kept = labelled.select(np.flatnonzero(usable))

@@ -17,7 +17,7 @@ STABILIZER = 1e-3
 Images have mean 1 before the pyramid."""
 WINDOW = 5
 """Side of the square windows in coefficients, chosen on photographs of six people under twelve lamps, as size
-and response of the templates were (`tools/bench_recognition.py --windows`), and on synthetic people."""
+and response of the templates were (`python tools/bench templates/lamps`), and on synthetic people."""
 LANES = 64
 """Templates of a block of the compiled loop; they lie next to each other, so that every step is a vector
 operation."""

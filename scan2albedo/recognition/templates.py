@@ -32,7 +32,7 @@ LEAST_WEIGHT = float(np.finfo(np.float32).eps)
 """Of what lies inside the mask, however uncertain: nothing is left of a pair otherwise."""
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 """Of linear colour. The brightest channel of skin is red, which pigment and blood hardly darken; luminance
-separates persons better (`tools/bench_recognition.py --faces`)."""
+separates persons better (`python tools/bench templates/slips`)."""
 
 
 class NothingToCompareError(RecognitionError):
@@ -221,6 +221,8 @@ def certainty(albedo: ArrayLike, expected_error: ArrayLike, mask: BoolArray) -> 
         The relative error e, as `AlbedoEstimate.expected_error`.
     mask : (H, W) bool
     """
+    if not mask.any():
+        return np.zeros(mask.shape)
     values = np.asarray(albedo, np.float64)
     of_mask = (values @ LUMINANCE if values.ndim == 3 else values)[mask]
     contrast = of_mask.var() / max(of_mask.mean() ** 2, LEAST_WEIGHT)

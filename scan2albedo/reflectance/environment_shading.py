@@ -57,7 +57,7 @@ def tilted_lobe(
     from n to the mean direction, in the plane of n and v away from v; the mirrored view has the tilt
     `angle_rad`, between n and v. From pi / 2 on (a surface that is not seen) coefficients are 0. With
     `derivative` 1 both are differentiated by the angle. Raises `ValueError` when the exponent is not more
-    than 0 or an angle not finite. tools/bench_reflectance_model.py compares it with the full lobe.
+    than 0 or an angle not finite. `python tools/bench photographs/lobes` compares it with the full lobe.
     """
     if not exponent > 0:
         raise ValueError(f"exponent must be more than 0, got {exponent}")

@@ -17,7 +17,7 @@ from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import edges_with_faces
 from scan2albedo.geometry.operators import surface_diffusion
 from scan2albedo.reflectance.environment_shading import diffuse_response, shading_gradient
-from scan2albedo.reflectance.image_fit import MOST_UNEXPLAINED, ImageFit, fit_image
+from scan2albedo.reflectance.image_fit import MOST_UNEXPLAINED, ImageFit, common_vertices, fit_image
 from scan2albedo.reflectance.lighting_model import LightingModel
 from scan2albedo.reflectance.linear_model import require_one_topology
 from scan2albedo.reflectance.morphable_model import PEOPLE_DIFFER, MorphableReflectanceModel
@@ -39,60 +39,8 @@ mean), and standard deviation. White balance errs by two degrees (Cheng, Prasad,
 and what is reflected adds as much; of a bulb's 0.6 cameras leave about half; few lights are of any colour."""
 
 
-@dataclass(frozen=True)
-class Evidence:
-    """What one step gained on the parts of the photograph that were left out."""
-
-    step: str
-    """"details", or "person": the model's coefficients instead of its mean."""
-    error_before: float
-    error_after: float
-    """`error_before`, `error_after`: mean absolute logarithm of predicted over observed colours, less its
-    mean over the channels."""
-    gain: float
-    standard_error: float
-    blocks: int
-    """`gain`, `standard_error`: of the difference, over the `blocks` that were judged."""
-    accepted: bool
-    unexplained: float = 0.0
-    """Relative RMSE of the fit to all blocks, where it is too large to believe anything."""
-    objective_before: float = np.nan
-    objective_after: float = np.nan
-    """`objective_before`, `objective_after`: of the fits to all blocks with the mean face and with the
-    person; NaN where colour has decided already. `accepted` says whether the step is believed."""
-    untested: str = ""
-    """Why the step was not tried."""
-
-    @property
-    def missed_mean(self) -> bool:
-        """Whether the person explains all blocks worse than the mean face, which its fit could have found."""
-        return self.objective_after > self.objective_before
-
-    def plan_step(self) -> PlanStep:
-        """Return what was decided, and why."""
-        what = {"person": "the person's coefficients", "details": "details of the albedo"}[self.step]
-        if self.untested:
-            reason = f"{self.untested}; {what} would imitate it"
-        elif self.blocks < _LEAST_BLOCKS:
-            reason = f"too little of the face is seen to test {what}"
-        elif self.missed_mean:
-            reason = f"{what} explain the whole photograph worse than the mean face does"
-        elif self.unexplained:
-            reason = f"light and model explain the photograph too badly to believe {what}"
-        else:
-            believed = "" if self.accepted else "do not "
-            reason = f"{what} {believed}predict parts of the photograph that were left out"
-        text = "" if self.untested else f"{self.blocks} blocks, {_LEAST_BLOCKS} are needed"
-        if np.isfinite(self.error_before):
-            text = (
-                f"colour of left-out blocks {100 * self.error_before:.2f} -> {100 * self.error_after:.2f} %, "
-                f"gain {100 * self.gain:.2f} +- {100 * self.standard_error:.2f} %, {self.blocks} blocks"
-            )
-        if np.isfinite(self.objective_after):
-            text += f"; objective of all blocks {self.objective_before:.4g} -> {self.objective_after:.4g}"
-        if self.unexplained:
-            text += f"; relative RMSE of all blocks {100 * self.unexplained:.1f} %"
-        return PlanStep(f"reflectance.image.{self.step}", self.accepted, reason, text)
+_TESTED = {"person": "the person's coefficients", "details": "details of the albedo"}
+"""What the plan calls the steps: the model's coefficients instead of its mean, and the smooth residuals."""
 
 
 @dataclass(frozen=True)
@@ -113,9 +61,8 @@ class FaceFit:
     """Whether light and coefficients leave so much of the photograph unexplained that nothing is believed."""
     details: FloatArray | None
     """(V, 3): logarithms of the factors on the albedo; None where they were not accepted."""
-    evidence: tuple[Evidence, ...]
     plan: Plan
-    """`evidence` for details and for the person, and what was believed, and why; the skin's hue is last."""
+    """What was believed of details, of the person and, last, of the skin's hue, and why."""
 
 
 def fit_face(
@@ -162,32 +109,34 @@ def fit_face(
     Notes
     -----
     On 16 path-traced photographs that share nothing with the fit the albedo is 0.120 off, that of the mean
-    face 0.176, and that of `fit_image` 0.165 (tools/bench_reflectance_model.py unknown). A photograph without
+    face 0.176, and that of `fit_image` 0.165 (`python tools/bench photographs/unknown`). A photograph without
     colour gives no evidence, and so the mean face.
     """
     lighting = LightingModel.default() if lighting is None else lighting
     xyz, index = checked_mesh(vertices, faces, "the mesh", ReflectanceError)
     require_one_topology("the mesh", len(xyz), "the model", len(model.known))
-    used = np.flatnonzero(np.asarray(observation.seen) & model.known)
+    used = common_vertices(observation, model)
     errors = errors_left_out(observation, model, xyz, index, lighting, normal_error, budget)
     # Details hold nothing that wrong normals could colour, so that any gain above chance counts.
     details = _judged(errors, "details", "mean", "mean+details", 0.0 if normal_error else _LEAST_GAIN)
-    ending = "+details" if details.accepted else ""
+    ending = "+details" if details.ran else ""
     if normal_error:
-        text = f"the normals may be wrong by {np.degrees(normal_error):.0f} degrees"
-        person = Evidence("person", np.nan, np.nan, 0.0, 0.0, details.blocks, False, untested=text)
+        off = f"the normals may be wrong by {np.degrees(normal_error):.0f} degrees"
+        person = _plan_step("person", False, f"{off}; {_TESTED['person']} would imitate it")
     else:
         person = _judged(errors, "person", f"mean{ending}", f"person{ending}")
     mean = fit_image(observation, model.mean_only(), lighting, budget=budget, on_progress=on_progress)
     mean = replace(mean, face=replace(mean.face, coefficients=np.zeros(model.components)))
     fit = mean
-    if person.accepted:
+    if person.ran:
         fit = fit_image(observation, model, lighting, budget=budget, on_progress=on_progress)
-        person = replace(person, objective_before=mean.objective, objective_after=fit.objective)
-        if person.missed_mean:
+        objectives = f"objective of all blocks {mean.objective:.4g} -> {fit.objective:.4g}"
+        person = replace(person, evidence=f"{person.evidence}; {objectives}")
+        if fit.objective > mean.objective:
             # The model contains the mean face, so a larger objective is a search gone astray.
-            fit, person = mean, replace(person, accepted=False)
-    if person.accepted and details.accepted:
+            worse = f"{_TESTED['person']} explain the whole photograph worse than the mean face does"
+            fit, person = mean, replace(person, ran=False, reason=worse)
+    if person.ran and details.ran:
         # The person may explain all that the details did.
         details = _judged(errors, "details", "person", "person+details")
     left = fit.relative_rmse
@@ -197,30 +146,42 @@ def fit_face(
     badly_explained = left > np.hypot(MOST_UNEXPLAINED, shading_error)
     if badly_explained:
         fit = mean
-        details, person = (replace(one, accepted=False, unexplained=left) for one in (details, person))
+        details, person = (_unbelieved(step, left) for step in (details, person))
     hue, why = np.ones(3), "no details are believed"
-    if person.accepted:
+    if person.ran:
         why = "the person's coefficients have it"
-    elif details.accepted:
+    elif details.ran:
         why = "a part of the photograph's hue is probably the skin's"
         hue = skin_hue(observation.response(np.flatnonzero(divided.lit)).diffuse @ fit.light)
         fit = fit_image(observation, model.mean_only(hue), lighting, budget=budget)
         fit = replace(fit, face=replace(fit.face, coefficients=mean.face.coefficients))
         divided = ShadingDivided.from_observation(observation, model, fit.face.reflectance, fit.light)
-    text = "factors of red, green, blue: " + ", ".join(f"{one:.2f}" for one in hue)
-    toning = PlanStep("reflectance.image.hue", bool((hue != 1).any()), why, text)
-    reflectance, accepted_field = fit.face.reflectance, None
-    radiance, rmse = fit.radiance_linear, fit.relative_rmse
-    if details.accepted:
-        accepted_field = detail_field(divided, xyz, index, normal_error)
-        factor = np.where(reflectance.known[:, None], np.exp(accepted_field), 1.0)
-        reflectance = replace(reflectance, diffuse_linear=reflectance.diffuse_linear * factor)
-        made = observation.response(used).shade(reflectance.chosen(used), fit.light).radiance_linear
-        radiance, observed = among_all(used, len(xyz), made), np.asarray(observation.observed_linear)[used]
-        rmse = float(np.linalg.norm(made - observed) / np.linalg.norm(observed))
-    evidence, better = (details, person), person.accepted or details.accepted
-    plan = Plan((*(one.plan_step() for one in evidence), toning))
-    return FaceFit(reflectance, fit, radiance, rmse, better, badly_explained, accepted_field, evidence, plan)
+    factors = "factors of red, green, blue: " + ", ".join(f"{one:.2f}" for one in hue)
+    plan = Plan((details, person, _plan_step("hue", bool((hue != 1).any()), why, factors)))
+    better = person.ran or details.ran
+    reflectance, radiance, rmse = fit.face.reflectance, fit.radiance_linear, fit.relative_rmse
+    if not details.ran:
+        return FaceFit(reflectance, fit, radiance, rmse, better, badly_explained, None, plan)
+    field = detail_field(divided, xyz, index, normal_error)
+    factor = np.where(reflectance.known[:, None], np.exp(field), 1.0)
+    reflectance = replace(reflectance, diffuse_linear=reflectance.diffuse_linear * factor)
+    made = observation.response(used).shade(reflectance.chosen(used), fit.light).radiance_linear
+    observed = observation.observed_linear[used]
+    radiance = among_all(used, len(xyz), made)
+    rmse = float(np.linalg.norm(made - observed) / np.linalg.norm(observed))
+    return FaceFit(reflectance, fit, radiance, rmse, better, badly_explained, field, plan)
+
+
+def _plan_step(step: str, ran: bool, reason: str, evidence: str = "") -> PlanStep:
+    return PlanStep(f"reflectance.image.{step}", ran, reason, evidence)
+
+
+def _unbelieved(step: PlanStep, unexplained: float) -> PlanStep:
+    """Return a step that is left out, for a fit to all blocks has too large a relative RMSE."""
+    what = _TESTED[step.stage.rpartition(".")[2]]
+    evidence = f"{step.evidence}; relative RMSE of all blocks {100 * unexplained:.1f} %".removeprefix("; ")
+    reason = f"light and model explain the photograph too badly to believe {what}"
+    return replace(step, ran=False, reason=reason, evidence=evidence)
 
 
 def errors_left_out(
@@ -237,7 +198,7 @@ def errors_left_out(
     The descriptions are "mean" and, where normals are right, "person", and both with "+details". An error is
     the mean absolute logarithm of predicted over observed colours, less its mean over the channels.
     """
-    used, block = np.asarray(observation.seen) & model.known, np.full(len(vertices), -1)
+    used, block = observation.seen & model.known, np.full(len(vertices), -1)
     cells = np.floor(vertices[used] / _BLOCK_MM).astype(np.int64)
     block[used] = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
     count, folds = int(block.max(initial=-1)) + 1, 3
@@ -272,17 +233,25 @@ def errors_left_out(
 
 def _judged(
     errors: dict[str, FloatArray], step: str, before: str, after: str, least: float = _LEAST_GAIN
-) -> Evidence:
+) -> PlanStep:
     """Return whether one description predicts better than another, by more than a share of the error."""
     one, two = (errors.get(name, np.empty(0)) for name in (before, after))
     common = np.isfinite(one) & np.isfinite(two)
     gains, count = (one - two)[common], int(common.sum())
     if count < _LEAST_BLOCKS:
-        return Evidence(step, np.nan, np.nan, 0.0, 0.0, count, False)
+        reason = f"too little of the face is seen to test {_TESTED[step]}"
+        return _plan_step(step, False, reason, f"{count} blocks, {_LEAST_BLOCKS} are needed")
     gain, spread = float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(count))
     first, last = float(one[common].mean()), float(two[common].mean())
     accepted = gain > max(2 * spread, least * first)  # two standard errors
-    return Evidence(step, first, last, gain, spread, count, accepted)
+    believed = "" if accepted else "do not "
+    return _plan_step(
+        step,
+        accepted,
+        f"{_TESTED[step]} {believed}predict parts of the photograph that were left out",
+        f"colour of left-out blocks {100 * first:.2f} -> {100 * last:.2f} %, "
+        f"gain {100 * gain:.2f} +- {100 * spread:.2f} %, {count} blocks",
+    )
 
 
 def skin_hue(received: FloatArray) -> FloatArray:
@@ -306,9 +275,12 @@ _BANDS = {4.0: 0.05, 8.0: 0.02, 16.0: 0.01, 32.0: 0.01}
 light's error in each, from wrong normals, shadows and interreflection; what is wider than all is light."""
 _GREY = 0.9
 """Share of the variance of the light's error that is common to the three channels."""
-_LEAST_OPEN, _LEAST_LIGHT, _LEAST_DIFFUSE = 0.4, 0.2, 0.5
-"""Vertices with less of these do not count: share of the light around that a fold leaves, light over the
-median, and share of the observed light that is not a highlight, whose errors look like albedo."""
+_LEAST_OPEN = 0.4
+"""Least share of the light around that a fold leaves to a vertex that counts."""
+_LEAST_LIGHT = 0.2
+"""Least light on a vertex that counts, over the median."""
+_LEAST_DIFFUSE = 0.5
+"""Least share of a counting vertex's observed light that is no highlight: its errors look like albedo."""
 _TINY = np.finfo(np.float64).eps
 
 
@@ -342,12 +314,12 @@ class ShadingDivided:
         light: FloatArray,
     ) -> Self:
         """Divide an image by a reflectance under a light (81, 3)."""
-        used = np.flatnonzero(np.asarray(observation.seen) & model.known)
+        used = common_vertices(observation, model)
         response = observation.response(used)
         received = response.diffuse @ light
         made = response.shade(reflectance.chosen(used), light)
         diffuse, highlight = made.diffuse_linear, made.specular_linear
-        observed = np.asarray(observation.observed_linear)[used]
+        observed = observation.observed_linear[used]
         floor = _TINY + 1e-3 * float(np.median(diffuse))
         spread = partial(among_all, used, len(model.known))
 
@@ -356,15 +328,15 @@ class ShadingDivided:
             # Larger residuals are holes, hair or other surfaces.
             return spread(np.clip(ratio, -1.5, 1.5), 0.0)
 
-        free = diffuse_response(np.asarray(observation.normals)[used])[:, 0]
+        free = diffuse_response(observation.normals[used])[:, 0]
         open_share = response.diffuse[:, 0] / np.maximum(free, _TINY)
         usable, lit = np.zeros((2, len(model.known)), bool)
         bright = received.min(1) > _LEAST_LIGHT * np.median(received)
         lit[used] = bright & (open_share > _LEAST_OPEN)
         usable[used] = lit[used] & (observed - highlight > _LEAST_DIFFUSE * observed).all(1)
         part = replace(reflectance.chosen(used), known=lit[used])
-        normals, toward = np.asarray(observation.normals)[used], np.asarray(observation.toward_camera)[used]
-        by_normal, _ = shading_gradient(part, normals, toward, light)
+        ways = observation.normals[used], observation.toward_camera[used]
+        by_normal, _ = shading_gradient(part, *ways, light)
         slopes = by_normal / np.maximum(diffuse + np.maximum(highlight, 0), floor)[..., None]
         by_tilt = np.where(usable[used, None, None], slopes @ slopes.transpose(0, 2, 1) / 2, 0.0)
         return cls(

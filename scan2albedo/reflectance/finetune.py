@@ -14,7 +14,7 @@ from scan2albedo.core.arrays import FloatArray, checked_mesh
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.operators import surface_diffusion
 from scan2albedo.geometry.rays import blocks
-from scan2albedo.reflectance.image_fit import ImageFit, fit_image
+from scan2albedo.reflectance.image_fit import ImageFit, common_vertices, fit_image
 from scan2albedo.reflectance.lighting_model import LightingModel
 from scan2albedo.reflectance.linear_model import require_one_topology
 from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
@@ -23,14 +23,17 @@ from scan2albedo.reflectance.vertex_reflectance import BLOCK
 
 ROUNDS = 10
 """Most rounds of fitting all images and changing the model."""
-MEAN_CHANGE, BASIS_CHANGES = 0.1, (0.1, 0.3)
-"""Prior of the change of the means: its standard deviation, as a share of the mean albedo (the mean sum of
-weights); the same of the directions, as a share of the means': the held-out images choose among several."""
+MEAN_CHANGE = 0.1
+"""Prior standard deviation of a change of the means, as a share of the mean albedo (the mean sum of
+weights)."""
+BASIS_CHANGES = (0.1, 0.3)
+"""The same of the directions, as shares of the means': the held-out images choose among them."""
 SMOOTHING_MM = 6.0
 """Standard deviation, along the surface, of the smoothing of changes."""
-SIGNIFICANCE_LEVEL, _LEAST_GAIN = 0.025, 1e-3
-"""Probability that a change without effect on images like the held-out ones is accepted, and relative fall of
-their objective and RMSE below which none is."""
+SIGNIFICANCE_LEVEL = 0.025
+"""Probability that a change without effect on images like the held-out ones is accepted."""
+_LEAST_GAIN = 1e-3
+"""Relative fall of the held-out images' objective and RMSE below which no change is accepted."""
 
 
 @dataclass(frozen=True)
@@ -206,12 +209,12 @@ def best_change(
     diffuse, specular, off = np.zeros((3, count, images, 3))
     noise = np.ones((count, images, 3))
     for i, (observation, fit) in enumerate(zip(observations, fits, strict=True)):
-        used, b = np.flatnonzero(np.asarray(observation.seen) & model.known), fit.face.coefficients
+        used, b = common_vertices(observation, model), fit.face.coefficients
         response = observation.response(used)
         diffuse[used, i] = response.diffuse @ fit.light
         albedo, total, share = np.split(model.at(b)[used], [3, 4], axis=1)
         specular[used, i] = np.einsum("vk,vkj->vj", share, response.specular @ fit.light)
-        colors = np.asarray(observation.observed_linear)[used]
+        colors = observation.observed_linear[used]
         error = colors - albedo * diffuse[used, i] - total * specular[used, i]
         off[used, i] = error
         spread = max(1.4826 * float(np.median(np.abs(error))), 1e-6 * float(np.abs(colors).mean()))

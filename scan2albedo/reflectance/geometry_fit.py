@@ -4,12 +4,13 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
-from scan2albedo.core.arrays import FloatArray, checked_array
+from scan2albedo.core.arrays import FloatArray, IntArray, checked_array
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import edges_with_faces, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, pixel_directions, project
@@ -114,7 +115,7 @@ def refine_geometry(
     Notes
     -----
     Cast shadows are not modelled. Only the prior separates how far away a face is from how large it is.
-    tools/bench_reflectance_geometry.py compares weights of landmarks.
+    `python tools/bench face_geometry` compares weights of landmarks.
     """
     matrix = normalized_cameras(np.asarray(camera, np.float64)[None])[0]
     landmarks = checked_array(landmarks_px, (LANDMARKS, 2), "landmarks_px").copy()
@@ -125,35 +126,21 @@ def refine_geometry(
     expression = checked_coefficients(initial_expression, (count,), "initial_expression")
     coefficients = np.concatenate([identity, expression])
     seen = np.flatnonzero(np.isfinite(landmarks).all(1))
-    if initial_scene_from_model is not None:
-        pose = checked_array(initial_scene_from_model, (4, 4), "initial_scene_from_model")
-        if not is_rigid(pose):
-            raise ReflectanceError("initial_scene_from_model is not rigid; give rotation and translation")
-    elif len(seen) < 6:
-        raise ReflectanceError(f"{len(seen)} landmarks seen, a pose takes 6; give initial_scene_from_model")
-    else:
-        points = shape_model.at(coefficients)[shape_model.landmark_vertices[seen]]
-        pose = pose_from_landmarks(matrix, points, landmarks[seen])
+    pose = _initial_pose(initial_scene_from_model, matrix, landmarks[seen], seen, shape_model, coefficients)
     meter = Meter("reflectance.geometry", "objective", Budget.of(budget), on_progress)
     state = GeometryPoint(shape_model, pose, coefficients, meter)
     if (reflectance is None) != (light is None):
         raise ValueError("reflectance and light go together; give both or none")
     term_over = None
     if reflectance is not None and light is not None:
-        # The mean edge of the mesh in the image; 0 where the face is behind the camera.
-        edges, _ = edges_with_faces(shape_model.faces)
-        length = np.linalg.norm(state.vertices[edges[:, 0]] - state.vertices[edges[:, 1]], axis=1).mean()
-        _, depth = project(matrix, state.vertices)
-        edge_px = float(length / _pixel_mm(matrix, depth)) if np.median(depth) > 0 else 0.0
-        image = terms.SmoothImage(image_linear, mask, BLUR_EDGES * edge_px)
-        vertices = len(shape_model.mean)
-        require_one_topology("the reflectance", len(reflectance.known), "the shape model", vertices)
-        lit = reflectance, checked_coefficients(light, (HARMONICS, 3), "light")
-        term_over = partial(terms.photometric_term, image, matrix, shape_model.faces, *lit)
+        image = _blurred(image_linear, mask, matrix, state)
+        count = len(shape_model.mean)
+        require_one_topology("the reflectance", len(reflectance.known), "the shape model", count)
+        sent = checked_coefficients(light, (HARMONICS, 3), "light")
+        term_over = partial(terms.photometric_term, image, matrix, shape_model.faces, reflectance, sent)
     elif not len(seen):
         raise ReflectanceError("no landmark is seen, no reflectance given: undetermined; give one of both")
     converged, iterations = True, 0
-    rmse: tuple[float | None, float | None] = (None, None)
     name = "reflectance.geometry.landmarks"
     plan = [PlanStep(name, False, "no landmark is seen")]
     if len(seen):
@@ -170,7 +157,7 @@ def refine_geometry(
             state, converged = found.best, found.converged
             iterations += found.steps
         meter.merge(stage)
-    name = "reflectance.geometry.photometry"
+    name, gain = "reflectance.geometry.photometry", ColourGain()
     if term_over is None:
         plan.append(PlanStep(name, False, "no reflectance and light are given"))
     elif meter.exhausted:
@@ -181,24 +168,12 @@ def refine_geometry(
         moved = photometric_descent(term_over, replace(state, meter=stage))
         meter.merge(stage)
         iterations += moved.steps
-        colored, evidence = moved.best, ""
-        objection = "the image shows nothing of the face, or no step helps"
-        if moved.steps:
-            objection = "shapes before and after show nothing in common"
-            if (term := term_over(state.vertices, colored.vertices)) is not None:
-                before, after = (term.relative_rmse(one.vertices) for one in (state, colored))
-                rmse = before, after
-                evidence = f"relative rmse {before:.4f} -> {after:.4f}, {len(term.used)} vertices"
-                both, free = [*state.terms, term], meter.untraced()
-                first, last = (replace(one, terms=both, meter=free).cost for one in (state, colored))
-                objection = ""
-                if not last < first:
-                    objection = "the objective did not fall over what both shapes show"
-                elif not after <= MOST_UNEXPLAINED:
-                    objection = "the colours are not explained; light or reflectance are others"
-        plan.append(PlanStep(name, not objection, objection or "the colours are explained better", evidence))
-        if not objection:
-            state, converged = colored, moved.converged
+        gain = ColourGain.between(state, moved, term_over)
+        accepted = not gain.objection
+        reason = gain.objection or "the colours are explained better"
+        plan.append(PlanStep(name, accepted, reason, gain.evidence))
+        if accepted:
+            state, converged = moved.best, moved.converged
         elif meter.exhausted:
             converged = False
     if not converged:
@@ -207,12 +182,87 @@ def refine_geometry(
     identity, expression = np.split(state.coefficients, [shape_model.identity_components])
     pixels, _ = project(matrix, state.vertices[shape_model.landmark_vertices])
     return GeometryFit(
-        scene_from_model=state.scene_from_model, identity=identity, expression=expression,
-        vertices=state.vertices, normals=vertex_normals(state.vertices, shape_model.faces),
+        scene_from_model=state.scene_from_model,
+        identity=identity,
+        expression=expression,
+        vertices=state.vertices,
+        normals=vertex_normals(state.vertices, shape_model.faces),
         landmark_error_px=np.asarray(np.linalg.norm(pixels - landmarks, axis=1)),
-        photometric_rmse_before=rmse[0], photometric_rmse_after=rmse[1], plan=Plan(tuple(plan)),
-        converged=converged, iterations=iterations, trace=meter.trace,
-    )  # fmt: skip
+        photometric_rmse_before=gain.before,
+        photometric_rmse_after=gain.after,
+        plan=Plan(tuple(plan)),
+        converged=converged,
+        iterations=iterations,
+        trace=meter.trace,
+    )
+
+
+def _initial_pose(
+    initial: ArrayLike | None,
+    camera: FloatArray,
+    pixels: FloatArray,
+    seen: IntArray,
+    model: MorphableShapeModel,
+    coefficients: FloatArray,
+) -> FloatArray:
+    """Return the pose (4, 4) to start from: the one given, or that of the landmarks `seen` at `pixels`."""
+    if initial is not None:
+        pose = checked_array(initial, (4, 4), "initial_scene_from_model")
+        if not is_rigid(pose):
+            raise ReflectanceError("initial_scene_from_model is not rigid; give rotation and translation")
+        return pose
+    if len(seen) < 6:
+        raise ReflectanceError(f"{len(seen)} landmarks seen, a pose takes 6; give initial_scene_from_model")
+    return pose_from_landmarks(camera, model.at(coefficients)[model.landmark_vertices[seen]], pixels)
+
+
+def _blurred(
+    image_linear: ArrayLike, mask: ArrayLike | None, camera: FloatArray, start: GeometryPoint
+) -> terms.SmoothImage:
+    """Return the image smoothed by `BLUR_EDGES` of the mesh at `start`; as it is where that is behind."""
+    edges, _ = edges_with_faces(start.model.faces)
+    length = np.linalg.norm(start.vertices[edges[:, 0]] - start.vertices[edges[:, 1]], axis=1).mean()
+    _, depth = project(camera, start.vertices)
+    edge_px = float(length / _pixel_mm(camera, depth)) if np.median(depth) > 0 else 0.0
+    return terms.SmoothImage(image_linear, mask, BLUR_EDGES * edge_px)
+
+
+@dataclass(frozen=True)
+class ColourGain:
+    """What photometry changed, over the vertices that the shapes before and after it show."""
+
+    before: float | None = None
+    after: float | None = None
+    """`before`, `after`: relative RMSE of the colours; None where they were not compared."""
+    objection: str = ""
+    """Why the shape after it is not taken."""
+    evidence: str = ""
+
+    @classmethod
+    def between(
+        cls,
+        start: GeometryPoint,
+        moved: Descent[GeometryPoint],
+        term_over: Callable[..., PhotometricTerm | None],
+    ) -> Self:
+        """Compare objectives and colours at the start and at the end of a descent."""
+        if not moved.steps:
+            return cls(objection="the image shows nothing of the face, or no step helps")
+        term = term_over(start.vertices, moved.best.vertices)
+        if term is None:
+            return cls(objection="shapes before and after show nothing in common")
+        before, after = (term.relative_rmse(one.vertices) for one in (start, moved.best))
+        both = [*start.terms, term]
+        first, last = (
+            replace(one, terms=both, meter=one.meter.untraced()).cost for one in (start, moved.best)
+        )
+        objection = ""
+        if not last < first:
+            objection = "the objective did not fall over what both shapes show"
+        elif not after <= MOST_UNEXPLAINED:
+            objection = "the colours are not explained; light or reflectance are others"
+        evidence = f"relative rmse {before:.4f} -> {after:.4f}, {len(term.used)} vertices"
+        return cls(before, after, objection, evidence)
 
 
 def photometric_descent(

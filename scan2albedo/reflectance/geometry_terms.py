@@ -28,9 +28,10 @@ LANDMARK_WEIGHT = 0.2
 """Of the mean squared distance of landmarks, in mm at the face's depth."""
 PRIOR_WEIGHT = 1e-3
 """Of the squared coefficients."""
-_VIEW_COSINE, _MARGIN_PX = 0.2, 2.0
-"""Vertices whose normals have less than this cosine to the line of sight do not count, nor do those nearer
-than so many pixels to an edge of the surface in the image."""
+_VIEW_COSINE = 0.2
+"""Vertices whose normals have less than this cosine to the line of sight do not count."""
+_MARGIN_PX = 2.0
+"""Nor do those nearer than so many pixels to an edge of the surface in the image."""
 
 
 class SmoothImage:

@@ -96,12 +96,8 @@ def fit_image(
     -----
     One image cannot separate bright skin from bright light, but for the models' priors. In pictures with
     ray-traced shadows the albedo of new faces is 0.067 off with a transfer and 0.078 without; the mean face
-    is 0.079 and the nearest one of the model 0.052 off (tools/bench_reflectance_model.py).
+    is 0.079 and the nearest one of the model 0.052 off (`python tools/bench photographs/shadows`).
     """
-    seen = np.asarray(observation.seen)
-    require_one_topology("the observation", len(seen), "the model", len(model.known))
-    if not (seen & model.known).any():
-        raise ReflectanceError("no vertex is both seen and known to the model; check the mask")
     lighting = LightingModel.default() if lighting is None else lighting
     meter = Meter("reflectance.image", "objective", Budget.of(budget), on_progress)
     terms = ImageTerms(observation, model, lighting, meter, perceptual)
@@ -133,6 +129,15 @@ def fit_image(
         iterations=found.steps,
         trace=meter.trace,
     )
+
+
+def common_vertices(observation: ImageObservation, model: MorphableReflectanceModel) -> IntArray:
+    """Return the vertices (U,) both seen and known to the model; `ReflectanceError` when there is none."""
+    require_one_topology("the observation", len(observation.seen), "the model", len(model.known))
+    used = np.flatnonzero(observation.seen & model.known)
+    if not len(used):
+        raise ReflectanceError("no vertex is both seen and known to the model; check the mask")
+    return used
 
 
 def photometric_penalty(off: FloatArray) -> tuple[float, FloatArray]:
@@ -205,8 +210,8 @@ class ImageTerms:
         meter: Meter,
         perceptual: PerceptualDistance | None = None,
     ) -> None:
-        self.used: IntArray = np.flatnonzero(np.asarray(observation.seen) & model.known)
-        self.observed: FloatArray = np.asarray(observation.observed_linear)[self.used]
+        self.used = common_vertices(observation, model)
+        self.observed = observation.observed_linear[self.used]
         self.response = observation.response(self.used)
         self.mean = model.mean[self.used]
         self.basis = np.ascontiguousarray(np.moveaxis(model.basis[:, self.used], 0, -1))

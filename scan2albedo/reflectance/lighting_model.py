@@ -31,7 +31,7 @@ class LightingModel(LinearModel):
     @staticmethod
     @cache
     def default() -> LightingModel:
-        """Return the model of 600 skies, rooms and studios that tools/build_lighting_model.py makes."""
+        """Return the model of 600 skies, rooms and studios that tools/build/lighting_model.py makes."""
         what, advice = "lighting model", "install the package anew"
         parts = read_npz(LIGHTING_FILE, ("mean", "basis"), what=what, advice=advice, error=ReflectanceError)
         return LightingModel(**parts)

@@ -280,7 +280,7 @@ def held_out_components(samples: Sequence[VertexReflectance], vertices: ArrayLik
         off = np.where(both[:, None], sample.diffuse_linear - model.diffuse.mean, 0.0)
         for given in (first, ~first):
             seen, hidden = np.flatnonzero(both & given), np.flatnonzero(both & ~given)
-            basis = model.diffuse.basis[:, seen].reshape(model.components, -1)
+            basis = model.diffuse.basis[:, seen].reshape(model.components, 3 * len(seen))
             gram, towards = basis @ basis.T, basis @ off[seen].ravel()
             for number, count in enumerate(counts):
                 left = max(model.total_variance - float(np.sum(deviation[:count] ** 2)), 0.0)

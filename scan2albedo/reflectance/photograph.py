@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import FloatArray, checked_array
+from scan2albedo.core.arrays import BoolArray, FloatArray, checked_array
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, project
@@ -59,7 +59,7 @@ def light_transfer(
     -----
     After Sloan, Kautz, Snyder, "Precomputed radiance transfer", SIGGRAPH 2002. 1,024 directions leave errors
     of 0.5 % in the diffuse light that a face receives and of 1 to 3 % in the highlights
-    (tools/bench_reflectance_model.py). Light that the surface reflects onto itself is left out.
+    (`python tools/bench photographs/transfer`). Light that the surface reflects onto itself is left out.
     """
     xyz, index, n = sight.checked_surface(vertices, faces, normals)
     n, v = normalized(n), checked_array(toward_camera, n.shape, "toward_camera")
@@ -104,13 +104,13 @@ class ImageObservation:
     is black there, or its transfer is not finite or lets no light come; `ValueError` when shapes disagree.
     """
 
-    observed_linear: ArrayLike
+    observed_linear: FloatArray
     """(V, 3): linear colour at each vertex, of any exposure; unused where not seen."""
-    normals: ArrayLike
-    toward_camera: ArrayLike
+    normals: FloatArray
+    toward_camera: FloatArray
     """`normals`, `toward_camera`: (V, 3): unit vectors in one frame, the one that light is wanted in; unused
     where not seen."""
-    seen: ArrayLike
+    seen: BoolArray
     """(V,): vertices that count: not occluded, skin, not saturated."""
     transfer: LightResponse | None = None
     """Of the V vertices with the shadows that the surface casts on itself, from `light_transfer`; none are
@@ -133,11 +133,11 @@ class ImageObservation:
             require_finite(name, array[seen])
             object.__setattr__(self, name, array)
         for name in ("normals", "toward_camera"):
-            unit_vectors(np.where(seen[:, None], np.asarray(getattr(self, name)), (0.0, 0.0, 1.0)), name)
+            unit_vectors(np.where(seen[:, None], getattr(self, name), (0.0, 0.0, 1.0)), name)
         object.__setattr__(self, "seen", seen)
         if not seen.any():
             raise ReflectanceError("the image shows no vertex of the face; check its mask and the pose")
-        if not np.asarray(self.observed_linear)[seen].mean() > 0:
+        if not self.observed_linear[seen].mean() > 0:
             raise ReflectanceError("the image is black where the face is; check exposure and pose")
         if self.transfer is None:
             return
@@ -157,7 +157,7 @@ class ImageObservation:
         rows = np.asarray(used)
         if self.transfer is not None:
             return LightResponse(self.transfer.diffuse[rows], self.transfer.specular[rows])
-        return light_response(np.asarray(self.normals)[rows], np.asarray(self.toward_camera)[rows])
+        return light_response(self.normals[rows], self.toward_camera[rows])
 
 
 def observe_photograph(

@@ -12,9 +12,10 @@ from scan2albedo.reflectance import vertex_kernels as kernels
 from scan2albedo.reflectance.point_light_lobes import turn_lobes
 from scan2albedo.reflectance.vertex_reflectance import BLOCK
 
-_WIDTH, TILT_FREEDOM = 2.4, 4.0
-"""Residual over sigma from which the loss departs from squares, wider for vertices that fit worse; degrees of
-freedom of the tilts' prior, Student's t: a few normals are far more wrong than most."""
+_WIDTH = 2.4
+"""Residual over sigma from which the loss departs from squares, wider for vertices that fit worse."""
+TILT_FREEDOM = 4.0
+"""Degrees of freedom of the tilts' prior, Student's t: a few normals are far more wrong than most."""
 _TOLERANCE = 0.02
 """A vertex is done when no number moves by more than this part of its deviation."""
 _LEAST_SIGMA = np.radians(0.02)

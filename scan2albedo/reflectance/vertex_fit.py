@@ -18,9 +18,11 @@ from scan2albedo.reflectance.vertex_samples import VertexSamples
 
 PARAMETERS = ("red", "green", "blue", "weight_1", "weight_8", "weight_64")
 """Columns of everything (V, 6)."""
-PRIOR_MEAN, PRIOR_STD = (1.0, 1.0, 1.0, 0.1, 0.1, 0.1), (1.0, 1.0, 1.0, 0.3, 0.3, 0.3)
-"""Gaussian prior of a vertex before its pictures, in units of the albedos' level: keeps lobes that no picture
-shows from fitting noise."""
+PRIOR_MEAN = (1.0, 1.0, 1.0, 0.1, 0.1, 0.1)
+"""Mean of a vertex's Gaussian prior, in units of the albedos' level: keeps lobes that no picture shows from
+fitting noise."""
+PRIOR_STD = (1.0, 1.0, 1.0, 0.3, 0.3, 0.3)
+"""Its standard deviations, in the same units."""
 _TWO_SIDED_95 = 1.959964
 _IDENTIFIED_BELOW = 0.3
 """Posterior over prior standard deviation below which a number counts as identified."""
@@ -28,8 +30,12 @@ _BOUNCE_SIGMA = 0.1
 """Relative deviation of bounced light that is found by rays from vertices, against eight times as many."""
 _LEAST_COSINE = 0.05
 """Where all light grazes more, intervals do not widen further."""
-_GAIN_ROUNDS, _GAIN_VERTICES, _GAIN_TOLERANCE = 50, 2000, 1e-5
-"""Most alternations, vertices (evenly chosen) that gains are found from, and change that ends them."""
+_GAIN_ROUNDS = 50
+"""Most alternations between reflectance and gains."""
+_GAIN_VERTICES = 2000
+"""About how many vertices, evenly chosen, gains and bounced light are found from."""
+_GAIN_TOLERANCE = 1e-5
+"""A smaller change of the gains ends the alternations."""
 
 
 @dataclass(frozen=True)
@@ -121,35 +127,12 @@ def fit_reflectance(
     slopes, wrong normals: two tilts of each normal are found with the six numbers, their prior Student's t.
     They widen with the misfit, by 1 / max n.l where no flash stands above the vertex, and with what is not
     known of the light that the face throws on itself, whose part of the model is in `plan`. ``python
-    tools/bench_reflectance.py --heads`` counts how many hold the truth: 90 to 97 %.
+    tools/bench flash_heads/heads`` counts how many hold the truth: 90 to 97 %.
     """
-    if len(samples.observed_linear) == 0:
-        raise ReflectanceError("there are no pictures, give one pair at least")
-    facing = samples.valid & (samples.lobes[..., :1] > 0)
-    pictures, count = samples.observed_linear.shape[:2]
-    if options.least_pairs > pictures:
-        raise ReflectanceError(
-            f"there are {pictures} pictures, but a vertex shall be seen in {options.least_pairs}: take more, "
-            "or give a smaller least_pairs"
-        )
-    often = facing.sum(0).min(-1)
-    rows = np.flatnonzero(often >= options.least_pairs)
-    if len(rows) == 0:
-        raise ReflectanceError(
-            f"none of {count} vertices is seen in {options.least_pairs} or more of {pictures} pictures (at "
-            f"most in {often.max(initial=0)}): do cameras, flashes and mesh share one frame and unit (mm), "
-            "do masks show the face, are pictures saturated or missing?"
-        )
+    rows = _rows_to_fit(samples, options)
+    count = samples.lobes.shape[1]
     meter = Meter("reflectance", "loss per observation", Budget.of(budget), on_progress)
-    precision = np.zeros(samples.observed_linear.shape)
-    np.divide(1.0, samples.sigma**2, out=precision, where=samples.valid)
-    # The median albedo that squares without lobes give, all channels.
-    diffuse = samples.lobes[..., :1]
-    below = (precision * diffuse**2).sum(0)[rows]
-    level = float(np.median((precision * samples.observed_linear * diffuse).sum(0)[rows] / below))
-    level = level if level > 0 else 1.0
-    mean, std = level * np.array(PRIOR_MEAN), level * np.array(PRIOR_STD)
-    data = Observations(samples.observed_linear, precision, samples.lobes, mean, 1 / std**2)
+    data, level = _with_prior(samples, rows)
     gain, gains_settled = np.full((int(samples.light.max()) + 1, 3), np.nan), True
     gain[samples.light[samples.valid[:, rows].any((1, 2))]] = 1.0
     if options.light_gains:
@@ -160,26 +143,16 @@ def fit_reflectance(
         data = replace(data, slopes=samples.slopes)
         data = replace(data, tilt_sigma=normal_sigma(data, samples.normal_spread, rows, options, meter))
     fitted = RobustFit(data, options.loss).fit(rows, meter)
-    estimate, misfit = fitted.estimate[rows], fitted.misfit[rows]
-    spread = partial(among_all, rows, count)
-    # Root mean squared residual over sigma; NaN without a degree of freedom left.
-    observations, freedom = samples.valid[:, rows].sum((0, 2)), misfit[:, 1] - 6
-    enough = (observations > 6) & (freedom > 0)
-    misfit = np.sqrt(np.where(enough, misfit[:, 0] / np.where(enough, freedom, 1.0), np.nan))
+    estimate, misfit = fitted.estimate[rows], _misfit(fitted, samples.valid, rows)
     seen = np.asarray(samples.valid.any(-1))
     n_l, n_h = cosines_of_lobes(samples.lobes)
     steepest = np.max(n_l, axis=0, where=seen, initial=_LEAST_COSINE)
     deviation = fitted.deviation / np.minimum(steepest[rows], 1.0)[:, None]
     std = deviation * np.fmax(misfit, 1.0)[:, None]
     if len(data.bounce):
-        # How far all numbers move with the strength of bounced light, which all pictures share.
-        bounced, normal = data.bounce * np.nan_to_num(fitted.estimate[:, :3]), np.empty((len(rows), 6, 7))
-        moved, unused = np.empty((2, len(rows), 6))
-        seen_by = data.precision, fitted.lobes, data.bounce, fitted.weight
-        add_normal_equations(bounced, *seen_by, rows, normal)
-        solve_free(normal, np.zeros(6), data.prior, moved, unused)
-        std = np.hypot(std, bounce_sigma * moved)
+        std = np.hypot(std, bounce_sigma * _moved_by_bounce(fitted, rows))
     low = np.clip(fitted.center - _TWO_SIDED_95 * std, 0, estimate)
+    high = np.fmax(fitted.center + _TWO_SIDED_95 * std, estimate)
     identifiability = np.minimum(deviation * np.sqrt(data.prior), 1.0)
     known, impossible = np.zeros((2, count), bool)
     identified = np.zeros((count, 6), bool)
@@ -188,24 +161,92 @@ def fit_reflectance(
         too_bright = (estimate[:, :3] > options.most_albedo).any(1)
         impossible[rows] = too_bright
         identified[impossible], low[too_bright] = False, 0.0
-    # Condition numbers of the observations' matrices.
-    smallest, largest = np.linalg.eigvalsh(fitted.normal[:, :, :6])[:, [0, -1]].T
-    singular = smallest <= 64 * np.finfo(float).eps * largest
-    condition = np.sqrt(np.where(singular, np.inf, largest / np.where(singular, 1.0, smallest)))
     over_peak = np.where(samples.lobes[..., 1:] > 0, n_h[..., None] ** EXPONENTS, 0.0)
-    high = np.fmax(fitted.center + _TWO_SIDED_95 * std, estimate)
-    bounds = {"std": std, "low": low, "high": high, "condition": condition, "misfit": misfit}
-    bounds |= {"identifiability": identifiability, "tilt": fitted.tilt[rows]}
+    spread = partial(among_all, rows, count)
     return ReflectanceFit(
         reflectance=VertexReflectance(spread(estimate[:, :3]), spread(estimate[:, 3:]), known),
-        **{name: spread(values) for name, values in bounds.items()}, pair_count=samples.pair_count,
-        activation=np.max(over_peak, axis=0, where=seen[..., None], initial=0.0), identified=identified,
+        std=spread(std),
+        low=spread(low),
+        high=spread(high),
+        pair_count=samples.pair_count,
+        condition=spread(_condition(fitted.normal[:, :, :6])),
+        activation=np.max(over_peak, axis=0, where=seen[..., None], initial=0.0),
+        identifiability=spread(identifiability),
+        identified=identified,
         impossible=impossible,
+        misfit=spread(misfit),
+        tilt=spread(fitted.tilt[rows]),
         normal_sigma_degrees=np.zeros(count) if data.tilt_sigma is None else np.degrees(data.tilt_sigma),
-        light_gain=gain, bounce_albedo=bounce_albedo, plan=Plan((step,)), level=level,
-        converged=bool(fitted.settled.all()) and gains_settled, iterations=fitted.iterations,
-        residual=fitted.residual, trace=meter.trace,
-    )  # fmt: skip
+        light_gain=gain,
+        bounce_albedo=bounce_albedo,
+        plan=Plan((step,)),
+        level=level,
+        converged=bool(fitted.settled.all()) and gains_settled,
+        iterations=fitted.iterations,
+        residual=fitted.residual,
+        trace=meter.trace,
+    )
+
+
+def _rows_to_fit(samples: VertexSamples, options: ReflectanceFitOptions) -> IntArray:
+    """Return the vertices (N,) that enough pictures show in every channel; ReflectanceError without any."""
+    pictures, count = samples.observed_linear.shape[:2]
+    if pictures == 0:
+        raise ReflectanceError("there are no pictures, give one pair at least")
+    if options.least_pairs > pictures:
+        raise ReflectanceError(
+            f"there are {pictures} pictures, but a vertex shall be seen in {options.least_pairs}: take more, "
+            "or give a smaller least_pairs"
+        )
+    often = (samples.valid & (samples.lobes[..., :1] > 0)).sum(0).min(-1)
+    rows = np.flatnonzero(often >= options.least_pairs)
+    if len(rows) == 0:
+        raise ReflectanceError(
+            f"none of {count} vertices is seen in {options.least_pairs} or more of {pictures} pictures (at "
+            f"most in {often.max(initial=0)}): do cameras, flashes and mesh share one frame and unit (mm), "
+            "do masks show the face, are pictures saturated or missing?"
+        )
+    return rows
+
+
+def _with_prior(samples: VertexSamples, rows: IntArray) -> tuple[Observations, float]:
+    """Return the observations with their prior, and its level: the median albedo without highlights.
+
+    It is that which squares without lobes give, over all channels.
+    """
+    precision = np.zeros(samples.observed_linear.shape)
+    np.divide(1.0, samples.sigma**2, out=precision, where=samples.valid)
+    diffuse = samples.lobes[..., :1]
+    below = (precision * diffuse**2).sum(0)[rows]
+    level = float(np.median((precision * samples.observed_linear * diffuse).sum(0)[rows] / below))
+    level = level if level > 0 else 1.0
+    mean, std = level * np.array(PRIOR_MEAN), level * np.array(PRIOR_STD)
+    return Observations(samples.observed_linear, precision, samples.lobes, mean, 1 / std**2), level
+
+
+def _misfit(fitted: RobustFit, valid: BoolArray, rows: IntArray) -> FloatArray:
+    """Return (N,) root mean squared residuals over sigma; NaN without a degree of freedom left."""
+    squares, weights = fitted.misfit[rows].T
+    observations, freedom = valid[:, rows].sum((0, 2)), weights - 6
+    enough = (observations > 6) & (freedom > 0)
+    return np.sqrt(np.where(enough, squares / np.where(enough, freedom, 1.0), np.nan))
+
+
+def _moved_by_bounce(fitted: RobustFit, rows: IntArray) -> FloatArray:
+    """Return how far all numbers (N, 6) move with the strength of bounced light, which all pictures share."""
+    data, normal = fitted.data, np.empty((len(rows), 6, 7))
+    bounced = data.bounce * np.nan_to_num(fitted.estimate[:, :3])
+    moved, unused = np.empty((2, len(rows), 6))
+    add_normal_equations(bounced, data.precision, fitted.lobes, data.bounce, fitted.weight, rows, normal)
+    solve_free(normal, np.zeros(6), data.prior, moved, unused)
+    return moved
+
+
+def _condition(matrices: FloatArray) -> FloatArray:
+    """Return (N,) condition numbers of the observations, whose normal matrices are (N, 6, 6)."""
+    smallest, largest = np.linalg.eigvalsh(matrices)[:, [0, -1]].T
+    singular = smallest <= 64 * np.finfo(float).eps * largest
+    return np.sqrt(np.where(singular, np.inf, largest / np.where(singular, 1.0, smallest)))
 
 
 def with_bounce(

@@ -142,7 +142,7 @@ def probability(candidates: Candidates) -> float:
 
 @lru_cache(maxsize=1)
 def people() -> Arrays:
-    """Return what `tools/fit_proportions.py` learned of people's faces.
+    """Return what `tools/build/proportions.py` learned of people's faces.
 
     `weights` (4, K + 1) of a shape (see `shape_of`) give the logarithms by which it is stretched along the
     axes, and of its size, relative to the `mean` (4,) of people; their standard `deviation` (4,), and the

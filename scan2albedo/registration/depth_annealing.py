@@ -101,7 +101,7 @@ def annealed(
     """Anneal within 8 degrees and 8 mm of the start when forced, tighten, and keep a pose that is nearer.
 
     Left out by default: ICP mostly returns to where it was, and annealing's optimum is as often nearer to the
-    truth as not (`tools/bench_registration.py`). The robust distance must fall at two scales.
+    truth as not (`tools/bench/registration.py`). The robust distance must fall at two scales.
     """
     stage, reason = "register.depth_annealing", ""
     if not options.force_annealing:

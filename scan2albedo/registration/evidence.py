@@ -24,8 +24,8 @@ _MOST_RMS_MM, _LEAST = 10.0, 0.02
 _NOISE_IN_DISTANCE = 0.3
 """Part of the noise's variance that the squared distance holds: it is to samples averaged over 4 mm."""
 _INTERCEPT, _WEIGHTS = 4.51, {"relief": 5.56, "distance": -1.11, "share": 3.91}
-"""Of the cues in the log odds: a logistic regression, by tools/calibrate_registration.py. Seeds from 300:
-of people four kinds with 20 to 30 scans each, 48 scraps, 10 each of what else is no face."""
+"""Of the cues in the log odds: a logistic regression, by tools/calibrate_registration.py of commit 1592766c.
+Seeds from 300: of people four kinds with 20 to 30 scans each, 48 scraps, 10 each of what else is no face."""
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ _FLAT_SLOPE_SQUARED = 0.01
 _NOISE_LEFT = 4.0
 """Noise of blurred slopes, relative to that of independent depths of the vertices: those between vertices are
 interpolated, so that a blur lessens it less. Chosen so that people agree as much with noise as without,
-as were the two numbers below, with the first 140 scans of tools/bench_door.py in sight (see --offset)."""
+as were the two numbers below, with the first 140 scans of tools/bench/door.py in sight."""
 _LEAST_VARIANCE = 0.1
 """Of slopes that noise is compared with: a third of a face's, so that a flat scrap is not excused."""
 

@@ -128,12 +128,20 @@ def write_identification(
         )
     templates = found.gallery.templates
     record = IdentificationRecord(
-        scan2albedo_version=VERSION, gallery=str(found.gallery.source), probes=str(found.probes.source),
-        use=tuple(kind for kind in found.by_kind if kind != "shading"), gallery_images=len(found.gallery),
-        persons=matches.persons, combine=matches.combine, template_options=asdict(templates.options),
-        model=None if templates.chart is None else templates.chart.model, rates=rates, results=tuple(results),
-        notes=found.notes, files=(),
-    )  # fmt: skip
+        scan2albedo_version=VERSION,
+        gallery=str(found.gallery.source),
+        probes=str(found.probes.source),
+        use=tuple(kind for kind in found.by_kind if kind != "shading"),
+        gallery_images=len(found.gallery),
+        persons=matches.persons,
+        combine=matches.combine,
+        template_options=asdict(templates.options),
+        model=None if templates.chart is None else templates.chart.model,
+        rates=rates,
+        results=tuple(results),
+        notes=found.notes,
+        files=(),
+    )
     if folder is None:
         return record
     name = ", ".join(record.use)

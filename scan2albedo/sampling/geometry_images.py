@@ -106,13 +106,20 @@ def geometry_image(fitted: FittedSurface, scan: RawScan | None, size: int = 512)
     )
     # Embree would ignore collapsed triangles anyway.
     return GeometryImage(
-        position=position, normal=normal, mask=raster.covered, region=region,
+        position=position,
+        normal=normal,
+        mask=raster.covered,
+        region=region,
         occluder=(fitted.vertices, fitted.faces[face_areas(fitted.vertices, fitted.faces) > 0]),
         specular_scale=np.where(inside, blurred / np.maximum(weight, 1e-6), np.float32(0)),
-        inpaint=_annotation(fitted, region, "inpaint") > 0, skin=looks.skin, labels=looks.labels,
-        texture_log_odds=looks.log_odds, face_chart=face_chart,
-        on_face=None if counted.all() else counted[region] & inside, **texture,
-    )  # fmt: skip
+        inpaint=_annotation(fitted, region, "inpaint") > 0,
+        skin=looks.skin,
+        labels=looks.labels,
+        texture_log_odds=looks.log_odds,
+        face_chart=face_chart,
+        on_face=None if counted.all() else counted[region] & inside,
+        **texture,
+    )
 
 
 def geometry_image_of_scan(scan: RawScan, size: int = 512) -> GeometryImage:

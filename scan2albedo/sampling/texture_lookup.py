@@ -24,8 +24,10 @@ MIN_DENSITY = 0.1
 """Photograph pixels per mm^2 relative to the scan's median: below, the view was grazing."""
 CROP_MARGIN = 0.1
 """Faces are searched in the queried points' box, enlarged by this part of its size."""
-FEWEST_TAPS, MOST_TAPS = 3, 64
-"""Bilinear samples along each side of a texel's footprint."""
+FEWEST_TAPS = 3
+"""Bilinear samples along each side of a texel's footprint, at least."""
+MOST_TAPS = 64
+"""Bilinear samples along each side of a texel's footprint, at most."""
 MOVES = {
     "as it is": (1, 1, 0.0, 0.0),
     "with V flipped": (1, -1, 0.0, 1.0),
@@ -38,8 +40,10 @@ MOVES = {
 }
 """Where a pixel's colour is if the texture was moved: signs of its column and row, and parts of the texture's
 width and height that are added."""
-_LEAST_PART, _LEAST_FACES = 0.02, 100
-"""Faces of a piece of the texture from which a camera is fitted: as a part of all, and their number."""
+_LEAST_PART = 0.02
+"""Part of all faces that a piece of the texture has from which a camera is fitted."""
+_LEAST_FACES = 100
+"""Faces that a piece of the texture has from which a camera is fitted."""
 _OFF = 0.003
 """Median distance, as a part of a piece's span in the texture, by which a camera may miss it. Photographs of
 a stereo scanner have 0.0005, unwrapped surfaces 0.01 and more."""

@@ -16,8 +16,27 @@ from scan2albedo.synthetic.scenes import (
 from scan2albedo.synthetic.wearer import Wearer, wearer
 
 __all__ = [
-    "FacePhotograph", "FlashCapture", "GlassesBend", "GlassesShape", "GlossyFace", "Material", "Portrait",
-    "Scanner", "SyntheticEyeglasses", "SyntheticScene", "SyntheticTruth", "TextureName", "Wearer",
-    "eyeglasses", "face", "face_photograph", "flash_capture", "hemisphere", "light_at",
-    "population_reflectance", "raw_scan", "wearer", "with_normal_error",
-]  # fmt: skip
+    "FacePhotograph",
+    "FlashCapture",
+    "GlassesBend",
+    "GlassesShape",
+    "GlossyFace",
+    "Material",
+    "Portrait",
+    "Scanner",
+    "SyntheticEyeglasses",
+    "SyntheticScene",
+    "SyntheticTruth",
+    "TextureName",
+    "Wearer",
+    "eyeglasses",
+    "face",
+    "face_photograph",
+    "flash_capture",
+    "hemisphere",
+    "light_at",
+    "population_reflectance",
+    "raw_scan",
+    "wearer",
+    "with_normal_error",
+]

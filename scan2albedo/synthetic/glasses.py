@@ -1,7 +1,7 @@
 """Synthetic eyeglasses with key points, lenses and a known bend, mirrored from their left half."""
 
 from dataclasses import dataclass, field
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -10,9 +10,24 @@ from scan2albedo.core.arrays import FloatArray, IntArray, smoothstep
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.geometry.mesh import normalized, vertex_components, without_unreferenced
 
-RIM_POINTS, CORNER_RINGS, STRAIGHT_RINGS, BEND_RINGS = 72, 8, 34, 10
-"""Rings of a temple: around the corner at the hinge, straight back, and down behind the ear."""
+RIM_POINTS = 72
+"""Rings around a rim."""
+CORNER_RINGS = 8
+"""Rings of a temple around the corner at the hinge."""
+STRAIGHT_RINGS = 34
+"""Rings of a temple straight back."""
+BEND_RINGS = 10
+"""Rings of a temple down behind the ear."""
+_SECTION = 12
+"""Vertices of a ring around a rim."""
+_HINGE = 5
+"""Ring in the middle of the patch that the temple grows from."""
+_BRIDGE = 31
+"""Ring in the middle of the patch that the bridge grows from."""
+_BRIDGE_FRAME = np.array([[-1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+"""Tangent, across and up of the bridge's middle line."""
 _LINE_POINTS = 4001
+"""Places along a bent line."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +62,20 @@ class GlassesShape:
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> Self:
         """Return measures in the range that opticians sell."""
-        ranges = {"lens_width": (46, 56), "lens_height": (32, 46), "squareness": (2.1, 3.4)}
-        ranges |= {"bridge_width": (15, 22), "bridge_height": (4.2, 6), "rim_width": (2.6, 4.5)}
-        ranges |= {"rim_depth": (3, 4.5), "wrap_radius": (180, 400), "temple_length": (135, 150)}
-        ranges |= {"temple_spread": (0, 6), "temple_height": (4, 7), "temple_width": (2.4, 3.6)}
         return cls(
-            **{name: rng.uniform(*pair) for name, pair in {**ranges, "ear_angle_deg": (35, 50)}.items()}
+            lens_width=rng.uniform(46, 56),
+            lens_height=rng.uniform(32, 46),
+            squareness=rng.uniform(2.1, 3.4),
+            bridge_width=rng.uniform(15, 22),
+            bridge_height=rng.uniform(4.2, 6),
+            rim_width=rng.uniform(2.6, 4.5),
+            rim_depth=rng.uniform(3, 4.5),
+            wrap_radius=rng.uniform(180, 400),
+            temple_length=rng.uniform(135, 150),
+            temple_spread=rng.uniform(0, 6),
+            temple_height=rng.uniform(4, 7),
+            temple_width=rng.uniform(2.4, 3.6),
+            ear_angle_deg=rng.uniform(35, 50),
         )
 
     @property
@@ -88,7 +111,8 @@ def rim_curve(shape: GlassesShape) -> tuple[FloatArray, FloatArray]:
 
 def temple_path(shape: GlassesShape, start: FloatArray) -> FloatArray:
     """Return the middle line (68, 3) of the left temple from `start` (3,) on the rim to the tip."""
-    radius, ear_radius = 6.0, 22.0
+    radius = 6.0
+    ear_radius = 22.0
     corner = np.linspace(0, np.pi / 2, CORNER_RINGS, endpoint=False)
     around = start + np.stack([radius * np.sin(corner), 0 * corner, radius * (np.cos(corner) - 1)], 1)
     straight_length = 0.66 * shape.temple_length
@@ -306,11 +330,42 @@ class _Half:
 
 def _half_glasses(shape: GlassesShape, *, welded: bool, nose_pads: bool, double_bridge: bool) -> _Half:
     """Return the half at x >= 0; `welded` grows bridge and temple out of the rim's surface."""
-    half, section = _Half(), 12  # points around a rim
-    hinge, bridge = 5, 31  # rim points in the middle of the patches that temple and bridge grow from
-    bridge_frame = np.array([[-1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    half, line = _Half(), rim_curve(shape)[0]
+    bridge, hinge = _add_rim(half, shape, welded)
+    _add_bridge(half, shape, bridge, welded)
+    _add_temple(half, shape, hinge, welded)
+    if nose_pads:
+        # A thin arm out of the rim with a pad at its end.
+        t = np.linspace(0, 1, 14)
+        path = line[44] + np.stack([-2.5 * t, np.zeros_like(t), -11 * t], 1)
+        pad = np.sqrt(np.clip(1 - ((t - 0.72) / 0.29) ** 2, 0, None))
+        scale = np.stack([np.zeros_like(t), 0.6 + 0.9 * pad, 0.6 + 3.2 * pad], 1)
+        local = _ellipse(8, 1.0, 1.0, 0.0) * scale[:, None]
+        rings = path[:, None] + local @ _path_frames(path)
+        half.add_cap(half.add_tube(rings)[-1], rings[-1], end=True)
+    if double_bridge:
+        # Half a second bridge; the key point at the top of the bridge goes to it.
+        path = line[24] * np.linspace(1, 0, 17)[:, None] ** [1, 0, 2]
+        ellipse = _ellipse(12, 0.45 * shape.rim_depth, shape.bridge_height / 2, np.pi / 2)
+        rings = path[:, None] + ellipse @ _BRIDGE_FRAME
+        rings[-1, :, 0] = 0.0
+        last = half.add_tube(rings)[-1]
+        half.seam = np.concatenate([half.seam, last])
+        half.marks["bridge_top"] = int(last[0])
+    return half
+
+
+class _Patch(NamedTuple):
+    """Outline of a piece of a rim's outside, a tube's first ring: numbers (S,) and points (S, 3)."""
+
+    loop: IntArray
+    points: FloatArray
+
+
+def _add_rim(half: _Half, shape: GlassesShape, welded: bool) -> tuple[_Patch, _Patch]:
+    """Append a rim, open at its patches if `welded`; return those of bridge and temple."""
     line, normal = rim_curve(shape)
-    angle = -2 * np.pi * np.arange(section) / section
+    angle = -2 * np.pi * np.arange(_SECTION) / _SECTION
     sections = (
         line[:, None]
         + shape.rim_width / 2 * np.cos(angle)[:, None] * normal[:, None]
@@ -318,36 +373,42 @@ def _half_glasses(shape: GlassesShape, *, welded: bool, nose_pads: bool, double_
     )
     rim = half.add(sections)
     faces = _ring_faces(np.concatenate([rim, rim[:1]]))
-    half.lens_edge = rim[:, section // 2]
-    # Patches (rows, columns) on the rim's outside, and their outlines as a tube's first ring.
-    # They reach two segments to each side of their middle, along and around the rim.
-    loops, s = {}, 2
-    side, full = np.arange(2 * s), np.full(2 * s, s)
-    for middle in (hinge, bridge):
+    half.lens_edge = rim[:, _SECTION // 2]
+    # Patches reach two segments to each side of their middle, along and around the rim.
+    s = 2
+    side, full, patches = np.arange(2 * s), np.full(2 * s, s), []
+    for middle in (_BRIDGE, _HINGE):
         i = (middle + np.concatenate([s - side, -full, side - s, full])) % RIM_POINTS
-        j = np.concatenate([-full, side - s, full, s - side]) % section
-        loops[middle] = (rim[i, j], sections[i, j])
+        j = np.concatenate([-full, side - s, full, s - side]) % _SECTION
+        patches.append(_Patch(rim[i, j], sections[i, j]))
         rows, columns = np.meshgrid(middle + np.arange(-s, s + 1), np.arange(-s, s + 1), indexing="ij")
         if welded:
-            faces = faces[~np.isin(faces, rim[rows % RIM_POINTS, columns % section]).all(1)]
+            faces = faces[~np.isin(faces, rim[rows % RIM_POINTS, columns % _SECTION]).all(1)]
     half.faces.append(faces)
     outward = {"rim_top": 18, "rim_inner": 42, "rim_bottom": 54, "rim_outer": 66}
     half.marks |= {name: int(rim[i, 0]) for name, i in outward.items()}
-    half.marks["rim_bridge"] = int(rim[bridge, section // 2])
-    # Half the bridge.
-    loop, points = loops[bridge]
+    half.marks["rim_bridge"] = int(rim[_BRIDGE, _SECTION // 2])
+    return patches[0], patches[1]
+
+
+def _add_bridge(half: _Half, shape: GlassesShape, patch: _Patch, welded: bool) -> None:
+    """Append half the bridge, which ends in the seam."""
+    loop, points = patch
     start, t = points.mean(0), np.linspace(0, 1, 9)
     path = np.stack([start[0] * (1 - t), start[1] + 1.5 * t * (2 - t), start[2] * (1 - t) ** 2], 1)
     path[-1, 0] = 0.0
-    frames = np.broadcast_to(bridge_frame, (len(path), 3, 3))
+    frames = np.broadcast_to(_BRIDGE_FRAME, (len(path), 3, 3))
     ellipse = _ellipse(len(loop), 0.45 * shape.rim_depth, shape.bridge_height / 2, -0.75 * np.pi)
     rings = _blended(path, frames, points, ellipse, np.clip(2 * t, 0, 1))
     if not welded:
         rings[0] = path[0] + [0.6 * shape.rim_width, 0, 0] + 0.6 * ellipse @ frames[0]
     half.seam = half.add_tube(rings, loop if welded else None)[-1]
     half.marks |= {"bridge_top": int(half.seam[6]), "bridge_bottom": int(half.seam[14])}
-    # The temple; over 8 mm its section turns from the patch's outline into an ellipse.
-    loop, points = loops[hinge]
+
+
+def _add_temple(half: _Half, shape: GlassesShape, patch: _Patch, welded: bool) -> None:
+    """Append the temple; over 8 mm its section turns from the patch's outline into an ellipse."""
+    loop, points = patch
     start = points.mean(0) + (0.0 if welded else np.array([1.0 + 0.25 * shape.rim_width, 0, 0]))
     path = temple_path(shape, start)
     frames = _path_frames(path)
@@ -364,26 +425,6 @@ def _half_glasses(shape: GlassesShape, *, welded: bool, nose_pads: bool, double_
         "ear_bend": int(numbers[CORNER_RINGS + STRAIGHT_RINGS + BEND_RINGS // 2, outside]),
         "temple_tip": half.add_cap(numbers[-1], rings[-1], end=True),
     }
-    if nose_pads:
-        # A thin arm out of the rim with a pad at its end.
-        t = np.linspace(0, 1, 14)
-        path = line[44] + np.stack([-2.5 * t, np.zeros_like(t), -11 * t], 1)
-        pad = np.sqrt(np.clip(1 - ((t - 0.72) / 0.29) ** 2, 0, None))
-        scale = np.stack([np.zeros_like(t), 0.6 + 0.9 * pad, 0.6 + 3.2 * pad], 1)
-        local = _ellipse(8, 1.0, 1.0, 0.0) * scale[:, None]
-        rings = path[:, None] + local @ _path_frames(path)
-        numbers = half.add_tube(rings)
-        half.add_cap(numbers[-1], rings[-1], end=True)
-    if double_bridge:
-        # Half a second bridge; the key point at the top of the bridge goes to it.
-        path = line[24] * np.linspace(1, 0, 17)[:, None] ** [1, 0, 2]
-        ellipse = _ellipse(12, 0.45 * shape.rim_depth, shape.bridge_height / 2, np.pi / 2)
-        rings = path[:, None] + ellipse @ bridge_frame
-        rings[-1, :, 0] = 0.0
-        last = half.add_tube(rings)[-1]
-        half.seam = np.concatenate([half.seam, last])
-        half.marks["bridge_top"] = int(last[0])
-    return half
 
 
 def _blended(

@@ -127,10 +127,16 @@ def flash_capture(
         **vars(GlossyFace.from_person(person, levels)),
         flash=np.stack([portrait.stored(exposure * picture, rng) for picture in lit]),
         room=np.stack([portrait.stored(exposure * picture, rng) for picture in rooms])[view],
-        skin=np.stack(skin)[view], view=view, light=np.tile(np.arange(flashes), views),
-        head_rotations=poses[:, :, :3], head_translations=poses[:, :, 3], intrinsics=intrinsics,
-        exposure=exposure, light_gain=gain, portrait=portrait,
-    )  # fmt: skip
+        skin=np.stack(skin)[view],
+        view=view,
+        light=np.tile(np.arange(flashes), views),
+        head_rotations=poses[:, :, :3],
+        head_translations=poses[:, :, 3],
+        intrinsics=intrinsics,
+        exposure=exposure,
+        light_gain=gain,
+        portrait=portrait,
+    )
 
 
 @dataclass(frozen=True)

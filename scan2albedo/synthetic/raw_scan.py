@@ -102,7 +102,9 @@ def capture(
     from scipy.spatial import Delaunay
 
     # Rays from a cylinder; unrolled coordinates are in mm at 100 mm radius.
-    radius, far, widest = 100.0, 600.0, np.deg2rad(115)
+    radius = 100.0
+    far = 600.0
+    widest = np.deg2rad(115)
     across = np.arange(-widest * radius, widest * radius, spacing_mm)
     up = np.arange(vertices[:, 1].min(), vertices[:, 1].max(), spacing_mm)
     unrolled = np.stack(np.meshgrid(across, up), -1).reshape(-1, 2)

@@ -199,7 +199,8 @@ def hair_shell(
 def shoulder_sheet(vertices: FloatArray, rng: np.random.Generator) -> Mesh:
     """Return a sheet of clothes below a face: over both shoulders, open at the neck, with folds."""
     origin = nose_tip(vertices)
-    rows, columns = 50, 130
+    rows = 50
+    columns = 130
     x = np.linspace(-185, 185, columns)[None] * np.ones((rows, 1))
     down = np.linspace(0, 1, rows)[:, None] * np.ones((1, columns))
     crest = -126 - 50 * np.abs(x / 185) ** 1.5
@@ -237,7 +238,8 @@ def head_around(
     For B rim vertices these are vertices (60 B, 3) mm, ring 0 on the rim; faces (F', 3); and uv (60 B, 2)
     around and along, in units of the face's chart (about 1 for 200 mm).
     """
-    loop, rings = boundary_loop(len(vertices), faces), 60
+    loop = boundary_loop(len(vertices), faces)
+    rings = 60
     rim, tip = vertices[loop], nose_tip(vertices)
     # Unit vectors that leave the surface across its rim, smoothed along it.
     outward = normalized(np.cross(np.roll(rim, -1, axis=0) - np.roll(rim, 1, axis=0), normals[loop]))

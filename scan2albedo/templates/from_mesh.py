@@ -19,10 +19,17 @@ from scan2albedo.geometry.mesh import adjacency, face_cross_products, vertex_nor
 from scan2albedo.templates.surface import TemplateSurface, clean_template
 
 LANDMARK_REACH_MM = 30.0
-MAX_REGIONS, MIN_CONTROL_SIZE = 253, 20
+"""A landmark lies at most so far from the template."""
+MAX_REGIONS = 253
+"""Regions that a map of 8 bits holds, beside the rest, filled holes and no surface."""
+MIN_CONTROL_SIZE = 20
+"""Fewer control vertices hold no face."""
 SMOOTHNESS = 0.005
-SAME_UV, UV_SLACK = 1e-6, 1e-3
-"""Corners whose texture coordinates differ by less have one place; how far they may leave the ten tiles."""
+"""Weight of the control mesh's Laplacian in `fit_limit_surface`."""
+SAME_UV = 1e-6
+"""Corners whose texture coordinates differ by less have one place."""
+UV_SLACK = 1e-3
+"""How far texture coordinates may leave the ten tiles."""
 
 
 @dataclass(frozen=True)
@@ -85,11 +92,20 @@ def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_s
     coarse = f"{away}; a greater control_size follows it better" if off.mean() > 1 else ""
     notes = (*disc.notes, coarse, chart_note, uv_note)
     return AnnotatedSurface(
-        control_vertices=control, control_faces=control_faces, uv=chart, region=region, regions=table,
-        landmark_points=_landmarks(given, disc, source, placed), template_points=placed,
-        template_offset=offset, template_faces=faces, template_uv=corners_uv,
-        template_from_model=surface.template_from_surface, notes=tuple(filter(None, notes)), name=name,
-    )  # fmt: skip
+        control_vertices=control,
+        control_faces=control_faces,
+        uv=chart,
+        region=region,
+        regions=table,
+        landmark_points=_landmarks(given, disc, source, placed),
+        template_points=placed,
+        template_offset=offset,
+        template_faces=faces,
+        template_uv=corners_uv,
+        template_from_model=surface.template_from_surface,
+        notes=tuple(filter(None, notes)),
+        name=name,
+    )
 
 
 def vertex_uv(given: DenseTemplate) -> FloatArray | None:

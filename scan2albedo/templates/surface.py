@@ -14,8 +14,10 @@ from scan2albedo.geometry.parametrization import boundary_loop
 from scan2albedo.geometry.rigid import compose
 from scan2albedo.io.repair import first_equal_row
 
-MIN_VERTICES, MENDABLE_SHARE = 100, 0.02
-"""A template with fewer vertices is refused, and one that is a surface only without more of its faces."""
+MIN_VERTICES = 100
+"""A template with fewer vertices is refused."""
+MENDABLE_SHARE = 0.02
+"""A template that is a surface only without more of its faces is refused."""
 HEAD_SIZE_MM = (80.0, 600.0)
 _BACK_OF_HEAD = 0.35
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 0.001}

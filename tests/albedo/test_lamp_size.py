@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from benchmarks.mitsuba_set import load_scenes
+from worlds.mitsuba_scenes import load_scenes
 
 from scan2albedo.albedo import EstimateOptions, albedo_error, estimate_albedo
 from scan2albedo.synthetic import face, light_at

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from benchmarks.mitsuba_set import FOLDER, load_scenes, scene_names
+from worlds.mitsuba_scenes import FOLDER, load_scenes, scene_names
 
 from scan2albedo.synthetic.renderer import Material, RayScene, render
 

@@ -1,8 +1,8 @@
 """Albedo error on pictures of an independent path tracer: other reflectance, soft lamps, interreflection."""
 
 import pytest
-from benchmarks.albedo_peers import robust_harmonics
-from benchmarks.mitsuba_set import load_scenes, scene_names
+from bench.peers.filters import robust_harmonics
+from worlds.mitsuba_scenes import load_scenes, scene_names
 
 from scan2albedo.albedo import albedo_error, estimate_albedo
 

@@ -1,7 +1,6 @@
 """The prior of albedo: what it says of faces, its Gaussian, and its file."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -127,26 +126,8 @@ def test_a_file_of_other_arrays_is_refused_by_name(name, value, message, tmp_pat
 def test_a_file_that_is_none_is_refused_by_name(tmp_path):
     (tmp_path / "prior.npz").write_text("nothing")
     for name in ("prior.npz", "absent.npz"):
-        with pytest.raises(LightingError, match=f"{name} cannot be read .*fit_albedo_prior.py wrote"):
+        with pytest.raises(LightingError, match=f"{name} cannot be read .*AlbedoPrior.save` wrote"):
             AlbedoPrior.load(tmp_path / name)
-
-
-@pytest.mark.slow
-def test_two_heads_give_a_prior_that_knows_them(shared_data: Path):
-    from fit_albedo_prior import heads_in, learn, log_likelihood
-
-    if not (shared_data / "heads").is_dir():
-        pytest.skip("the heads are not here")
-    heads = heads_in(shared_data / "heads", ["AIAN_F_1", "White_F_2"])
-    prior = learn(heads.values())
-    shipped, plain = AlbedoPrior.faces(), AlbedoPrior.stationary()
-    for head in heads.values():
-        told = [log_likelihood(head, one) for one in (prior, shipped, plain)]
-        assert told[0] > told[2] + 1
-        assert told[1] > told[2] + 1
-    assert prior.mean == pytest.approx(prior.mean[:, ::-1])
-    inside = np.s_[10:54, 16:48]
-    assert np.corrcoef(prior.mean[inside][..., 0].ravel(), shipped.mean[inside][..., 0].ravel())[0, 1] > 0.5
 
 
 def test_an_option_names_the_prior(tmp_path):

@@ -1,7 +1,7 @@
 """Ceilings on the path-traced set that S2A_TRACED names: rooms and skies that nothing here rendered."""
 
 import pytest
-from benchmarks.traced_set import VARIABLE, calibration, load_image, scene_names, score, traced_folder
+from bench.judging import VARIABLE, calibration, load_image, scene_names, score, traced_folder
 
 import scan2albedo as s2a
 
@@ -27,9 +27,7 @@ LEAST_INSIDE = {"soft_softboxes2_ben": 0.35}
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.skipif(
-        FOLDER is None, reason=f"{VARIABLE} names no folder made by tools/build_traced_scans.py"
-    ),
+    pytest.mark.skipif(FOLDER is None, reason=f"{VARIABLE} names no folder made by python tools/worlds"),
 ]
 
 

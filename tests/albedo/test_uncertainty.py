@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from benchmarks.traced_set import calibration, load_image
+from bench.judging import calibration, load_image
 
 from scan2albedo.albedo import EstimateOptions, albedo_error, estimate_albedo
 from scan2albedo.albedo.node_field import Scales

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from scan2albedo.applications import bake, engine_maps
 from scan2albedo.applications.engine_maps import MATTE_EXPONENT
@@ -16,8 +17,8 @@ from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
 from scan2albedo.io.images import read_exr_channels
 from scan2albedo.lighting.shading import Reflectance
+from scan2albedo.pipeline.mesh_files import write_template
 from scan2albedo.pipeline.options import ProcessOptions
-from scan2albedo.pipeline.result import write_template
 from tests.applications.test_template_normals import HALF_MM, POSE, bumps, carried, mirrored, plain, two_tiles
 
 
@@ -50,13 +51,13 @@ def test_maps_show_relief_occlusion_and_gloss():
         assert np.corrcoef(tile.maps[name][inner], bump[inner])[0, 1] > 0.7, name
     assert np.ptp(tile.maps["displacement_mm"][inner]) > 2
     assert 0 <= tile.maps["cavity"].min() < 0.5 < tile.maps["cavity"].max() <= 1
-    np.testing.assert_allclose(tile.maps["roughness"], 41**-0.25, rtol=1e-5)
+    assert_allclose(tile.maps["roughness"], 41**-0.25, rtol=1e-5)
     left, right = tile.maps["specular"][64, 8], tile.maps["specular"][64, -8]
     # The peak of a GGX lobe, F0 (2 m + 1) / 4 of the light, is Phong's k_s, as bright as the albedo is made.
-    np.testing.assert_allclose([left * 0.04 * 41 / 4, right * 0.04 * 41 / 4], [0.5 * 0.3, 0.3], rtol=0.01)
+    assert_allclose([left * 0.04 * 41 / 4, right * 0.04 * 41 / 4], [0.5 * 0.3, 0.3], rtol=0.01)
     (matte,) = engine_maps(scan, fitted, estimate(0.0), "chart", 32).tiles
-    np.testing.assert_allclose(matte.maps["specular"][16, [2, -2]], [0.35, 0.7], rtol=0.01)
-    np.testing.assert_allclose(matte.maps["roughness"], (2 * MATTE_EXPONENT + 1) ** -0.25, rtol=1e-5)
+    assert_allclose(matte.maps["specular"][16, [2, -2]], [0.35, 0.7], rtol=0.01)
+    assert_allclose(matte.maps["roughness"], (2 * MATTE_EXPONENT + 1) ** -0.25, rtol=1e-5)
     # The chart's mesh has the bumps itself: its valleys see less of the sky, and the scan adds nothing.
     assert np.abs(matte.maps["displacement_mm"]).max() < 0.2
     open_sky = matte.maps["occlusion"]
@@ -101,13 +102,13 @@ def test_files_of_maps_are_what_engines_read(tmp_path, chart):
         }
         assert {picture.dtype for picture in stored.values()} == {np.dtype(np.uint16)}
         red, green, blue = np.moveaxis(stored["_normal"][..., ::-1] / 32767.5 - 1, -1, 0)
-        np.testing.assert_allclose(np.stack([red, green, blue], -1), tile.normal, atol=1e-4)
-        np.testing.assert_allclose(stored["_normal_directx"][..., 1] / 32767.5 - 1, -green, atol=1e-4)
-        np.testing.assert_allclose(stored["_occlusion"] / 65535, tile.maps["occlusion"], atol=1e-4)
+        assert_allclose(np.stack([red, green, blue], -1), tile.normal, atol=1e-4)
+        assert_allclose(stored["_normal_directx"][..., 1] / 32767.5 - 1, -green, atol=1e-4)
+        assert_allclose(stored["_occlusion"] / 65535, tile.maps["occlusion"], atol=1e-4)
         high = tile.maps["displacement_mm"]
-        np.testing.assert_allclose((stored["_displacement"] / 65535 - 0.5) * 8, high, atol=1e-3)
+        assert_allclose((stored["_displacement"] / 65535 - 0.5) * 8, high, atol=1e-3)
         exr = read_exr_channels(tmp_path / f"maps_displacement{end}.exr")
-        np.testing.assert_allclose(exr["Y"], high, atol=1e-3)
+        assert_allclose(exr["Y"], high, atol=1e-3)
     data = (tmp_path / "maps.glb").read_bytes()
     tree = json.loads(data[20 : 20 + struct.unpack("<I", data[12:16])[0]])
     assert tree["extensionsUsed"] == ["KHR_materials_specular"]
@@ -132,9 +133,9 @@ def test_the_usd_file_is_read_by_openusd(tmp_path):
     write_template(tmp_path, engine_maps(scan, fitted, estimate(), "template", 16), np.uint16, stem="maps")
     stage = Usd.Stage.Open(str(tmp_path / "maps.usda"))
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/face/surface"))
-    np.testing.assert_allclose(mesh.GetPointsAttr().Get(), fitted.template_vertices, rtol=1e-5, atol=1e-5)
+    assert_allclose(mesh.GetPointsAttr().Get(), fitted.template_vertices, rtol=1e-5, atol=1e-5)
     corners = UsdGeom.PrimvarsAPI(mesh.GetPrim()).GetPrimvar("st").ComputeFlattened()
-    np.testing.assert_allclose(corners, fitted.model.template_uv.reshape(-1, 2), atol=1e-5)
+    assert_allclose(corners, fitted.model.template_uv.reshape(-1, 2), atol=1e-5)
     bound, _ = UsdShade.MaterialBindingAPI(mesh.GetPrim()).ComputeBoundMaterial()
     shader, _, _ = bound.ComputeSurfaceSource()
     assert shader.GetIdAttr().Get() == "UsdPreviewSurface"
@@ -175,9 +176,9 @@ def test_colours_go_from_one_layout_to_another():
             # Green grows with x, red with -y; both layouts are as high as the source's.
             down = np.broadcast_to((np.arange(64)[20:44, None] + 0.5) / 64, (24, 24))
             if chart is mirrored:
-                np.testing.assert_allclose(tile.color_linear[middle][..., 0], down, atol=0.02)
+                assert_allclose(tile.color_linear[middle][..., 0], down, atol=0.02)
             assert np.abs(np.diff(tile.color_linear[middle][..., 1], axis=1)).mean() > 0.005
-            np.testing.assert_allclose(tile.normal[middle][..., 2], 1, atol=0.05)
+            assert_allclose(tile.normal[middle][..., 2], 1, atol=0.05)
     with pytest.raises(ApplicationError, match="source: the mesh has no texture coordinates"):
         bake(source, replace(source, uv=None, texture_linear=None, vertex_color_linear=vertices * 0.0))
     with pytest.raises(ApplicationError, match="target: the mesh has no colours to bake"):
@@ -195,4 +196,4 @@ def test_colours_go_through_the_face_to_another_pose():
     expected = np.abs(np.sin(at / 40)) * 0.9
     middle = np.s_[8:-8]
     assert tile.seen[middle, middle].all()
-    np.testing.assert_allclose(tile.color_linear[middle, middle, 0], [expected[middle]] * 48, atol=0.03)
+    assert_allclose(tile.color_linear[middle, middle, 0], [expected[middle]] * 48, atol=0.03)

@@ -5,7 +5,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from helpers.cli import invoke
+from helpers.commands import succeeded
+from numpy.testing import assert_allclose, assert_array_equal
 
 import scan2albedo as s2a
 from scan2albedo.applications import (
@@ -25,7 +27,6 @@ from scan2albedo.applications.expression_transfer import (
     refined_expression,
     refinement_level,
 )
-from scan2albedo.cli.commands import app
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.closest_points import surface_query
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
@@ -94,22 +95,22 @@ def test_the_face_moves_as_its_mesh_does_and_keeps_its_skin(person):
     moved = made.image.position[mask] - b.image.position[mask]
     placed = laid_on_what_is_still(smiling.image.position[mask], a.image.position[mask])
     expected = placed - a.image.position[mask]
-    np.testing.assert_allclose(moved, expected, atol=1e-9)
+    assert_allclose(moved, expected, atol=1e-9)
     assert np.linalg.norm(moved, axis=1).max() > 3
-    np.testing.assert_allclose(np.linalg.norm(made.image.normal[mask], axis=1), 1, atol=1e-9)
+    assert_allclose(np.linalg.norm(made.image.normal[mask], axis=1), 1, atol=1e-9)
     still = np.linalg.norm(moved, axis=1) < 1e-3
-    np.testing.assert_array_equal(made.albedo_linear, b.albedo_linear)
+    assert_array_equal(made.albedo_linear, b.albedo_linear)
     assert made.reflectance == b.reflectance
     assert np.abs(made.image.normal[mask] - b.image.normal[mask])[~still].max() > 0.05
     # The shadows of the moved surface are its own.
-    np.testing.assert_allclose(made.image.occluder_mesh()[0], made.mesh.vertices)
+    assert_allclose(made.image.occluder_mesh()[0], made.mesh.vertices)
 
 
 def test_no_expression_changes_nothing(person):
     a, b = person(0), person(1)
     made = transfer_expression(a, a, b)
-    np.testing.assert_allclose(made.image.position, b.image.position, atol=1e-6)
-    np.testing.assert_allclose(made.image.normal, b.image.normal, atol=1e-6)
+    assert_allclose(made.image.position, b.image.position, atol=1e-6)
+    assert_allclose(made.image.normal, b.image.normal, atol=1e-6)
 
 
 def test_strength_scales_it(person):
@@ -118,14 +119,14 @@ def test_strength_scales_it(person):
         transfer_expression(a, smiling, b, options=TransferOptions(strength=s)).image.position
         for s in (1.0, 0.5)
     )
-    np.testing.assert_allclose(full - b.image.position, 2 * (half - b.image.position), atol=1e-9)
+    assert_allclose(full - b.image.position, 2 * (half - b.image.position), atol=1e-9)
 
 
 def test_a_personal_model_is_the_person_on_the_same_chart(result):
     model = personal_model(result.fitted)
     given = result.fitted.model
-    np.testing.assert_array_equal(model.control_vertices, result.fitted.control_points)
-    np.testing.assert_array_equal(model.uv, given.uv)
+    assert_array_equal(model.control_vertices, result.fitted.control_points)
+    assert_array_equal(model.uv, given.uv)
     assert model.name == given.name
 
 
@@ -137,19 +138,18 @@ def test_a_personal_model_of_files_is_that_of_the_fit(result, stored, tmp_path):
     face = load_result(stored)
     face = replace(face, mesh=replace(face.mesh, vertices=fitted.vertices))
     ours, theirs = personal_model(face), personal_model(fitted)
-    np.testing.assert_allclose(ours.control_vertices, theirs.control_vertices, atol=1e-8)
+    assert_allclose(ours.control_vertices, theirs.control_vertices, atol=1e-8)
     ours.save(tmp_path / "person.json")
     loaded = s2a.AnnotatedFaceModel.load(tmp_path / "person.json")
-    np.testing.assert_array_equal(loaded.control_vertices, ours.control_vertices)
-    np.testing.assert_allclose(loaded.landmarks, fitted.model.landmarks_of(control), atol=1e-8)
+    assert_array_equal(loaded.control_vertices, ours.control_vertices)
+    assert_allclose(loaded.landmarks, fitted.model.landmarks_of(control), atol=1e-8)
 
 
 def test_the_command_writes_a_model_that_process_takes(result, stored, tmp_path):
     out = tmp_path / "person.json"
-    done = CliRunner().invoke(app, ["personal-model", str(stored), "-o", str(out)])
-    assert done.exit_code == 0, done.output
+    succeeded(invoke("personal-model", stored, "-o", out))
     model = chosen_model(out)
-    np.testing.assert_allclose(model.control_vertices, result.fitted.control_points, atol=1e-8)
+    assert_allclose(model.control_vertices, result.fitted.control_points, atol=1e-8)
     assert model.name == result.fitted.model.name
 
 
@@ -166,10 +166,7 @@ def test_a_personal_model_needs_the_model_of_the_fit(result, stored, person):
         personal_model(replace(face, mesh=replace(face.mesh, vertices=crumpled)))
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [{"strength": np.nan}, {"correspondence": "guessed"}],
-)
+@pytest.mark.parametrize("wrong", [{"strength": np.nan}, {"correspondence": "guessed"}])
 def test_options_are_checked(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         TransferOptions(**wrong)
@@ -202,7 +199,7 @@ def slid(mesh, mm):
 def test_control_points_come_back_from_their_surface():
     control = face_shape.person(MODEL, np.random.default_rng(3))
     found = limit_control_points(surface_of(control).vertices, MODEL.subdivision(LEVEL))
-    np.testing.assert_allclose(found, control, atol=1e-6)
+    assert_allclose(found, control, atol=1e-6)
 
 
 def test_the_level_of_a_mesh_is_found(person):
@@ -243,7 +240,7 @@ def test_what_cannot_be_refined_is_told_and_left_by_default(person):
     by_default, left = (
         transfer_expression(a, smiling, b, options=options) for options in (TransferOptions(), AS_FITTED)
     )
-    np.testing.assert_array_equal(by_default.image.position, left.image.position)
+    assert_array_equal(by_default.image.position, left.image.position)
 
 
 class Transfers:

@@ -6,15 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import trimesh
+from helpers.faces import painted, unseen
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.applications import relight
-from scan2albedo.applications.eyes_and_mouth import (
-    LANDMARKS,
-    SIZES_MM,
-    eyeball_mesh,
-    eyes_and_mouth,
-    on_template,
-)
+from scan2albedo.applications.eyes import GLOBE_MM, LID_LANDMARKS, eyeball_mesh
+from scan2albedo.applications.eyes_and_mouth import eyes_and_mouth, on_template
 from scan2albedo.applications.face_features import grown, named_texels
 from scan2albedo.applications.template_baking import TemplateTexture
 from scan2albedo.core.lights import PointLight
@@ -47,13 +44,13 @@ def painted_over(face, sides):
     """Return a face with skin in place of the eyes of these sides."""
     eyes = grown(named_texels(face, [f"{side}_eye" for side in sides]), 0)
     skin = np.median(face.albedo_linear[grown(eyes, 0.02) & ~eyes], axis=0)
-    return replace(face, albedo_linear=np.where(eyes[..., None], skin, face.albedo_linear))
+    return painted(face, eyes, skin)
 
 
 def iris_centres(face):
     """Return (2, 2) where `synthetic.textures` paints the middles of the irises, right and left, in mm."""
     uv, middles = landmark_uv(AnnotatedFaceModel.default()), []
-    for corners in (uv[LANDMARKS[side]] for side in ("right", "left")):
+    for corners in (uv[lids] for lids in LID_LANDMARKS.values()):
         width = np.linalg.norm(corners[3] - corners[0])
         middles.append(corners.mean(0) + [0, 0.04 * width])
     return at_uv(face, np.array(middles))[:, :2]
@@ -87,15 +84,13 @@ def test_shut_eyes_are_left_out_each_for_itself(seen):
 def test_holes_between_lids_get_usual_eyes_that_look_ahead(seen):
     face = seen(2)
     open_at = eyes_and_mouth(face).cut_mm > 0
-    torn = replace(
-        painted_over(face, ["left", "right"]), image=replace(face.image, texture_valid=face.mask & ~open_at)
-    )
+    torn = unseen(painted_over(face, ["left", "right"]), open_at)
     found = eyes_and_mouth(torn)
     assert len(found.eyes) == 2
     assert "left out" in found.reason
     for eye in found.eyes:
         assert not eye.painted
-        np.testing.assert_allclose(eye.gaze, [0, 0, 1])
+        assert_allclose(eye.gaze, [0, 0, 1])
         red, green, blue = eye.rings_linear[len(eye.rings_linear) // 2]
         assert red > green > blue
     assert any("left out" in note for note in relight(torn, [PointLight(0.3, 0.3)]).notes)
@@ -105,8 +100,7 @@ def test_holes_between_lids_get_usual_eyes_that_look_ahead(seen):
 
 def test_a_side_that_was_not_scanned_has_no_eye_and_the_other_side_has(seen):
     face = seen(1)
-    left = face.image.position[..., 0] > -5
-    half = replace(face, image=replace(face.image, texture_valid=face.mask & left))
+    half = unseen(face, face.image.position[..., 0] <= -5)
     found = eyes_and_mouth(half)
     assert [(eye.side, eye.painted) for eye in found.eyes] == [("left", True)]
     assert found.reason.startswith("one eye")
@@ -125,7 +119,7 @@ def test_parts_are_closed_outward_meshes(seen, tmp_path):
     for eye in found.eyes:
         part = eyeball_mesh(eye)
         off = np.linalg.norm(part.vertices - eye.center_mm, axis=1)
-        assert abs(eye.radius_mm - SIZES_MM["globe"][0]) < 3 * SIZES_MM["globe"][1]
+        assert abs(eye.radius_mm - GLOBE_MM) < 1.5
         # The cornea stands out by about a millimetre, and nothing else does.
         assert off.min() == pytest.approx(eye.radius_mm)
         assert 0.5 < off.max() - eye.radius_mm < 2.5
@@ -144,7 +138,7 @@ def test_the_lower_teeth_follow_the_jaw_and_the_upper_ones_stay(seen):
     parts = {part.name: part for part in eyes_and_mouth(seen(0)).parts}
     moved = np.zeros((68, 3))
     moved[[8, *range(55, 60)]] = [0, -10, -3]
-    np.testing.assert_allclose(parts["teeth_lower"].follows @ moved, np.tile([0, -10, -3], (484, 1)))
+    assert_allclose(parts["teeth_lower"].follows @ moved, np.tile([0, -10, -3], (484, 1)))
     assert not (parts["teeth_upper"].follows @ moved).any()
     bag = parts["mouth"]
     down = (bag.follows @ moved)[:, 1]
@@ -158,7 +152,7 @@ def test_relit_eyes_glint_and_stand_behind_the_lids(seen, tmp_path):
     relit = relight(face, [PointLight(0.3, 0.3, intensity=2.0)])
     plain = replace(relit, face=replace(relit.face))
     with_eyes, without = (one.picture(shape=(300, 300)) for one in (relit, plain))
-    np.testing.assert_array_equal(with_eyes.alpha, without.alpha)
+    assert_array_equal(with_eyes.alpha, without.alpha)
     changed = np.abs(with_eyes.linear - without.linear).max(-1) > 0.01
     assert 0.001 < changed.mean() < 0.05
     rows, columns = np.nonzero(changed)
@@ -177,7 +171,7 @@ def test_a_template_keeps_eyeballs_of_its_own(seen):
     bare = TemplateTexture(face.mesh.vertices, face.mesh.faces, face.mesh.uv[face.mesh.faces])
     made = on_template(found, fitted, 2.0, bare)
     assert len(made.parts) == len(found.parts)
-    np.testing.assert_allclose(made.parts[0].color_linear, 2 * found.parts[0].color_linear)
+    assert_allclose(made.parts[0].color_linear, 2 * found.parts[0].color_linear)
     assert (made.cut_mm > 0).any()
     ball = trimesh.creation.icosphere(3, 12.0)
     vertices, faces = [bare.vertices], [bare.faces]

@@ -3,6 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
+from helpers.faces import painted, unseen
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.applications import SwapOptions, blend_faces, swap_texture
 from scan2albedo.applications.face_features import (
@@ -20,11 +22,8 @@ def with_half_of(face, feature):
     """Return a face of which the outer half of a feature was seen on neither side, and is black."""
     texels = feature_texels(face)[feature]
     outward = np.broadcast_to(np.abs(np.arange(texels.shape[1]) - (texels.shape[1] - 1) / 2), texels.shape)
-    unseen = texels & (outward > np.median(outward[texels]))
-    albedo = np.where(unseen[..., None], 0.001, face.albedo_linear)
-    return replace(
-        face, albedo_linear=albedo, image=replace(face.image, texture_valid=face.mask & ~unseen)
-    ), texels
+    outer = texels & (outward > np.median(outward[texels]))
+    return unseen(painted(face, outer, 0.001), outer), texels
 
 
 def gradient_correlation(made, given, texels):
@@ -53,12 +52,10 @@ def test_a_feature_that_both_lack_stays_and_so_does_a_small_gap(person):
     (a, eyes), (b, _) = (with_half_of(person(seed), "eyes") for seed in (0, 1))
     assert not taken_features(b, a)[0].any()
     made = swap_texture(a, b, options=SwapOptions(match_level=False))
-    np.testing.assert_allclose(made.albedo_linear[eyes], b.albedo_linear[eyes], rtol=1e-5)
-    whole = person(1)
-    row, column = (at[0] for at in np.nonzero(eyes))
-    seen = whole.mask.copy()
-    seen[row, column] = False
-    nearly = replace(whole, image=replace(whole.image, texture_valid=seen))
+    assert_allclose(made.albedo_linear[eyes], b.albedo_linear[eyes], rtol=1e-5)
+    whole, one = person(1), np.zeros_like(eyes)
+    one[tuple(np.argwhere(eyes)[0])] = True
+    nearly = unseen(whole, one)
     assert not taken_features(nearly, person(0))[0].any()
     made = swap_texture(person(0), nearly)
     assert gradient_correlation(made, whole, eyes) > 0.99
@@ -75,8 +72,8 @@ def test_labels_widen_a_feature_and_are_known_of_any_model(person):
     lower = np.roll(eyes, 3, axis=0) & face.mask
     labels = np.where(lower, CLASSES.index("eye"), CLASSES.index("skin")).astype(np.uint8)
     marked = replace(face, image=replace(face.image, labels=labels))
-    np.testing.assert_array_equal(feature_texels(marked)["eyes"], eyes | lower)
-    np.testing.assert_array_equal(feature_texels(replace(marked, model_name="of mine"))["eyes"], lower)
+    assert_array_equal(feature_texels(marked)["eyes"], eyes | lower)
+    assert_array_equal(feature_texels(replace(marked, model_name="of mine"))["eyes"], lower)
 
 
 def test_catchlights_go_and_bright_skin_stays(person):
@@ -90,21 +87,19 @@ def test_catchlights_go_and_bright_skin_stays(person):
     assert made[row, column].max() < 1.6 * face.level()
     assert made[20, 64].max() == 3.0
     calm = albedo.max(-1) < face.level()
-    np.testing.assert_allclose(made[calm], albedo[calm], rtol=1e-6)
+    assert_allclose(made[calm], albedo[calm], rtol=1e-6)
 
 
 def test_a_hole_in_a_brow_is_filled_from_the_other_side_of_the_same_face(person):
     a, b = person(0, size=128), person(1, size=128)
     brow = named_texels(b, ["left_brow"])
     hole = brow & (np.arange(128) % 128 > np.median(np.nonzero(brow)[1]))
-    spoilt = np.where(hole[..., None], 0.001, b.albedo_linear)
-    torn = replace(b, albedo_linear=spoilt, image=replace(b.image, texture_valid=b.mask & ~hole))
-    brow_of_a = feature_texels(a)["brows"]
-    painted = np.where(brow_of_a[..., None], 0.2 * a.albedo_linear, a.albedo_linear)
-    made = [swap_texture(face, torn) for face in (a, replace(a, albedo_linear=painted))]
+    torn = unseen(painted(b, hole, 0.001), hole)
+    dark = painted(a, feature_texels(a)["brows"], 0.2 * a.albedo_linear)
+    made = [swap_texture(face, torn) for face in (a, dark)]
     levels = [face.albedo_linear / face.level() for face in made]
     # Whatever the other face has there changes nothing, and the other side is what comes.
-    np.testing.assert_allclose(levels[1][hole], levels[0][hole], rtol=0.05)
+    assert_allclose(levels[1][hole], levels[0][hole], rtol=0.05)
     assert gradient_correlation(made[0], replace(b, albedo_linear=b.albedo_linear[:, ::-1]), hole) > 0.9
 
 
@@ -112,7 +107,7 @@ def with_shut_eyes(face):
     """Return a face whose eyes are painted over with the skin around, as shut lids are."""
     eyes = named_texels(face, ["left_eye", "right_eye"])
     skin = np.median(face.albedo_linear[grown(eyes, 0.02) & ~eyes], axis=0)
-    return replace(face, albedo_linear=np.where(grown(eyes, 0)[..., None], skin, face.albedo_linear))
+    return painted(face, grown(eyes, 0), skin)
 
 
 def test_open_eyes_stay_whole_beside_shut_ones_and_the_face_says_so(person):

@@ -3,6 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
+from helpers.faces import painted, square, unseen
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.applications import RelightOptions, relight
 from scan2albedo.applications.face_features import (
@@ -23,8 +25,8 @@ def with_sideburns(face):
     first = np.argmax(face.mask, axis=1)
     for row in range(24, 34):
         hair[row, first[row] : first[row] + 5] = True
-    albedo = np.where(hair[..., None], 0.02 * face.albedo_linear, face.albedo_linear)
-    return replace(face, albedo_linear=albedo, image=with_labels(face.image, hair=hair)), hair
+    dark = painted(face, hair, 0.02 * face.albedo_linear)
+    return replace(dark, image=with_labels(face.image, hair=hair)), hair
 
 
 def with_labels(image, **things):
@@ -42,15 +44,14 @@ def test_a_black_side_is_filled_from_beside_it(person):
     true = person(0).albedo_linear[hair].max(-1)
     assert np.abs(np.log(made.albedo_linear[hair].max(-1) / true)).mean() < 0.3
     far = ~dark_sides(face)
-    np.testing.assert_array_equal(made.albedo_linear[far], face.albedo_linear[far])
+    assert_array_equal(made.albedo_linear[far], face.albedo_linear[far])
 
 
 def test_a_dark_place_away_from_the_rim_stays(person):
     face = person(0)
-    mole = np.zeros(face.mask.shape, bool)
-    mole[36:40, 14:17] = True
-    albedo = np.where(mole[..., None], 0.02 * face.albedo_linear, face.albedo_linear)
-    marked = replace(face, albedo_linear=albedo, image=with_labels(face.image, hair=mole))
+    mole = square(face, (36, 40), (14, 17))
+    marked = painted(face, mole, 0.02 * face.albedo_linear)
+    marked = replace(marked, image=with_labels(face.image, hair=mole))
     assert without_gaps(marked) is marked
 
 
@@ -78,13 +79,10 @@ def test_without_labels_nothing_is_hair_and_the_annotation_knows_features(person
 
 def test_unseen_skin_is_filled_and_unseen_eyes_stay(person):
     face = person(0)
-    eyes, hidden = feature_texels(face)["eyes"], np.zeros(face.mask.shape, bool)
-    hidden[40:46, 12:20] = True
-    spoilt = np.where((hidden | eyes)[..., None], 1e-4, face.albedo_linear)
-    image = replace(face.image, texture_valid=face.mask & ~hidden & ~eyes)
-    made = without_gaps(replace(face, albedo_linear=spoilt, image=image))
+    eyes, hidden = feature_texels(face)["eyes"], square(face, (40, 46), (12, 20))
+    made = without_gaps(unseen(painted(face, hidden | eyes, 1e-4), hidden | eyes))
     assert made.albedo_linear[hidden].max(-1).min() > 0.3 * face.level()
-    np.testing.assert_allclose(made.albedo_linear[eyes], 1e-4)
+    assert_allclose(made.albedo_linear[eyes], 1e-4)
 
 
 def test_relighting_tells_what_it_filled_and_can_leave_it(person):

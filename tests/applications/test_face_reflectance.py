@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 import scan2albedo as s2a
 from scan2albedo.applications import (
@@ -127,7 +128,7 @@ def test_highlights_are_those_of_the_estimate_times_the_annotation(true_face):
     face = replace(true_face, reflectance=GLOSSY)
     weights = reflectance_of_processed(face).reflectance.weights
     scale = sampled_at_vertices(face.image.specular_scale[..., None].astype(float), face)[0]
-    np.testing.assert_allclose(weights, scale * lobe_weights_of_phong(0.15, 8.0))
+    assert_allclose(weights, scale * lobe_weights_of_phong(0.15, 8.0))
     assert np.ptp(scale) > 0.1
 
 
@@ -150,8 +151,8 @@ def test_a_level_scales_albedo_and_highlights_alike(true_face):
     plain, brighter = (
         reflectance_of_processed(face, level=level).reflectance for level in (None, 2 * face.level())
     )
-    np.testing.assert_allclose(brighter.diffuse_linear, 2 * plain.diffuse_linear)
-    np.testing.assert_allclose(brighter.weights, 2 * plain.weights)
+    assert_allclose(brighter.diffuse_linear, 2 * plain.diffuse_linear)
+    assert_allclose(brighter.weights, 2 * plain.weights)
     with pytest.raises(ValueError, match="level"):
         reflectance_of_processed(face, level=0.0)
 
@@ -166,19 +167,19 @@ def test_scans_of_one_model_make_a_morphable_one(scene):
     assert (model.components, model.samples) == (2, 3)
     both = model.known & person.known
     nearest = model.project(person).reflectance.diffuse_linear[both]
-    np.testing.assert_allclose(nearest, person.diffuse_linear[both], atol=1e-8)
+    assert_allclose(nearest, person.diffuse_linear[both], atol=1e-8)
 
 
 def test_a_folder_gives_what_its_result_gives(result, stored):
     of_folder, of_result = reflectance_of_processed(stored), reflectance_of_processed(result)
-    np.testing.assert_array_equal(of_folder.mesh.faces, result.fitted.faces)
-    np.testing.assert_array_equal(of_folder.reflectance.known, of_result.reflectance.known)
+    assert_array_equal(of_folder.mesh.faces, result.fitted.faces)
+    assert_array_equal(of_folder.reflectance.known, of_result.reflectance.known)
     known = of_result.reflectance.known
-    np.testing.assert_allclose(
+    assert_allclose(
         of_folder.reflectance.diffuse_linear[known], of_result.reflectance.diffuse_linear[known], rtol=1e-4
     )
     loaded = reflectance_of_processed(load_result(stored))
-    np.testing.assert_array_equal(loaded.reflectance.weights, of_folder.reflectance.weights)
+    assert_array_equal(loaded.reflectance.weights, of_folder.reflectance.weights)
 
 
 def test_a_scan_whose_vertices_correspond_to_no_other_is_refused(true_face):

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 import scan2albedo as s2a
 from scan2albedo.albedo import EstimateOptions
@@ -35,15 +36,15 @@ def folder(stored, tmp_path):
 def test_files_and_memory_give_the_same_face(result, stored):
     memory, disk = load_result(result), load_result(stored)
     assert (memory.name, memory.model_name) == (disk.name, disk.model_name)
-    np.testing.assert_array_equal(memory.image.position, disk.image.position)
-    np.testing.assert_array_equal(memory.mesh.faces, disk.mesh.faces)
-    np.testing.assert_allclose(memory.mesh.vertices, disk.mesh.vertices, atol=1e-9)
-    np.testing.assert_allclose(memory.mesh.uv, disk.mesh.uv, atol=1e-6)
+    assert_array_equal(memory.image.position, disk.image.position)
+    assert_array_equal(memory.mesh.faces, disk.mesh.faces)
+    assert_allclose(memory.mesh.vertices, disk.mesh.vertices, atol=1e-9)
+    assert_allclose(memory.mesh.uv, disk.mesh.uv, atol=1e-6)
     assert memory.casts_shadows == disk.casts_shadows
     assert memory.view_direction == disk.view_direction
     assert memory.shadow_offset_mm == disk.shadow_offset_mm
     ours, theirs = (relight(face, [LIGHT]).texture_linear for face in (memory, disk))
-    np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-8)
+    assert_allclose(ours, theirs, rtol=1e-5, atol=1e-8)
 
 
 def test_coloured_light_goes_through_files_and_applications(result, tmp_path):
@@ -56,7 +57,7 @@ def test_coloured_light_goes_through_files_and_applications(result, tmp_path):
     made = write_face(swap_texture(disk, disk), tmp_path / "new", application="swap", inputs=[disk, disk])
     for face in (memory, disk, load_result(made)):
         assert face.environment.fill == 0.25
-        np.testing.assert_array_equal(face.environment.coefficients, soft.coefficients)
+        assert_array_equal(face.environment.coefficients, soft.coefficients)
         for ours, given in zip(face.lights, lamps, strict=True):
             assert (ours.color_linear, ours.radius_deg) == (given.color_linear, given.radius_deg)
     lit = relight(disk, disk.lights, environment=disk.environment, options=AS_ESTIMATED).texture_linear
@@ -66,7 +67,7 @@ def test_coloured_light_goes_through_files_and_applications(result, tmp_path):
 
 def test_relighting_is_what_the_estimate_does(result):
     estimate = result.albedo
-    np.testing.assert_allclose(
+    assert_allclose(
         relight(load_result(result), [LIGHT], options=AS_ESTIMATED).texture_linear,
         estimate.relit([LIGHT]),
         rtol=1e-5,
@@ -86,7 +87,7 @@ def test_a_glossy_face_under_its_own_light_is_its_texture(scene):
     truth, mask = image.texture_linear, image.mask
     ours = relight(given, given.lights, environment=estimate.environment, options=AS_ESTIMATED).texture_linear
     again = estimate.relit(estimate.lights, estimate.environment)
-    np.testing.assert_allclose(ours, again, rtol=1e-4, atol=1e-6)
+    assert_allclose(ours, again, rtol=1e-4, atol=1e-6)
     # Light that no part of the model stands for is divided out, but not relit.
     assert np.linalg.norm((ours - truth)[mask]) / np.linalg.norm(truth[mask]) < 0.11
 
@@ -123,8 +124,6 @@ def test_a_foreign_surface_is_refused(folder, result):
 
 
 def test_results_without_albedo_say_so(folder, result):
-    from dataclasses import replace
-
     record = json.loads((folder / "result.json").read_text())
     (folder / "result.json").write_text(json.dumps(record | {"parameters": {}}))
     with pytest.raises(ApplicationError, match="no albedo"):
@@ -141,8 +140,6 @@ def test_a_folder_of_something_else_is_refused(tmp_path):
 
 
 def test_spherical_harmonics_relight_as_a_matte_surface(result):
-    from dataclasses import replace
-
     estimate = s2a.estimate_albedo(result.geometry_image, brdf="spherical-harmonics")
     face = load_result(replace(result, albedo=estimate))
     assert face.reflectance.brdf == "lambert"
@@ -156,7 +153,7 @@ def test_a_shape_alone_is_taken_where_no_albedo_is_needed(result, tmp_path):
         load_result(folder)
     memory, disk = (load_result(source, need_albedo=False) for source in (grey, folder))
     assert (memory.has_albedo, disk.has_albedo) == (False, False)
-    np.testing.assert_array_equal(memory.image.position, disk.image.position)
+    assert_array_equal(memory.image.position, disk.image.position)
     made = transfer_expression(disk, memory, disk, options=TransferOptions(correspondence="as-fitted"))
     written = write_face(made, tmp_path / "new", application="transfer-expression", inputs=[disk])
     assert sorted(path.name for path in written.iterdir()) == [
@@ -166,7 +163,7 @@ def test_a_shape_alone_is_taken_where_no_albedo_is_needed(result, tmp_path):
         "picture.png",
     ]
     again = load_result(written, need_albedo=False)
-    np.testing.assert_allclose(again.mesh.vertices, disk.mesh.vertices, atol=0.01)
+    assert_allclose(again.mesh.vertices, disk.mesh.vertices, atol=0.01)
     assert not again.has_albedo
     with pytest.raises(ApplicationError, match="holds no albedo"):
         load_result(written)

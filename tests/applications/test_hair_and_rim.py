@@ -1,16 +1,17 @@
 """What an unlit scan is beyond the face: skin without a step at the rim, and hair kept apart."""
 
 import json
-from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
+from helpers.faces import with_template
+from helpers.meshes import grid
+from numpy.testing import assert_allclose
 
 import scan2albedo as s2a
 from scan2albedo.applications.light_removal import scan_on_chart, unlit_scan
 from scan2albedo.face_model.appearance import CLASSES, AppearanceModel, beyond_chart
-from scan2albedo.geometry.loop_subdivision import SurfacePoints
 from scan2albedo.geometry.mesh import neighbour_mean
 from scan2albedo.geometry.rasterization import interpolate, pixels_from_uv, rasterize
 from scan2albedo.io.images import read_image_linear, read_image_values
@@ -23,17 +24,8 @@ def result(shared_data, tmp_path_factory):
     """Of a path-traced head with black hair between a window and a lamp of another colour; the model's own
     control mesh is the template."""
     file, out = shared_data / "real_skin" / "d_window_lamp.obj", tmp_path_factory.mktemp("out")
-    model = s2a.AnnotatedFaceModel.default()
-    face, corner = np.zeros((2, len(model.control_vertices)), np.int64)
-    for number, triangle in enumerate(model.control_faces):
-        face[triangle], corner[triangle] = number, np.arange(3)
-    template = {
-        "template_points": SurfacePoints(face, np.eye(3)[corner]),
-        "template_faces": model.control_faces,
-        "template_uv": model.uv[model.control_faces],
-    }
     options = {"unlit": "all", "size": 256, "quality": "draft", "pictures": False, "texture_size": 256}
-    return s2a.process(file, out, model=replace(model, **template, name="mine"), **options)
+    return s2a.process(file, out, model=with_template(), **options)
 
 
 @pytest.fixture(scope="module")
@@ -89,9 +81,9 @@ def test_hair_is_found_beyond_the_chart_and_skin_is_not_hair(result, texels):
 def test_hairs_file_holds_its_lit_colours_and_how_surely_it_is_hair(result):
     picture = read_image_values(result.out / "unlit_hair.png", alpha=True)
     assert picture.shape[2] == 4
-    np.testing.assert_allclose(picture[..., 3] / 255, np.clip(result.unlit.hair, 0, 1), atol=0.003)
+    assert_allclose(picture[..., 3] / 255, np.clip(result.unlit.hair, 0, 1), atol=0.003)
     lit = read_image_linear(result.out / "unlit_hair.png")
-    np.testing.assert_allclose(lit[..., :3], np.clip(result.scan.texture_linear, 0, 1), atol=0.01)
+    assert_allclose(lit[..., :3], np.clip(result.scan.texture_linear, 0, 1), atol=0.01)
     record = json.loads((result.out / "result.json").read_text())
     assert "unlit_hair.png" in record["files"]
     assert next(step for step in record["plan"] if step["stage"] == "unlit.hair")["ran"]
@@ -101,7 +93,7 @@ def test_a_template_has_hair_of_its_own(result):
     (tile,) = result.template.tiles
     assert tile.hair.shape == (256, 256, 4)
     picture = read_image_values(result.out / "template_hair.png", alpha=True)
-    np.testing.assert_allclose(picture[..., 3] / 255, np.clip(tile.hair[..., 3], 0, 1), atol=0.003)
+    assert_allclose(picture[..., 3] / 255, np.clip(tile.hair[..., 3], 0, 1), atol=0.003)
     # Its chart is the face's: brows are hair, cheeks are not, and hair has the scan's own colours.
     labels = result.geometry_image.labels
     brow, skin = (cv2.erode((labels == k).astype(np.uint8), np.ones((5, 5))) > 0 for k in (2, 1))
@@ -113,26 +105,17 @@ def test_a_template_has_hair_of_its_own(result):
 
 def surface(direction):
     """A surface that goes on for 8 cm beyond a point of the chart: offsets, and the mean of neighbours."""
-    v = np.repeat(np.arange(21) * 4.0, 21)
-    index = np.arange(21 * 21).reshape(21, 21)
-    faces = np.concatenate(
-        [
-            np.stack([index[:-1, :-1], index[1:, :-1], index[:-1, 1:]], -1).reshape(-1, 3),
-            np.stack([index[1:, 1:], index[:-1, 1:], index[1:, :-1]], -1).reshape(-1, 3),
-        ]
-    )
-    offset = v.reshape(-1, 1) * np.asarray(direction, float)
-    return offset, neighbour_mean(len(offset), faces)
+    flat, faces = grid(21, 21)
+    return 80 * flat[:, 1:2] * np.asarray(direction, float), neighbour_mean(len(flat), faces)
 
 
-def shares_of(far, direction, place):
+def shares_of(far, direction, place, brighter=0.0):
     """Shares of the classes where colours differ from skin's by `far` (3,) beyond 4 cm."""
     offset, mean = surface(direction)
     beyond = np.linalg.norm(offset, axis=1) >= 40
     rng = np.random.default_rng(0)
-    color = (
-        np.array([-1.0, -1.5, -1.8]) + 0.02 * rng.standard_normal((len(offset), 3)) + beyond[:, None] * far
-    )
+    color = np.array([-1.0, -1.5, -1.8]) + 0.02 * rng.standard_normal((len(offset), 3))
+    color += beyond[:, None] * np.array(far) + brighter
     normal, places = np.tile([0.0, 0, 1], (len(offset), 1)), np.tile(place, (len(offset), 1))
     skin = (np.linalg.norm(offset, axis=1) < 20) * 1.0
     return beyond_chart(color, normal, skin, places, offset, mean, (4 / 30) ** 2), beyond
@@ -142,7 +125,7 @@ def test_dark_is_hair_above_the_forehead_and_white_is_cloth_below_the_chin():
     hair, cloth = CLASSES.index("hair") - 1, CLASSES.index("cloth") - 1
     found, beyond = shares_of([-2.2, -1.8, -1.5], (0, 1, 0), (0.02, 0.5))
     assert found.shape == (len(AppearanceModel.default().share), len(beyond))
-    np.testing.assert_allclose(found.sum(0), 1)
+    assert_allclose(found.sum(0), 1)
     assert np.median(found[hair, beyond]) > 0.9
     assert np.median(found[0, ~beyond]) > 0.9
     found, beyond = shares_of([0.7, 1.2, 1.5], (0, -1, 0), (0.98, 0.5))
@@ -152,12 +135,5 @@ def test_dark_is_hair_above_the_forehead_and_white_is_cloth_below_the_chin():
 
 
 def test_the_exposure_of_the_scan_decides_nothing():
-    found, _ = shares_of([-2.2, -1.8, -1.5], (0, 1, 0), (0.02, 0.5))
-    offset, mean = surface((0, 1, 0))
-    rng = np.random.default_rng(0)
-    beyond = np.linalg.norm(offset, axis=1)[:, None] >= 40
-    color = np.array([-1.0, -1.5, -1.8]) + 0.02 * rng.standard_normal((len(offset), 3))
-    color += beyond * np.array([-2.2, -1.8, -1.5]) - 1.3
-    rest = np.tile([0.0, 0, 1], (len(offset), 1)), (np.linalg.norm(offset, axis=1) < 20) * 1.0
-    darker = beyond_chart(color, *rest, np.tile((0.02, 0.5), (len(offset), 1)), offset, mean, (4 / 30) ** 2)
-    np.testing.assert_allclose(darker, found, atol=0.02)
+    dark = [-2.2, -1.8, -1.5], (0, 1, 0), (0.02, 0.5)
+    assert_allclose(shares_of(*dark, brighter=-1.3)[0], shares_of(*dark)[0], atol=0.02)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from scan2albedo.applications import blend_faces, load_result, swap_texture, transfer_expression
 from scan2albedo.applications.processed_face import on_common_chart
@@ -37,8 +38,8 @@ def test_a_fitted_face_goes_with_itself_only_by_its_mesh(stored, person):
     face = load_result(stored)
     assert not face.mesh.from_chart
     made = blend_faces(face, face)
-    np.testing.assert_allclose(made.image.position, face.image.position, atol=1e-6)
-    np.testing.assert_allclose(made.image.normal, face.image.normal, atol=1e-6)
+    assert_allclose(made.image.position, face.image.position, atol=1e-6)
+    assert_allclose(made.image.normal, face.image.normal, atol=1e-6)
 
 
 def test_masks_that_differ_a_little_are_cut_to_what_both_have(person):

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 import scan2albedo as s2a
 from scan2albedo.applications.template_baking import FineShape, tangent_normals, template_texture
@@ -17,9 +18,11 @@ from scan2albedo.geometry.loop_subdivision import SurfacePoints
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.rasterization import bilinear
 from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_from_vector, transform_points
-from scan2albedo.pipeline.result import write_template
+from scan2albedo.pipeline.mesh_files import write_template
 
-HALF_MM, WAVE_MM, HEIGHT_MM = 60.0, 9.0, 3.0
+HALF_MM = 60.0
+WAVE_MM = 9.0
+HEIGHT_MM = 3.0
 POSE = compose(rotation_from_vector([0.3, -1.0, 0.4]), np.array([10.0, 200.0, -30.0]))
 COMPONENTS = {5125: "<u4", 5126: "<f4"}
 WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
@@ -157,13 +160,11 @@ def test_a_coarse_template_is_shaded_like_the_fine_surface(tmp_path, chart):
     assert len(parts) == len(painted.tiles) == (2 if chart is two_tiles else 1)
     for arrays, picture in parts:
         assert np.isin(arrays["TANGENT"][:, 3], [-1, 1]).all()
-        np.testing.assert_allclose(np.linalg.norm(arrays["TANGENT"][:, :3], axis=1), 1, atol=1e-6)
+        assert_allclose(np.linalg.norm(arrays["TANGENT"][:, :3], axis=1), 1, atol=1e-6)
         across = np.einsum("ij,ij->i", arrays["TANGENT"][:, :3], arrays["NORMAL"])
-        np.testing.assert_allclose(across, 0, atol=1e-6)
+        assert_allclose(across, 0, atol=1e-6)
         at = np.linalg.norm(arrays["POSITION"][:, None] * 1000 - painted.vertices, axis=2).argmin(1)
-        np.testing.assert_allclose(
-            arrays["NORMAL"], vertex_normals(painted.vertices, painted.faces)[at], atol=1e-6
-        )
+        assert_allclose(arrays["NORMAL"], vertex_normals(painted.vertices, painted.faces)[at], atol=1e-6)
         points, without, with_map = shaded(arrays, picture)
         inner = np.abs(points[:, :2]).max(1) < HALF_MM - 5  # the grids' rims are one-sided
         true = true_normals(points)
@@ -200,11 +201,11 @@ def test_what_lies_far_is_flat_and_another_side_does_not_stand():
     middle = len(fitted.vertices) // 2
     points = np.stack([fitted.vertices[middle], fitted.vertices[middle] + [0, 0, 9]])
     fine = shape.normals(points)
-    np.testing.assert_array_equal(fine[1], [True, False])
+    assert_array_equal(fine[1], [True, False])
     frames = np.tile([0.0, 0, -1], (2, 1)), np.tile([1.0, 0, 0, 1], (2, 1))
     found, stands = tangent_normals(fine, *frames)
-    np.testing.assert_array_equal(found[1], [0, 0, 1])
-    np.testing.assert_array_equal(stands, [False, True])
+    assert_array_equal(found[1], [0, 0, 1])
+    assert_array_equal(stands, [False, True])
 
 
 def test_a_texture_made_in_bands_is_the_same(monkeypatch):
@@ -212,7 +213,7 @@ def test_a_texture_made_in_bands_is_the_same(monkeypatch):
     monkeypatch.setattr("scan2albedo.applications.template_baking.LARGEST_TEXTURE", 256)  # four rows a band
     banded = template_texture(*carried(plain), 64).tiles[0]
     for name in ("color_linear", "seen", "normal"):
-        np.testing.assert_allclose(getattr(banded, name), getattr(whole, name), atol=2e-3)
+        assert_allclose(getattr(banded, name), getattr(whole, name), atol=2e-3)
     assert whole.normal[..., 0].std() > 0.02
 
 
@@ -225,4 +226,4 @@ def test_files_of_the_map_are_named_like_the_colours(tmp_path):
             assert f"map_Kd template{name}.png\nnorm template_normal{name}.png\n" in text
             stored = cv2.imread(str(tmp_path / f"template_normal{name}.png"))[..., ::-1]
             assert np.abs(stored / 127.5 - 1 - tile.normal).max() < 0.005
-            np.testing.assert_allclose(np.linalg.norm(tile.normal, axis=2), 1, atol=1e-5)
+            assert_allclose(np.linalg.norm(tile.normal, axis=2), 1, atol=1e-5)

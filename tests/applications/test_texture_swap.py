@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.faces import painted, square, unseen
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.applications import SwapOptions, swap_texture
 from scan2albedo.applications.face_features import grown
@@ -13,11 +15,11 @@ from scan2albedo.applications.texture_swap import trusted
 def test_the_shape_is_as_and_the_skin_bs(person):
     a, b = person(0), person(1)
     made = swap_texture(a, b, options=SwapOptions(match_color=False))
-    np.testing.assert_array_equal(made.image.position, a.image.position)
-    np.testing.assert_array_equal(made.image.normal, a.image.normal)
+    assert_array_equal(made.image.position, a.image.position)
+    assert_array_equal(made.image.normal, a.image.normal)
     assert made.lights == a.lights
     ratio = made.albedo_linear[a.mask] / b.albedo_linear[a.mask]
-    np.testing.assert_allclose(ratio, a.level() / b.level(), rtol=1e-4)
+    assert_allclose(ratio, a.level() / b.level(), rtol=1e-4)
     assert made.reflectance.specular_strength == pytest.approx(
         b.reflectance.specular_strength * a.level() / b.level()
     )
@@ -26,38 +28,31 @@ def test_the_shape_is_as_and_the_skin_bs(person):
 
 def test_a_face_with_its_own_skin_is_itself(person):
     made = swap_texture(person(0), person(0))
-    np.testing.assert_allclose(made.albedo_linear, person(0).albedo_linear, rtol=1e-6)
+    assert_allclose(made.albedo_linear, person(0).albedo_linear, rtol=1e-6)
     assert made.reflectance == person(0).reflectance
 
 
 def test_its_own_skin_stays_where_it_was_not_seen(person):
-    face = person(0)
-    hidden = np.zeros(face.mask.shape, bool)
-    hidden[20:40, 20:40] = True
-    face = replace(face, image=replace(face.image, texture_valid=face.mask & ~hidden))
+    face = unseen(person(0), square(person(0), (20, 40), (20, 40)))
     made = swap_texture(face, face)
-    np.testing.assert_allclose(made.albedo_linear, face.albedo_linear, rtol=1e-6)
+    assert_allclose(made.albedo_linear, face.albedo_linear, rtol=1e-6)
 
 
 def test_the_level_can_stay_bs(person):
     made = swap_texture(person(0), person(1), options=SwapOptions(match_level=False))
-    np.testing.assert_allclose(made.albedo_linear, person(1).albedo_linear, rtol=1e-6)
+    assert_allclose(made.albedo_linear, person(1).albedo_linear, rtol=1e-6)
 
 
 def with_hole(face, hole):
-    spoilt = face.albedo_linear.copy()
-    spoilt[hole] = 0.003
-    image = replace(face.image, texture_valid=face.mask & ~hole)
-    return replace(face, albedo_linear=spoilt, image=image)
+    return unseen(painted(face, hole, 0.003), hole)
 
 
 def test_unseen_skin_is_continued_without_a_seam(person):
     a, b = person(0), person(1)
-    hole = np.zeros(b.mask.shape, bool)
-    hole[30:46, 12:22] = True
+    hole = square(b, (30, 46), (12, 22))
     made = swap_texture(a, with_hole(b, hole), options=SwapOptions(match_level=False))
     known = trusted(with_hole(b, hole))
-    np.testing.assert_allclose(made.albedo_linear[known], b.albedo_linear[known], rtol=1e-6)
+    assert_allclose(made.albedo_linear[known], b.albedo_linear[known], rtol=1e-6)
     # Nothing of what was badly seen is left, and the step at the border is no larger than steps elsewhere.
     filled = made.albedo_linear[hole & a.mask].max(-1)
     assert filled.min() > 0.05
@@ -68,8 +63,7 @@ def test_unseen_skin_is_continued_without_a_seam(person):
 
 def test_the_detail_of_the_filling_is_as(person):
     a, b = person(0), person(1)
-    hole = np.zeros(b.mask.shape, bool)
-    hole[10:50, 10:50] = True
+    hole = square(b, (10, 50), (10, 50))
     made = swap_texture(a, with_hole(b, hole))
     middle = (slice(15, 45), slice(15, 45))
     logs = [np.log(face.albedo_linear[middle].max(-1)) for face in (made, a)]
@@ -79,8 +73,7 @@ def test_the_detail_of_the_filling_is_as(person):
 def test_a_blurred_skin_is_not_continued_with_a_sharp_ones_grain(person):
     a, b = (replace(person(seed), model_name="of mine") for seed in (0, 1))
     grain = np.exp(np.random.default_rng(0).normal(0, 1, a.mask.shape))[..., None]
-    hole = np.zeros(b.mask.shape, bool)
-    hole[20:44, 20:44] = True
+    hole = square(b, (20, 44), (20, 44))
 
     def roughness(weight_a, weight_b):
         faces = [
@@ -97,11 +90,8 @@ def test_a_blurred_skin_is_not_continued_with_a_sharp_ones_grain(person):
 def test_a_feature_of_one_face_at_the_border_leaves_no_stain(person):
     """A dark line of A crosses the border of the hole, which is no known feature; on B there is none."""
     a, b = (replace(person(seed), model_name="of mine") for seed in (0, 1))
-    line = np.zeros(a.mask.shape, bool)
-    line[34:40, 20:31] = True
-    marked = replace(a, albedo_linear=np.where(line[..., None], 0.1 * a.albedo_linear, a.albedo_linear))
-    hole = np.zeros(a.mask.shape, bool)
-    hole[28:48, 28:46] = True
+    line, hole = square(a, (34, 40), (20, 31)), square(a, (28, 48), (28, 46))
+    marked = painted(a, line, 0.1 * a.albedo_linear)
     plain = swap_texture(a, with_hole(b, hole)).albedo_linear
     made = swap_texture(marked, with_hole(b, hole)).albedo_linear / marked.level() * a.level()
     beyond = hole & ~grown(line, 0)  # its edge fades in from the border
@@ -112,8 +102,7 @@ def test_a_feature_of_one_face_at_the_border_leaves_no_stain(person):
 
 
 def test_where_neither_was_seen_the_colour_is_continued(person):
-    hole = np.zeros(person(0).mask.shape, bool)
-    hole[38:48, 10:20] = True
+    hole = square(person(0), (38, 48), (10, 20))
     a, b = (with_hole(person(seed), hole) for seed in (0, 1))
     made = swap_texture(a, b)
     assert np.abs(np.diff(np.log(made.albedo_linear[40:46, 12:18].max(-1)), axis=1)).max() < 0.3

@@ -4,29 +4,20 @@ import csv
 
 import numpy as np
 import pytest
+import trimesh
 
-from scan2albedo.batch import execution, run, worker
+from scan2albedo.batch import execution, run, run_batch, worker
+from scan2albedo.pipeline.options import ProcessOptions
+
+TINY = ProcessOptions(model="none", size=32, pictures=False)
 
 
 @pytest.fixture(scope="session")
 def ball_text():
     """PLY of a coloured ball of 162 vertices, 180 mm wide."""
-    import trimesh
-
-    sphere = trimesh.creation.icosphere(2, 90.0)
-    color = np.clip(128 + sphere.vertices, 0, 255).astype(int)
-    head = [
-        "ply\nformat ascii 1.0",
-        f"element vertex {len(sphere.vertices)}",
-        *(f"property float {axis}" for axis in "xyz"),
-        *(f"property uchar {name}" for name in ("red", "green", "blue")),
-        f"element face {len(sphere.faces)}\nproperty list uchar int vertex_indices\nend_header",
-    ]
-    points = [
-        f"{x:.4f} {y:.4f} {z:.4f} {r} {g} {b}"
-        for (x, y, z), (r, g, b) in zip(sphere.vertices, color, strict=True)
-    ]
-    return "\n".join([*head, *points, *(f"3 {a} {b} {c}" for a, b, c in sphere.faces)]) + "\n"
+    mesh = trimesh.creation.icosphere(2, 90.0)
+    mesh.visual.vertex_colors = np.clip(128 + mesh.vertices, 0, 255).astype(np.uint8)
+    return mesh.export(file_type="ply", encoding="ascii").decode()
 
 
 @pytest.fixture
@@ -49,6 +40,16 @@ def scans_in(tmp_path, ball_text):
         return place / "manifest.csv"
 
     return written
+
+
+@pytest.fixture
+def batched(scans_in, tmp_path):
+    """Run a batch of balls, with columns of their manifest, into out."""
+
+    def ran(*names, columns=None, options=TINY, **more):
+        return run_batch(scans_in(*names, **(columns or {})), tmp_path / "out", options=options, **more)
+
+    return ran
 
 
 def stand_in(diary):

@@ -12,20 +12,19 @@ from tests.batch.test_catalogue import SHA, manifest, row
 
 @pytest.fixture
 def batch_of(tmp_path):
-    """Write a batch of albedos of one value each, whose left half was seen."""
+    """Write a batch of albedos of a value, size and model each, whose left half was seen."""
 
-    def written(values, sizes, models):
+    def written(**albedos):
         rows = {"failed": row("failed", "failed")}
-        for name, value in values.items():
-            size = sizes[name]
+        for name, (value, size, model) in albedos.items():
             (tmp_path / name).mkdir()
             write_exr(tmp_path / name / "albedo.exr", np.full((size, size, 3), value, np.float32))
             seen = np.zeros((size, size), bool)
             seen[:, : size // 2] = True
             np.savez(tmp_path / name / "geometry_image.npz", mask=np.ones_like(seen), texture_valid=seen)
-            rows[name] = row(name, model=models[name], files={"albedo.exr": SHA})
+            rows[name] = row(name, model=model, files={"albedo.exr": SHA})
         rows["colorless"] = row("colorless", model="m")
-        names = ("failed", *values, "colorless", "never")
+        names = ("failed", *albedos, "colorless", "never")
         write_catalogue(tmp_path / "catalogue.parquet", catalogue_table(manifest(tmp_path, *names), rows))
         return tmp_path
 
@@ -33,7 +32,7 @@ def batch_of(tmp_path):
 
 
 def test_albedos_of_scans_that_are_done(batch_of):
-    out = batch_of({"a": 0.25, "b": 0.5}, {"a": 16, "b": 16}, {"a": "m", "b": "m"})
+    out = batch_of(a=(0.25, 16, "m"), b=(0.5, 16, "m"))
     names, albedo_linear, masks = load_albedos(out)
     assert names == ["a", "b"]
     assert (albedo_linear.shape, albedo_linear.dtype) == ((2, 16, 16, 3), np.float32)
@@ -43,7 +42,7 @@ def test_albedos_of_scans_that_are_done(batch_of):
 
 
 def test_another_size_averages_what_was_seen(batch_of):
-    out = batch_of({"a": 0.25, "b": 0.5}, {"a": 16, "b": 48}, {"a": "m", "b": "m"})
+    out = batch_of(a=(0.25, 16, "m"), b=(0.5, 48, "m"))
     with pytest.raises(BatchError, match=r"b has \(48, 48\) texels, a \(16, 16\); give a size"):
         load_albedos(out)
     for size in (8, 16, 48):
@@ -54,7 +53,7 @@ def test_another_size_averages_what_was_seen(batch_of):
 
 
 def test_texels_that_were_filled_do_not_reach_into_the_average(batch_of):
-    out = batch_of({"a": 0.25}, {"a": 16}, {"a": "m"})
+    out = batch_of(a=(0.25, 16, "m"))
     image = np.full((16, 16, 3), 9.0, np.float32)
     image[:, :8] = 0.25
     write_exr(out / "a" / "albedo.exr", image)
@@ -64,18 +63,18 @@ def test_texels_that_were_filled_do_not_reach_into_the_average(batch_of):
 
 
 def test_several_models_are_refused(batch_of):
-    out = batch_of({"a": 0.25, "b": 0.5}, {"a": 8, "b": 8}, {"a": "m", "b": "none"})
+    out = batch_of(a=(0.25, 8, "m"), b=(0.5, 8, "none"))
     with pytest.raises(BatchError, match=r"several models \(m, none\)"):
         load_albedos(out)
 
 
 def test_a_missing_file_and_no_albedo_are_told(batch_of):
     with pytest.raises(BatchError, match="no scan of this batch has an albedo"):
-        load_albedos(batch_of({}, {}, {}))
+        load_albedos(batch_of())
 
 
 def test_a_geometry_image_that_is_gone_is_told(batch_of):
-    out = batch_of({"a": 0.25}, {"a": 8}, {"a": "m"})
+    out = batch_of(a=(0.25, 8, "m"))
     (out / "a" / "geometry_image.npz").unlink()
     with pytest.raises(BatchError, match=r"geometry_image.npz cannot be read .*--resume"):
         load_albedos(out)

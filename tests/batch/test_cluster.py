@@ -59,10 +59,10 @@ def test_a_worker_process_is_killed_in_the_middle(scans_in, tmp_path, quick_stag
 
 
 @pytest.mark.slow
-def test_a_scan_that_kills_every_worker_fails_alone(scans_in, tmp_path, quick_stages, cluster):
+def test_a_scan_that_kills_every_worker_fails_alone(batched, tmp_path, quick_stages, cluster):
     names = ("a", "kills-always", "b", "c")
     address = cluster.scheduler_address
-    report = run_batch(scans_in(*names), tmp_path / "out", options=TINY, scheduler=address)
+    report = batched(*names, scheduler=address)
     assert report.failures.keys() == {"kills-always"}
     assert "KilledWorker" in report.failures["kills-always"]
     assert {row["status"] for row in load_catalogue(tmp_path / "out").to_pylist()} == {"done", "failed"}
@@ -70,17 +70,17 @@ def test_a_scan_that_kills_every_worker_fails_alone(scans_in, tmp_path, quick_st
 
 
 @pytest.mark.slow
-def test_no_scheduler_is_one_clear_error(scans_in, tmp_path):
+def test_no_scheduler_is_one_clear_error(batched):
     dask = pytest.importorskip("dask")
     quick = dask.config.set({"distributed.comm.timeouts.connect": "1s"})
     with quick, pytest.raises(BatchError, match=r"no dask scheduler answers at tcp://127.0.0.1:9"):
-        run_batch(scans_in("a"), tmp_path / "out", options=TINY, scheduler="tcp://127.0.0.1:9")
+        batched("a", scheduler="tcp://127.0.0.1:9")
 
 
-def test_without_dask_the_command_that_installs_it_is_told(scans_in, tmp_path, monkeypatch):
+def test_without_dask_the_command_that_installs_it_is_told(batched, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(MissingDependencyError, match=r"pip install 'scan2albedo\[cluster\]'"):
-        run_batch(scans_in("a"), tmp_path / "out", options=TINY, scheduler="tcp://127.0.0.1:9")
+        batched("a", scheduler="tcp://127.0.0.1:9")
 
 
 class Answers(nullcontext):

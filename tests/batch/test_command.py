@@ -169,7 +169,7 @@ def test_ctrl_c_and_sigterm_leave_neither_workers_nor_half_files(
 
 @pytest.mark.slow
 def test_a_face_reaches_numpy(tmp_path):
-    from benchmarks.scan_files import write_obj
+    from worlds.files import write_obj
 
     from scan2albedo.synthetic import Scanner, raw_scan
 

@@ -4,11 +4,8 @@ import sys
 
 import pytest
 
-from scan2albedo.batch import execution, load_catalogue, run_batch
+from scan2albedo.batch import execution, load_catalogue
 from scan2albedo.errors import BatchError, MissingDependencyError
-from scan2albedo.pipeline.options import ProcessOptions
-
-TINY = ProcessOptions(model="none", size=32, pictures=False)
 
 
 def statuses(out):
@@ -16,9 +13,9 @@ def statuses(out):
 
 
 @pytest.mark.slow
-def test_a_worker_that_dies_costs_at_most_its_own_scan(scans_in, tmp_path, quick_stages):
+def test_a_worker_that_dies_costs_at_most_its_own_scan(batched, tmp_path, quick_stages):
     names = ("a", "kills", "kills-always", "waits", "b", "raises", "nofile")
-    report = run_batch(scans_in(*names), tmp_path / "out", options=TINY, jobs=2)
+    report = batched(*names, jobs=2)
     failed = dict.fromkeys(("kills-always", "raises", "nofile"), "failed")
     assert statuses(tmp_path / "out") == dict.fromkeys(("a", "kills", "waits", "b"), "done") | failed
     assert "died twice (SIGKILL(-9))" in report.failures["kills-always"]
@@ -28,21 +25,20 @@ def test_a_worker_that_dies_costs_at_most_its_own_scan(scans_in, tmp_path, quick
 
 
 @pytest.mark.slow
-def test_one_job_has_a_process_of_its_own_that_may_die(scans_in, tmp_path, quick_stages):
-    run_batch(scans_in("a", "kills-always", "b"), tmp_path / "out", options=TINY, jobs=1)
+def test_one_job_has_a_process_of_its_own_that_may_die(batched, tmp_path, quick_stages):
+    batched("a", "kills-always", "b", jobs=1)
     assert statuses(tmp_path / "out") == {"a": "done", "kills-always": "failed", "b": "done"}
 
 
 @pytest.mark.slow
-def test_a_scan_that_takes_too_long_is_given_up(scans_in, tmp_path, quick_stages):
-    manifest = scans_in("sleeps", "a", "b")
-    report = run_batch(manifest, tmp_path / "out", options=TINY, jobs=2, timeout_s=1.5)
+def test_a_scan_that_takes_too_long_is_given_up(batched, quick_stages):
+    report = batched("sleeps", "a", "b", jobs=2, timeout_s=1.5)
     assert report.failures == {"sleeps": "took longer than 1.5 s (--timeout)"}
     assert quick_stages("sleeps") == 1
 
 
 @pytest.mark.slow
-def test_processes_that_die_before_any_scan_end_the_batch(scans_in, tmp_path, monkeypatch):
+def test_processes_that_die_before_any_scan_end_the_batch(batched, tmp_path, monkeypatch):
     def die(task):
         import os
 
@@ -50,38 +46,38 @@ def test_processes_that_die_before_any_scan_end_the_batch(scans_in, tmp_path, mo
 
     monkeypatch.setattr("scan2albedo.batch.execution.worker.process_task", die)
     with pytest.raises(BatchError, match=r"die before they begin a scan \(EXIT\(3\)\)"):
-        run_batch(scans_in("a"), tmp_path / "out", options=TINY, jobs=1)
+        batched("a", jobs=1)
     assert statuses(tmp_path / "out") == {"a": "not run"}
 
 
-def test_what_no_posix_system_has_is_one_clear_error(scans_in, tmp_path, monkeypatch):
+def test_what_no_posix_system_has_is_one_clear_error(batched, tmp_path, monkeypatch):
     monkeypatch.setattr("scan2albedo.batch.run._POSIX", False)
     with pytest.raises(BatchError, match=r"need Linux or macOS; .* `scan2albedo process`"):
-        run_batch(scans_in("a"), tmp_path / "out", options=TINY)
+        batched("a")
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("library", ["loky", "psutil", "pyarrow"])
-def test_a_missing_library_is_named_with_its_extra_before_any_work(library, scans_in, tmp_path, monkeypatch):
+def test_a_missing_library_is_named_with_its_extra_before_any_work(batched, library, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(MissingDependencyError, match=rf"{library}.*pip install 'scan2albedo\[batch\]'"):
-        run_batch(scans_in("a"), tmp_path / "out", options=TINY)
+        batched("a")
     assert not (tmp_path / "out").exists()
 
 
-def test_a_task_that_raises_outside_of_the_stages_fails_alone(scans_in, tmp_path, monkeypatch):
+def test_a_task_that_raises_outside_of_the_stages_fails_alone(batched, monkeypatch):
     def process_task(task):
         if task.name == "bad":
             raise RecursionError("too\ndeep")
         return task.record("done")
 
     monkeypatch.setattr(execution.worker, "process_task", process_task)
-    report = run_batch(scans_in("a", "bad", "b"), tmp_path / "out", options=TINY, jobs=1)
+    report = batched("a", "bad", "b", jobs=1)
     assert report.failures == {"bad": "RecursionError: too"}
     assert report.progress.done == 2
 
 
-def test_what_a_worker_finished_just_before_an_interrupt_is_done(scans_in, tmp_path, monkeypatch):
+def test_what_a_worker_finished_just_before_an_interrupt_is_done(batched, tmp_path, monkeypatch):
     def interrupted(tasks, layout, jobs):
         layout.keep(tasks[0].record("done"))
         raise KeyboardInterrupt
@@ -89,5 +85,5 @@ def test_what_a_worker_finished_just_before_an_interrupt_is_done(scans_in, tmp_p
 
     monkeypatch.setattr("scan2albedo.batch.run.run_in_processes", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        run_batch(scans_in("a", "b"), tmp_path / "out", options=TINY, jobs=1)
+        batched("a", "b", jobs=1)
     assert statuses(tmp_path / "out") == {"a": "done", "b": "not run"}

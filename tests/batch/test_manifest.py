@@ -128,13 +128,18 @@ def test_an_option_that_is_none_is_named_with_its_line(tmp_path, column, cell, w
     assert words in str(caught.value)
 
 
-def test_what_is_no_manifest(tmp_path):
-    with pytest.raises(BatchError, match="cannot be read"):
-        read_manifest(tmp_path / "none.csv")
-    with pytest.raises(BatchError, match="is a scan"):
-        read_manifest(write(tmp_path / "a.ply", ""))
-    with pytest.raises(BatchError, match=r"lists no scan \(\.obj"):
-        read_manifest(write(tmp_path / "empty" / "x.png", "").parent)
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("none.csv", "cannot be read"),
+        ("a.ply", "is a scan"),
+        ("empty", r"lists no scan \(\.obj"),
+        ("latin.csv", "no UTF-8"),
+    ],
+)
+def test_what_is_no_manifest(tmp_path, name, message):
+    (tmp_path / "a.ply").touch()
+    (tmp_path / "empty").mkdir()
     (tmp_path / "latin.csv").write_bytes(b"scan\n\xe4.ply\n")
-    with pytest.raises(BatchError, match="no UTF-8"):
-        read_manifest(tmp_path / "latin.csv")
+    with pytest.raises(BatchError, match=message):
+        read_manifest(tmp_path / name)

@@ -4,20 +4,18 @@ import json
 import os
 
 import pytest
+from helpers.folders import contents
 
 from scan2albedo.batch import load_albedos, load_catalogue, run_batch
 from scan2albedo.batch.catalogue import write_catalogue
 from scan2albedo.batch.records import Layout
 from scan2albedo.errors import BatchError, OutputError
+from scan2albedo.io.leftovers import JOURNAL
 from scan2albedo.pipeline.options import ProcessOptions
 from scan2albedo.report import write_report
 
 TINY = ProcessOptions(model="none", size=32, unit="mm", pictures=False, quality="draft", lights=1)
 pytestmark = pytest.mark.usefixtures("stages_in_this_process")
-
-
-def contents(folder):
-    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
 def test_a_folder_of_somebody_else_fails_its_scan_alone(scans_in, tmp_path):
@@ -33,7 +31,19 @@ def test_a_folder_of_somebody_else_fails_its_scan_alone(scans_in, tmp_path):
     assert all("no run of scan2albedo wrote it" in report.failures[name] for name in ("a", "b", "nofile"))
     assert "is a link" in report.failures["linked"]
     assert {name: contents(out)[name] for name in before} == before
-    assert list((tmp_path / "mine").iterdir()) == []
+    assert contents(tmp_path / "mine") == {}
+
+
+def test_a_hostile_journal_fails_its_scan_alone(scans_in, tmp_path):
+    manifest, out = scans_in("a", "b"), tmp_path / "out"
+    run_batch(manifest, out, options=TINY)
+    journal = {"holder": ".x-000000-1-00000000.part", "made": [], "dropped": ["../b/albedo.exr"]}
+    (out / "a" / JOURNAL).write_text(json.dumps(journal))
+    before = contents(out / "a"), contents(out / "b")
+    report = run_batch(manifest, out, options=TINY, resume=True)
+    assert list(report.failures) == ["a"]
+    assert "is not ours" in report.failures["a"]
+    assert (contents(out / "a"), contents(out / "b")) == before
 
 
 def test_a_scan_that_fails_leaves_its_older_result(scans_in, tmp_path):

@@ -18,7 +18,7 @@ DRAFT = ProcessOptions(quality="draft", size=64, pictures=False)
 
 @pytest.mark.slow
 def test_a_worker_is_killed_in_the_middle_of_a_person(tmp_path):
-    from benchmarks.scan_files import write_obj
+    from worlds.files import write_obj
 
     psutil, distributed = pytest.importorskip("psutil"), pytest.importorskip("distributed")
     scanner = Scanner(size=64, picture_size=256, spacing_mm=4.0)

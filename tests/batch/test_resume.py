@@ -1,6 +1,7 @@
 """What a second run keeps, and what it does again."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
@@ -47,50 +48,46 @@ def test_only_what_changed_is_done_again(scans_in, tmp_path, no_workers):
 
 
 @pytest.mark.parametrize("change", [{"seed": 1}, {"size": 64}, {"pictures": True}, {"lights": 1}])
-def test_another_option_does_all_again(scans_in, tmp_path, no_workers, change):
-    manifest = scans_in("a")
+def test_another_option_does_all_again(batched, no_workers, change):
     for options in (TINY, ProcessOptions(**(TINY.arguments() | change))):
-        run_batch(manifest, tmp_path / "out", options=options, resume=True)
+        batched("a", options=options, resume=True)
     assert no_workers("a") == 2
 
 
-def test_an_option_of_one_line_does_that_line_again(scans_in, tmp_path, no_workers):
+def test_an_option_of_one_line_does_that_line_again(batched, no_workers):
     for seed in ("1", "2"):
-        run_batch(scans_in("a", "b", seed=["", seed]), tmp_path / "out", options=TINY, resume=True)
+        batched("a", "b", columns={"seed": ["", seed]}, resume=True)
     assert (no_workers("a"), no_workers("b")) == (1, 2)
 
 
-def test_another_content_of_the_models_file_does_all_again(scans_in, tmp_path, no_workers):
-    manifest, model = scans_in("a"), tmp_path / "model.obj"
+def test_another_content_of_the_models_file_does_all_again(batched, tmp_path, no_workers):
+    model = tmp_path / "model.obj"
     for text in ("v 0 0 0\n", "v 0 0 0\n", "v 0 0 1\n"):
         model.write_text(text)
-        options = ProcessOptions(model=str(model), size=32)
-        run_batch(manifest, tmp_path / "out", options=options, resume=True)
+        batched("a", options=ProcessOptions(model=str(model), size=32), resume=True)
     assert no_workers("a") == 2
 
 
-def test_other_landmarks_do_their_scan_again(scans_in, tmp_path, no_workers):
+def test_other_landmarks_do_their_scan_again(batched, tmp_path, no_workers):
     marks = tmp_path / "marks"
     marks.mkdir()
-    options = ProcessOptions(**(TINY.arguments() | {"landmarks": marks}))
     for text in ("30,1,2,3\n", "30,1,2,3\n", "30,1,2,4\n"):
         (marks / "a.csv").write_text(text)
-        run_batch(scans_in("a", "b"), tmp_path / "out", options=options, resume=True)
+        batched("a", "b", options=replace(TINY, landmarks=marks), resume=True)
     assert (no_workers("a"), no_workers("b")) == (2, 1)
-    one = ProcessOptions(**(TINY.arguments() | {"landmarks": marks / "a.csv"}))
-    with pytest.raises(ValueError, match="a folder with files named after the scans"):
-        run_batch(scans_in("a", "b"), tmp_path / "new", options=one)
-    with pytest.raises(ValueError, match="a folder with files named after the scans"):
-        run_batch(scans_in("a", "b", person=["ann"] * 2), tmp_path / "new", options=one)
+    one = replace(TINY, landmarks=marks / "a.csv")
+    for columns in ({}, {"person": ["ann"] * 2}):
+        with pytest.raises(ValueError, match="a folder with files named after the scans"):
+            batched("a", "b", columns=columns, options=one, resume=True)
 
 
-def test_another_scan_of_a_person_does_all_of_them_again(scans_in, tmp_path, no_workers):
-    options = ProcessOptions(size=32)
+def test_another_scan_of_a_person_does_all_of_them_again(batched, scans_in, tmp_path, no_workers):
+    options, ann = ProcessOptions(size=32), {"person": ["ann"] * 3}
     for count in (2, 2, 3):
-        manifest = scans_in(*"abcd"[:count], person=["ann"] * 3)
-        report = run_batch(manifest, tmp_path / "out", options=options, resume=True)
+        report = batched(*"abcd"[:count], columns=ann, options=options, resume=True)
         assert (report.progress.total, report.progress.done) == (1, 1)
     assert no_workers("ann") == 2
+    manifest = scans_in(*"abc", **ann)
     scan = manifest.parent / "c.ply"
     scan.write_text(scan.read_text().replace("comment c", "comment other"))
     run_batch(manifest, tmp_path / "out", options=options, resume=True)
@@ -101,10 +98,10 @@ def test_another_scan_of_a_person_does_all_of_them_again(scans_in, tmp_path, no_
         run_batch(manifest, tmp_path / "new", options=TINY)
 
 
-def test_a_batch_is_not_begun_over_another(scans_in, tmp_path, no_workers):
-    run_batch(scans_in("a"), tmp_path / "out", options=TINY)
+def test_a_batch_is_not_begun_over_another(batched, no_workers):
+    batched("a")
     with pytest.raises(BatchError, match="holds a batch already; give --resume"):
-        run_batch(scans_in("a"), tmp_path / "out", options=TINY)
+        batched("a")
     assert no_workers("a") == 1
 
 

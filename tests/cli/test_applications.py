@@ -6,12 +6,14 @@ import sys
 
 import numpy as np
 import pytest
+from helpers.cli import invoke
+from helpers.commands import printed, succeeded
+from helpers.records import files_in
+from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
-from typer.testing import CliRunner
 
 import scan2albedo as s2a
 from scan2albedo.applications import load_result, relight, write_face
-from scan2albedo.cli import app
 from scan2albedo.errors import OutputError
 from scan2albedo.io.images import read_exr_channels, write_exr
 from scan2albedo.synthetic import face, light_at
@@ -30,37 +32,33 @@ def folders(tmp_path_factory):
     return root
 
 
-def run(*arguments):
-    return CliRunner().invoke(app, [str(a) for a in arguments])
-
-
 def test_what_is_written_is_read_back(folders):
     made = load_result(folders / "a")
     scene = face(0, size=48, lights=[light_at(30)])
-    np.testing.assert_array_equal(made.albedo_linear, scene.albedo_linear)
-    np.testing.assert_array_equal(made.image.position, scene.image.position)
+    assert_array_equal(made.albedo_linear, scene.albedo_linear)
+    assert_array_equal(made.image.position, scene.image.position)
     assert made.model_name == "default"
-    files = {path.name for path in (folders / "a").iterdir()}
+    files = files_in(folders / "a")
     assert files == set(json.loads((folders / "a" / "application.json").read_text())["files"])
 
 
 def test_relight_writes_a_picture_with_json_on_stdout(folders, tmp_path):
     out = tmp_path / "relit.png"
-    done = run(
-        "relight",
-        folders / "a",
-        "--light",
-        "-40,20",
-        "--light",
-        "50,0,2,400",
-        "-o",
-        out,
-        "--size",
-        64,
-        "--json",
+    summary = printed(
+        invoke(
+            "relight",
+            folders / "a",
+            "--light",
+            "-40,20",
+            "--light",
+            "50,0,2,400",
+            "-o",
+            out,
+            "--size",
+            64,
+            "--json",
+        )
     )
-    assert done.exit_code == 0, done.output
-    summary = json.loads(done.stdout)
     assert summary["lights"] == 2
     assert "usual" in summary["notes"][0]
     assert np.asarray(Image.open(out)).shape == (64, 64, 3)
@@ -69,13 +67,13 @@ def test_relight_writes_a_picture_with_json_on_stdout(folders, tmp_path):
 def test_relight_in_linear_colour_is_what_the_library_does(folders, tmp_path):
     out = tmp_path / "relit.exr"
     lamp = ("--light", "30,20,2", "--lamp-radius", 8)
-    assert run("relight", folders / "b", *lamp, "--texture", "-o", out).exit_code == 0
+    succeeded(invoke("relight", folders / "b", *lamp, "--texture", "-o", out))
     channels = read_exr_channels(out)
     made = load_result(folders / "b")
     light = s2a.PointLight(np.radians(30), np.radians(20), intensity=2.0, radius_deg=8.0)
     expected = relight(made, [light]).texture_linear
-    np.testing.assert_allclose(channels["G"], expected[..., 1], atol=1e-6)
-    np.testing.assert_array_equal(channels["A"], made.mask)
+    assert_allclose(channels["G"], expected[..., 1], atol=1e-6)
+    assert_array_equal(channels["A"], made.mask)
 
 
 def test_an_environment_lights_from_its_side(folders, tmp_path):
@@ -83,20 +81,21 @@ def test_an_environment_lights_from_its_side(folders, tmp_path):
     sky[:, 10:13] = 1.0
     write_exr(tmp_path / "sky.exr", sky)
     out = tmp_path / "lit.exr"
-    done = run("relight", folders / "a", "--environment", tmp_path / "sky.exr", "--size", 32, "-o", out)
-    assert done.exit_code == 0, done.output
+    succeeded(
+        invoke("relight", folders / "a", "--environment", tmp_path / "sky.exr", "--size", 32, "-o", out)
+    )
     green = read_exr_channels(out)["G"]
     assert green[:, 16:].sum() > 2 * green[:, :16].sum()
 
 
 def test_relight_writes_glb_and_sweeps(folders, tmp_path):
-    assert run("relight", folders / "a", "--light", "0,0", "-o", tmp_path / "relit.glb").exit_code == 0
+    succeeded(invoke("relight", folders / "a", "--light", "0,0", "-o", tmp_path / "relit.glb"))
     assert (tmp_path / "relit.glb").read_bytes()[:4] == b"glTF"
     sweep = ("relight", folders / "a", "--sweep", 3, "--size", 32, "-o")
-    assert run(*sweep, tmp_path / "sweep.gif").exit_code == 0
+    succeeded(invoke(*sweep, tmp_path / "sweep.gif"))
     with Image.open(tmp_path / "sweep.gif") as gif:
         assert gif.n_frames == 4
-    assert run(*sweep, tmp_path / "frames").exit_code == 0
+    succeeded(invoke(*sweep, tmp_path / "frames"))
     assert len(list((tmp_path / "frames").glob("frame_*.png"))) == 3
 
 
@@ -110,26 +109,27 @@ def test_relight_writes_glb_and_sweeps(folders, tmp_path):
     ],
 )
 def test_new_faces_go_on_to_other_commands(folders, tmp_path, command, inputs, options):
-    done = run(command, *(folders / name for name in inputs), *options, "-o", tmp_path / "new", "--json")
-    assert done.exit_code == 0, done.output
-    summary = json.loads(done.stdout)
+    summary = printed(
+        invoke(command, *(folders / name for name in inputs), *options, "-o", tmp_path / "new", "--json")
+    )
     assert summary["inputs"] == list(inputs)
-    names = {path.name for path in (tmp_path / "new").iterdir()}
+    names = files_in(tmp_path / "new")
     assert {"application.json", "geometry_image.npz", "albedo.exr", "fitted.glb", "picture.png"} <= names
-    again = run("relight", tmp_path / "new", "--light", "20,20", "--size", 32, "-o", tmp_path / "new.png")
-    assert again.exit_code == 0, again.output
+    succeeded(
+        invoke("relight", tmp_path / "new", "--light", "20,20", "--size", 32, "-o", tmp_path / "new.png")
+    )
 
 
 def test_the_correspondence_used_is_told(folders, tmp_path):
     faces = [folders / name for name in ("a", "a_smiling", "b")]
-    done = run("transfer-expression", *faces, "-o", tmp_path / "new", "--json")
+    done = invoke("transfer-expression", *faces, "-o", tmp_path / "new", "--json")
     assert json.loads(done.stdout)["options"]["correspondence"] == "as-fitted"
     assert "two people" not in done.stderr
-    mixed = run("transfer-expression", *faces[::2], faces[0], "-o", tmp_path / "mixed")
+    mixed = invoke("transfer-expression", *faces[::2], faces[0], "-o", tmp_path / "mixed")
     assert "a and b seem to show two people" in mixed.stderr
-    refused = run("transfer-expression", *faces, "-o", tmp_path / "no", "--correspondence", "refined")
+    refused = invoke("transfer-expression", *faces, "-o", tmp_path / "no", "--correspondence", "refined")
     assert refused.exit_code != 0
-    wrong = run("transfer-expression", *faces, "-o", tmp_path / "no", "--correspondence", "guessed")
+    wrong = invoke("transfer-expression", *faces, "-o", tmp_path / "no", "--correspondence", "guessed")
     assert wrong.exit_code == 2
     assert not (tmp_path / "no").exists()
 
@@ -151,7 +151,7 @@ def test_the_correspondence_used_is_told(folders, tmp_path):
     ],
 )
 def test_wrong_options_are_usage_errors(folders, tmp_path, arguments, words):
-    done = run("relight", folders / "a", *arguments, "-o", tmp_path / "out.png")
+    done = invoke("relight", folders / "a", *arguments, "-o", tmp_path / "out.png")
     assert done.exit_code == 2
     assert words in " ".join(done.output.replace("│", " ").split())
     assert not (tmp_path / "out.png").exists()
@@ -159,7 +159,7 @@ def test_wrong_options_are_usage_errors(folders, tmp_path, arguments, words):
 
 @pytest.mark.parametrize("weight", ["-0.1", "1.5", "nan"])
 def test_weights_are_parts(folders, tmp_path, weight):
-    done = run("blend", folders / "a", folders / "b", "--weight", weight, "-o", tmp_path / "new")
+    done = invoke("blend", folders / "a", folders / "b", "--weight", weight, "-o", tmp_path / "new")
     assert done.exit_code == 2
     assert "--weight is" in done.output
 
@@ -170,7 +170,7 @@ def test_weights_are_parts(folders, tmp_path, weight):
 )
 def test_an_input_is_not_written_over(folders, command, inputs):
     before = (folders / "b" / "albedo.exr").read_bytes()
-    done = run(command, *(folders / name for name in inputs), "-o", folders / "a" / ".." / "b")
+    done = invoke(command, *(folders / name for name in inputs), "-o", folders / "a" / ".." / "b")
     assert done.exit_code == 2
     assert "one of the inputs" in " ".join(done.output.replace("│", " ").split())
     assert (folders / "b" / "albedo.exr").read_bytes() == before
@@ -178,8 +178,8 @@ def test_an_input_is_not_written_over(folders, command, inputs):
 
 def test_relight_leaves_the_result_as_it_is(folders):
     before = (folders / "a" / "albedo.exr").read_bytes()
-    shown = run("relight", folders / "a", "--light", "0,0", "-o", folders / "a" / "albedo.exr")
-    swept = run("relight", folders / "a", "--sweep", 2, "-o", folders / "a")
+    shown = invoke("relight", folders / "a", "--light", "0,0", "-o", folders / "a" / "albedo.exr")
+    swept = invoke("relight", folders / "a", "--sweep", 2, "-o", folders / "a")
     assert (shown.exit_code, swept.exit_code) == (2, 2)
     assert "processed scan itself" in " ".join(shown.output.replace("│", " ").split())
     assert (folders / "a" / "albedo.exr").read_bytes() == before
@@ -187,8 +187,8 @@ def test_relight_leaves_the_result_as_it_is(folders):
 
 
 def test_wrong_extensions_are_usage_errors(folders, tmp_path):
-    assert run("relight", folders / "a", "--light", "0,0", "-o", tmp_path / "out.bmp").exit_code == 2
-    assert run("relight", folders / "a", "--light", "0,0", "-o", tmp_path / "out").exit_code == 2
+    assert invoke("relight", folders / "a", "--light", "0,0", "-o", tmp_path / "out.bmp").exit_code == 2
+    assert invoke("relight", folders / "a", "--light", "0,0", "-o", tmp_path / "out").exit_code == 2
 
 
 def test_bad_input_is_one_line_and_exit_2(folders, tmp_path):
@@ -215,10 +215,10 @@ def test_personal_models_are_refused_where_they_cannot_be_made(folders, tmp_path
         (("-o", tmp_path / "model.json", "--model", tmp_path / "model.json"), "the model itself"),
         (("-o", tmp_path / "model.json", "--model", "none"), "no shape"),
     ):
-        done = run("personal-model", folders / "a", *arguments)
+        done = invoke("personal-model", folders / "a", *arguments)
         assert done.exit_code == 2
         assert words in " ".join(done.output.replace("│", " ").split())
-    done = run("personal-model", folders / "a", "-o", tmp_path / "model.json")
+    done = invoke("personal-model", folders / "a", "-o", tmp_path / "model.json")
     assert "processed with the model 'default', not" in str(done.exception)
     assert not list(tmp_path.iterdir())
 

@@ -4,9 +4,12 @@ import json
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from helpers.cli import invoke
+from helpers.commands import succeeded
+from helpers.meshes import grid
+from numpy.testing import assert_allclose
 
-from scan2albedo.cli import applications, commands
+from scan2albedo.cli import applications
 from scan2albedo.io.images import encode_image, read_image_linear
 from scan2albedo.io.load_scan import read_mesh_file
 from scan2albedo.io.textured_mesh import MeshPicture, TexturedMesh, write_textured_obj
@@ -16,12 +19,10 @@ SIZE_MM = 100.0
 
 def sheet(cells):
     """A sheet with coordinates as they lie, on a grid of so many cells a side."""
-    x, y = (axis.ravel() for axis in np.meshgrid(*[np.linspace(0, SIZE_MM, cells + 1)] * 2))
-    corner = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).ravel()
-    right, above = corner + 1, corner + cells + 1
-    faces = np.concatenate([np.stack([corner, right, above], 1), np.stack([right, above + 1, above], 1)])
-    vertices = np.stack([x, y, 0.001 * x**2], axis=1)
-    return vertices, faces, vertices[faces][..., :2] / SIZE_MM
+    flat, faces = grid(cells + 1, cells + 1)
+    vertices = SIZE_MM * flat
+    vertices[:, 2] = 0.001 * vertices[:, 0] ** 2
+    return vertices, faces, flat[faces][..., :2]
 
 
 @pytest.fixture
@@ -42,20 +43,19 @@ def meshes(tmp_path):
 
 def run(monkeypatch, *arguments):
     monkeypatch.setattr(applications, "stop_cleanly_on_interrupt", lambda out: None)
-    return CliRunner().invoke(commands.app, ["bake", *map(str, arguments)])
+    return invoke("bake", *arguments)
 
 
 def test_colours_are_laid_on_the_other_coordinates(meshes, monkeypatch):
     paths = meshes / "fine.obj", meshes / "coarse.obj"
-    done = run(monkeypatch, *paths, "-o", meshes / "baked.obj", "--size", "32", "--json")
-    assert done.exit_code == 0, done.output
+    done = succeeded(run(monkeypatch, *paths, "-o", meshes / "baked.obj", "--size", "32", "--json"))
     assert json.loads(done.stdout)["seen"] > 0.95
     picture = read_image_linear(meshes / "baked.png")[..., :3]
-    np.testing.assert_allclose(picture[16, 2:30, 0], np.linspace(0.9, 0.1, 32)[2:30], atol=0.03)
-    np.testing.assert_allclose(picture[2:30, 16, 2], 0.4, atol=0.02)
+    assert_allclose(picture[16, 2:30, 0], np.linspace(0.9, 0.1, 32)[2:30], atol=0.03)
+    assert_allclose(picture[2:30, 16, 2], 0.4, atol=0.02)
     baked, given = (read_mesh_file(meshes / f"{name}.obj") for name in ("baked", "coarse"))
-    np.testing.assert_allclose(baked.vertices, given.vertices, atol=1e-5)
-    np.testing.assert_allclose(baked.uv, given.uv, atol=1e-6)
+    assert_allclose(baked.vertices, given.vertices, atol=1e-5)
+    assert_allclose(baked.uv, given.uv, atol=1e-6)
     assert (meshes / "baked.glb").is_file()
     assert (meshes / "baked_normal.png").is_file()
 
@@ -72,9 +72,6 @@ def test_nothing_given_is_overwritten(meshes, monkeypatch, out):
 def test_a_mesh_without_colours_is_named(meshes):
     from scan2albedo.errors import ApplicationError
 
-    done = CliRunner().invoke(
-        commands.app,
-        ["bake", str(meshes / "coarse.obj"), str(meshes / "fine.obj"), "-o", str(meshes / "x.obj")],
-    )
+    done = invoke("bake", meshes / "coarse.obj", meshes / "fine.obj", "-o", meshes / "x.obj")
     assert isinstance(done.exception, ApplicationError)
     assert "coarse: the mesh has no colours to bake" in str(done.exception)

@@ -12,18 +12,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
-from typer.testing import CliRunner
+from helpers.cli import invoke
+from helpers.commands import succeeded
+from helpers.meshes import write_ball
+from helpers.square import write_square_obj
 
 from scan2albedo.cli import commands as cli
 from scan2albedo.cli import doctor
-from scan2albedo.cli.commands import app
 from scan2albedo.cli.common import echo_json
 from scan2albedo.core import Plan, PlanStep, RawScan
+from scan2albedo.core.version import VERSION
 from scan2albedo.pipeline import sequence, validation
 from scan2albedo.pipeline.sequence import SequenceResult
 from scan2albedo.sampling import geometry_image_of_scan
-from helpers.square import write_square_obj
 
 COMMAND = [sys.executable, "-m", "scan2albedo"]
 
@@ -38,19 +39,14 @@ def run(*arguments, **options):
     )
 
 
-def invoke(*arguments):
-    """Run the command in this process: starting Python takes longer than most errors."""
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+def test_the_version_is_printed():
+    assert succeeded(invoke("--version")).stdout == f"scan2albedo {VERSION}\n"
 
 
 @pytest.fixture(scope="module")
 def ball(tmp_path_factory):
     """A coloured sphere: an object, no face."""
-    sphere = trimesh.creation.icosphere(3, 90.0)
-    sphere.visual.vertex_colors = np.clip(128 + sphere.vertices, 0, 255).astype(np.uint8)
-    path = tmp_path_factory.mktemp("scans") / "ball.ply"
-    sphere.export(path)
-    return path
+    return write_ball(tmp_path_factory.mktemp("scans") / "ball.ply", 3)
 
 
 def test_an_object_is_processed_and_summarised_as_json(ball, tmp_path):
@@ -112,14 +108,13 @@ def test_every_table_of_the_paper_is_printed_and_summarised_as_json(monkeypatch)
         validation, "lighting_row", lambda seed, size: validation.LightingRow(seed, 12.0, 2.0)
     )
     monkeypatch.setattr(cli.common, "stop_cleanly_on_interrupt", lambda out: None)
-    done = CliRunner().invoke(app, ["validate", "--size", "16", "--json"])
-    assert done.exit_code == 0, done.output
+    done = succeeded(invoke("validate", "--size", 16, "--json"))
     tables = json.loads(done.stdout)
     assert [len(tables[name]["rows"]) for name in ("hemisphere", "face", "lighting")] == [12, 12, 2]
     assert tables["hemisphere"]["worst_mse_percent"] == 0.03
     assert tables["lighting"]["albedo_std_percent"] == 2.0
     assert done.stderr.count("wood") == 24
-    assert "the paper" in CliRunner().invoke(app, ["validate", "lighting", "--size", "16"]).stdout
+    assert "the paper" in invoke("validate", "lighting", "--size", 16).stdout
 
 
 @pytest.mark.parametrize(
@@ -156,7 +151,7 @@ def test_a_usage_error_shows_no_traceback(tmp_path):
 
 
 def test_two_scans_of_one_name_are_refused_before_one_overwrites_the_other(tmp_path):
-    answer = CliRunner().invoke(app, ["process", "a/face.obj", "b/face.ply", "-o", str(tmp_path)])
+    answer = invoke("process", "a/face.obj", "b/face.ply", "-o", tmp_path)
     assert answer.exit_code == 2
     assert "would both be written" in answer.stderr
     assert list(tmp_path.iterdir()) == []

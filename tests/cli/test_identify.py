@@ -7,15 +7,15 @@ import sys
 
 import numpy as np
 import pytest
+from helpers.cli import invoke
+from helpers.commands import succeeded
+from helpers.records import files_in, read_json
 from jsonschema import Draft202012Validator
 from PIL import Image
-from typer.testing import CliRunner
 
-from scan2albedo.cli import app
 from scan2albedo.errors import OutputError
 from scan2albedo.io.images import write_exr
-from scan2albedo.recognition import TemplateOptions, identify_results
-from scan2albedo.runs.recognition import FILES, IdentificationRecord, write_identification
+from scan2albedo.runs.recognition import FILES, IdentificationRecord
 from scan2albedo.synthetic import face
 
 
@@ -40,13 +40,11 @@ def folder(tmp_path_factory):
 
 
 def run(folder, *arguments, gallery="gallery.csv", size=("--size", 64)):
-    given = ["identify", "--gallery", folder / gallery, *size, *arguments]
-    return CliRunner().invoke(app, [str(argument) for argument in given])
+    return invoke("identify", "--gallery", folder / gallery, *size, *arguments)
 
 
 def test_a_table_on_stdout_and_the_rate_on_stderr(folder):
-    done = run(folder, "--probes", folder / "probes.csv")
-    assert done.exit_code == 0, done.output
+    done = succeeded(run(folder, "--probes", folder / "probes.csv"))
     head, *rows = [line.split() for line in done.stdout.splitlines()]
     assert head[:5] == ["probe", "person", "predicted", "log", "odds"]
     assert "decided by albedo (3)" in done.stderr
@@ -59,11 +57,10 @@ def test_a_table_on_stdout_and_the_rate_on_stderr(folder):
 
 
 def test_files_and_json_tell_the_same(folder, tmp_path):
-    done = run(folder, "--probes", folder / "probes.csv", "-o", tmp_path / "out", "--json")
-    assert done.exit_code == 0, done.output
+    done = succeeded(run(folder, "--probes", folder / "probes.csv", "-o", tmp_path / "out", "--json"))
     out = tmp_path / "out"
-    assert {path.name for path in out.iterdir()} == {*FILES.names, FILES.record}
-    record = json.loads((out / "identification.json").read_text())
+    assert files_in(out) == {*FILES.names, FILES.record}
+    record = read_json(out / "identification.json")
     assert json.loads(done.stdout) == record
     Draft202012Validator(IdentificationRecord.model_json_schema(mode="serialization")).validate(record)
     assert record["rates"]["rank_1_rate"] == 1
@@ -84,24 +81,22 @@ def test_files_and_json_tell_the_same(folder, tmp_path):
 
 
 def test_without_named_probes_there_is_no_rate_and_no_curve_of_an_older_run(folder, tmp_path):
-    assert run(folder, "--probes", folder / "probes.csv", "-o", tmp_path).exit_code == 0
-    done = run(folder, "--probes", folder / "unnamed.csv", "-o", tmp_path)
-    assert done.exit_code == 0, done.output
+    succeeded(run(folder, "--probes", folder / "probes.csv", "-o", tmp_path))
+    done = succeeded(run(folder, "--probes", folder / "unnamed.csv", "-o", tmp_path))
     assert "rank 1" not in done.stderr
-    assert {path.name for path in tmp_path.iterdir()} == {
+    assert files_in(tmp_path) == {
         "identification.csv",
         "similarities.npz",
         FILES.record,
     }
-    assert json.loads((tmp_path / "identification.json").read_text())["rates"] is None
+    assert read_json(tmp_path / "identification.json")["rates"] is None
 
 
 def test_names_that_a_spreadsheet_would_run_are_quoted(folder, tmp_path):
     persons = ["=1+1", "+bob", "@cy"]
     rows = [f"{person},{name}.exr" for person, name in zip(persons, ("ann", "bob", "cy"), strict=True)]
     (folder / "signs.csv").write_text("\n".join(["person,result", *rows, "-ann,ann-2.exr"]))
-    done = run(folder, "--probes", folder / "unnamed.csv", "-o", tmp_path, gallery="signs.csv")
-    assert done.exit_code == 0, done.output
+    succeeded(run(folder, "--probes", folder / "unnamed.csv", "-o", tmp_path, gallery="signs.csv"))
     (row,) = csv.DictReader((tmp_path / "identification.csv").read_text(encoding="utf-8").splitlines())
     assert row["predicted"] in ("'=1+1", "'-ann")
     assert row["next_person"] in ("'=1+1", "'-ann", "'+bob", "'@cy")
@@ -110,45 +105,22 @@ def test_names_that_a_spreadsheet_would_run_are_quoted(folder, tmp_path):
 
 
 def test_a_gallery_of_one_person_has_no_impostor(folder, tmp_path):
-    done = run(folder, "--probes", folder / "one.csv", "-o", tmp_path, gallery="one.csv")
-    assert done.exit_code == 0, done.output
+    done = succeeded(run(folder, "--probes", folder / "one.csv", "-o", tmp_path, gallery="one.csv"))
     assert "1 of 1 probes are in the gallery themselves" in done.stderr
-    record = json.loads((tmp_path / "identification.json").read_text())
+    record = read_json(tmp_path / "identification.json")
     assert record["rates"]["equal_error_rate"] is None
     assert record["results"][0]["next_person"] is None
     assert not (tmp_path / "roc.png").exists()
 
 
 def test_a_gallery_is_kept_and_used_again(folder, tmp_path):
-    kept = run(folder, "--save-templates", tmp_path / "gallery.npz", "--json")
-    assert kept.exit_code == 0, kept.output
+    kept = succeeded(run(folder, "--save-templates", tmp_path / "gallery.npz", "--json"))
     assert json.loads(kept.stdout)["persons"] == ["ann", "bob", "cy"]
     plain = run(folder, "--probes", folder / "probes.csv")
-    again = run(folder, "--probes", folder / "probes.csv", gallery=tmp_path / "gallery.npz", size=())
-    assert again.exit_code == 0, again.output
+    again = succeeded(
+        run(folder, "--probes", folder / "probes.csv", gallery=tmp_path / "gallery.npz", size=())
+    )
     assert again.stdout == plain.stdout
-
-
-def test_a_file_of_the_users_is_refused_before_the_work(folder, tmp_path):
-    (tmp_path / "cmc.png").write_text("mine")
-    done = run(folder, "--probes", folder / "probes.csv", "-o", tmp_path)
-    assert isinstance(done.exception, OutputError)
-    assert "holds cmc.png, which no run of scan2albedo identify wrote" in str(done.exception)
-    assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"]
-
-
-def test_a_write_that_fails_leaves_the_old_files(folder, tmp_path, monkeypatch):
-    found = identify_results(folder / "gallery.csv", folder / "probes.csv", options=TemplateOptions(size=64))
-    write_identification(found, tmp_path)
-    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-
-    def fail(*arguments, **options):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(np.lib.format, "write_array", fail)
-    with pytest.raises(OutputError, match="No space left"):
-        write_identification(found, tmp_path)
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 @pytest.mark.parametrize(

@@ -4,19 +4,14 @@ import json
 import re
 
 import pytest
-import trimesh
-from typer.testing import CliRunner
+from helpers.cli import invoke
+from helpers.meshes import sphere
 
 from scan2albedo.cli import progress
-from scan2albedo.cli.commands import app
 from scan2albedo.core import TraceRow
 from scan2albedo.errors import Scan2AlbedoError
 
 EVIL = "\x1b]0;owned\x07\x1b[2J\n\r\x9b31m"
-
-
-def invoke(*arguments):
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
 def raw(text):
@@ -27,9 +22,9 @@ def raw(text):
 @pytest.fixture
 def scan(tmp_path):
     """A ball with a name, a material and a texture that are not harmless."""
-    sphere = trimesh.creation.icosphere(2, 90.0)
-    lines = [f"mtllib {'a.mtl'}", *(f"v {x} {y} {z}" for x, y, z in sphere.vertices), "vt 0 0"]
-    lines += ["usemtl skin\x1b[31m", *(f"f {a + 1}/1 {b + 1}/1 {c + 1}/1" for a, b, c in sphere.faces)]
+    vertices, faces = sphere(2)
+    lines = [f"mtllib {'a.mtl'}", *(f"v {x} {y} {z}" for x, y, z in vertices), "vt 0 0"]
+    lines += ["usemtl skin\x1b[31m", *(f"f {a + 1}/1 {b + 1}/1 {c + 1}/1" for a, b, c in faces)]
     path = tmp_path / f"ball{EVIL}.obj"
     path.write_text("\n".join(lines))
     (tmp_path / "a.mtl").write_text("newmtl skin\x1b[31m\nmap_Kd lost\x1b[2J.png\n")

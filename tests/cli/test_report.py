@@ -1,22 +1,16 @@
 """The command `report`."""
 
-import json
 from importlib.resources import files
 
-from typer.testing import CliRunner
-
-from scan2albedo.cli.commands import app
+from helpers.cli import invoke
+from helpers.commands import printed
 
 
 def test_report_writes_the_page_and_tells_of_it(tmp_path):
     scan = tmp_path / "out" / "cut"
     scan.mkdir(parents=True)
     (scan / "result.json").write_text("{")
-    told = CliRunner().invoke(
-        app, ["report", str(tmp_path / "out"), "-o", str(tmp_path / "p.html"), "--json"]
-    )
-    assert told.exit_code == 0, told.output
-    summary = json.loads(told.stdout)
+    summary = printed(invoke("report", tmp_path / "out", "-o", tmp_path / "p.html", "--json"))
     assert summary == {
         "status": "done",
         "out": str(tmp_path / "p.html"),
@@ -29,9 +23,9 @@ def test_report_writes_the_page_and_tells_of_it(tmp_path):
 
 
 def test_report_refuses_other_names_and_folders_without_results(tmp_path):
-    wrong = CliRunner().invoke(app, ["report", str(tmp_path), "-o", "page.pdf"])
+    wrong = invoke("report", tmp_path, "-o", "page.pdf")
     assert wrong.exit_code == 2
-    nothing = CliRunner().invoke(app, ["report", str(tmp_path)])
+    nothing = invoke("report", tmp_path)
     assert "holds no result.json" in str(nothing.exception)
 
 

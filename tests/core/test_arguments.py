@@ -4,10 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.square import quarters, write_square_obj
 
 import scan2albedo as s2a
 from scan2albedo.core import GeometryImage, RawScan
 from scan2albedo.errors import GeometryImageError
+from scan2albedo.io.images import write_exr
 
 FLAT = np.zeros((8, 8, 3))
 UPWARD = np.broadcast_to([0.0, 0, 1], (8, 8, 3))
@@ -15,6 +17,12 @@ SCAN = RawScan(np.eye(3) * 100, [[0, 1, 2]])
 MODEL = s2a.AnnotatedFaceModel.default()
 WRONG = (None, "face.obj", Path("face.obj"), 3, np.eye(4), s2a)
 SHOWN = ("None", "the text 'face.obj'", "the path 'face.obj'", "an object of int")
+
+
+@pytest.fixture(scope="module")
+def face():
+    image = GeometryImage(FLAT, UPWARD, np.ones((8, 8), bool))
+    return s2a.applications.ProcessedFace.of("flat", image, np.ones((8, 8, 3), np.float32))
 
 
 @pytest.mark.parametrize("wrong", WRONG)
@@ -43,11 +51,17 @@ def test_messages_say_what_was_given(wrong, shown):
 
 
 @pytest.mark.parametrize("wrong", [None, 3, np.eye(4), MODEL, ["a.obj"]])
-def test_process_and_load_scan_take_paths(wrong):
-    with pytest.raises(TypeError, match=r"process: source is .*, expected str or .*Path.* or RawScan"):
-        s2a.process(wrong)
-    with pytest.raises(TypeError, match=r"load_scan: path is .*give the path of a scan's file"):
-        s2a.load_scan(wrong)
+@pytest.mark.parametrize(
+    ("call", "expected"),
+    [
+        (s2a.process, r"process: source is .*, expected str or .*Path.* or RawScan"),
+        (s2a.load_scan, r"load_scan: path is .*give the path of a scan's file"),
+        (s2a.applications.load_result, r"load_result: source is .*, expected str or Path"),
+    ],
+)
+def test_sources_are_paths_or_what_they_hold(call, expected, wrong):
+    with pytest.raises(TypeError, match=expected):
+        call(wrong)
 
 
 def test_a_pose_is_a_registration_or_an_array():
@@ -56,43 +70,45 @@ def test_a_pose_is_a_registration_or_an_array():
 
 
 @pytest.mark.parametrize("wrong", [{}, 3, "draft"])
-def test_options_are_those_of_the_function(wrong):
-    face = s2a.applications.ProcessedFace.of(
-        "flat", GeometryImage(FLAT, UPWARD, np.ones((8, 8), bool)), np.ones((8, 8, 3), np.float32)
-    )
-    for call, expected in (
-        (lambda: s2a.register(SCAN, MODEL, options=wrong), "register: options is .*, expected Registration"),
-        (lambda: s2a.fit(SCAN, MODEL, np.eye(4), options=wrong), "fit: options is .*, expected FitOptions"),
-        (lambda: s2a.applications.relight(face, options=wrong), "relight: options is .*, expected Relight"),
-        (lambda: s2a.applications.swap_texture(face, face, options=wrong), "swap_texture: options is .*"),
-    ):
-        with pytest.raises(TypeError, match=expected):
-            call()
+@pytest.mark.parametrize(
+    ("call", "expected"),
+    [
+        (lambda face, x: s2a.register(SCAN, MODEL, options=x), "register: options is .*, expected Registrat"),
+        (
+            lambda face, x: s2a.fit(SCAN, MODEL, np.eye(4), options=x),
+            "fit: options is .*, expected FitOptions",
+        ),
+        (
+            lambda face, x: s2a.applications.relight(face, options=x),
+            "relight: options is .*, expected Relight",
+        ),
+        (lambda face, x: s2a.applications.swap_texture(face, face, options=x), "swap_texture: options is .*"),
+    ],
+)
+def test_options_are_those_of_the_function(face, call, expected, wrong):
+    with pytest.raises(TypeError, match=expected):
+        call(face, wrong)
 
 
-@pytest.mark.parametrize("wrong", [None, 3, MODEL])
-def test_results_are_folders_or_results(wrong):
-    with pytest.raises(TypeError, match=r"load_result: source is .*, expected str or Path"):
-        s2a.applications.load_result(wrong)
-
-
-def test_lights_are_a_list_of_lights():
-    face = s2a.applications.ProcessedFace.of(
-        "flat", GeometryImage(FLAT, UPWARD, np.ones((8, 8), bool)), np.ones((8, 8, 3), np.float32)
-    )
-    light = s2a.PointLight(0.0, 0.0)
-    with pytest.raises(TypeError, match="relight: lights is an object of PointLight, expected Sequence"):
-        s2a.applications.relight(face, light)
-    with pytest.raises(TypeError, match="relight: one of lights is an object of tuple, expected PointLight"):
-        s2a.applications.relight(face, [(0, 0)])
-    with pytest.raises(TypeError, match=r"relight: environment is an array .*, expected EnvironmentLight or"):
-        s2a.applications.relight(face, environment=np.ones((4, 8, 3)))
-    with pytest.raises(
-        TypeError, match=r"environment_linear is the text .x\.hdr., expected an array of linear"
-    ):
-        s2a.applications.relight(face, environment_linear="x.hdr")
-    with pytest.raises(TypeError, match="environment_linear holds uint8, expected floats of linear light"):
-        s2a.applications.relight(face, environment_linear=np.full((4, 8, 3), 200, np.uint8))
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({"lights": s2a.PointLight(0.0, 0.0)}, "lights is an object of PointLight, expected Sequence"),
+        ({"lights": [(0, 0)]}, "relight: one of lights is an object of tuple, expected PointLight"),
+        ({"environment": np.ones((4, 8, 3))}, "environment is an array .*, expected EnvironmentLight or"),
+        (
+            {"environment_linear": "x.hdr"},
+            "environment_linear is the text .x.hdr., expected an array of linear",
+        ),
+        (
+            {"environment_linear": np.full((4, 8, 3), 200, np.uint8)},
+            "environment_linear holds uint8, expected floats of linear light",
+        ),
+    ],
+)
+def test_lights_are_a_list_of_lights(face, given, expected):
+    with pytest.raises(TypeError, match=expected):
+        s2a.applications.relight(face, **given)
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.int64, bool])
@@ -118,10 +134,7 @@ def test_values_up_to_255_are_told_and_highlights_are_not():
 
 
 def test_a_file_of_values_up_to_255_has_a_note(tmp_path):
-    from scan2albedo.io.images import write_exr
-    from helpers.square import quarters, write_square_obj
-
-    path = write_square_obj(tmp_path, texture="face.png")
+    path = write_square_obj(tmp_path)
     (tmp_path / "face.png").unlink()
     write_exr(tmp_path / "face.exr", 10 + quarters().astype(np.float32))
     assert any("display white: are these sRGB values" in note for note in s2a.load_scan(path).notes)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from scan2albedo.core.landmarks import PLACED_SIGMA_MM, PlacedLandmarks
 from scan2albedo.core.raw_scan import RawScan
@@ -21,16 +22,16 @@ def test_a_mapping_and_an_array_are_the_same():
     points = some(30, (1, 2, 3))
     points[8] = 4, 5, 6
     of_array = PlacedLandmarks.of(points, mm_per_unit=10)
-    np.testing.assert_array_equal(of_mapping.points, of_array.points)
-    np.testing.assert_array_equal(of_mapping.points[30], (10, 20, 30))
+    assert_array_equal(of_mapping.points, of_array.points)
+    assert_array_equal(of_mapping.points[30], (10, 20, 30))
     assert np.flatnonzero(of_mapping.placed).tolist() == [8, 30]
     assert (of_mapping.sigma_mm == PLACED_SIGMA_MM).all()
 
 
 def test_they_grow_with_their_scan():
     scan = RawScan(*TRIANGLE, landmarks={30: (1, 2, 3)}).scaled(10.0)
-    np.testing.assert_array_equal(scan.landmarks.points[30], (10, 20, 30))
-    np.testing.assert_array_equal(scan.vertices[1], (1000, 0, 0))
+    assert_array_equal(scan.landmarks.points[30], (10, 20, 30))
+    assert_array_equal(scan.vertices[1], (1000, 0, 0))
     assert scan.mm_per_unit == 10.0
 
 

@@ -1,9 +1,5 @@
 """Plan rows: order, selection, addition."""
 
-import dataclasses
-
-import pytest
-
 from scan2albedo.core import Plan, PlanStep
 
 SHADOWS = PlanStep("albedo.shadows", False, "the surface casts none", "0.0 %")
@@ -26,11 +22,6 @@ def test_stage_selects_itself_and_what_lies_below_but_no_namesake():
     assert not plan.ran("albedo.shadows")
     assert plan.ran("albedo")
     assert not plan.ran("register")
-
-
-def test_rows_cannot_be_changed():
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        LIGHTS.ran = False
 
 
 def test_level_follows_from_ran_unless_it_is_a_doubt_or_a_fault():

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from scan2albedo.geometry.mesh import grid_faces
+
 
 @dataclass(frozen=True)
 class Glasses:
@@ -32,21 +34,12 @@ def build_tube(path, radius=2.0, sides=12, step=2.0):
         + radius * np.cos(angle)[:, None] * across[:, None]
         + radius * np.sin(angle)[:, None] * up[:, None]
     )
-    count = len(center)
-    i, j = np.meshgrid(np.arange(count - 1), np.arange(sides), indexing="ij")
-    a, b = i * sides + j, i * sides + (j + 1) % sides
-    sheet = np.concatenate(
-        [
-            np.stack([a, b, a + sides], -1).reshape(-1, 3),
-            np.stack([b, b + sides, a + sides], -1).reshape(-1, 3),
-        ]
-    )
-    ends = count * sides + np.arange(2)
-    k = np.arange(sides)
-    first = np.stack([np.full(sides, ends[0]), (k + 1) % sides, k], 1)
-    last = (count - 1) * sides + np.stack([k, (k + 1) % sides], 1)
-    caps = np.concatenate([first, np.column_stack([np.full(sides, ends[1]), last])])
-    return np.concatenate([rings.reshape(-1, 3), center[[0, -1]]]), np.concatenate([sheet, caps])
+    sheet = grid_faces(len(center), sides, wrap=True)
+    number, k = len(center) * sides, np.arange(sides)
+    first = np.column_stack([np.full(sides, number), k, np.roll(k, -1)])
+    k += number - sides
+    last = np.column_stack([np.full(sides, number + 1), np.roll(k, -1), k])
+    return np.concatenate([rings.reshape(-1, 3), center[[0, -1]]]), np.concatenate([sheet, first, last])
 
 
 def glasses_path():

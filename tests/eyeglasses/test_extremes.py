@@ -54,19 +54,19 @@ def test_key_points_near_the_mesh_hold_it(glasses, plain):
 def test_coordinates_that_are_not_finite_are_named(glasses, bad):
     vertices, handles = glasses.vertices.copy(), glasses.handles.copy()
     vertices[17, 1] = bad
-    with pytest.raises(EyeglassesError, match=r"vertices\[17\] is not finite"):
+    with pytest.raises(EyeglassesError, match=r"vertices: 1 values .* first at \[17, 1\]"):
         weights_of(vertices, glasses.faces, glasses.handles)
     handles[3, 0] = bad
-    with pytest.raises(EyeglassesError, match=r"handles\[3\] is not finite"):
+    with pytest.raises(EyeglassesError, match=r"handles: 1 values .* first at \[3, 0\]"):
         weights_of(glasses.vertices, glasses.faces, handles)
 
 
 def test_misuse_is_a_value_error(glasses):
-    with pytest.raises(ValueError, match=r"handles must have shape \(N, 3\)"):
+    with pytest.raises(ValueError, match=r"handles is \(3,\), expected \(N, 3\)"):
         bounded_biharmonic_weights(glasses.vertices, glasses.faces, [1.0, 2.0, 3.0])
     with pytest.raises(ValueError, match="its faces refer to vertices"):
         bounded_biharmonic_weights(glasses.vertices, glasses.faces + 1, glasses.handles)
-    with pytest.raises(ValueError, match="faces must hold integers"):
+    with pytest.raises(ValueError, match=r"faces is float64 .* expected int"):
         bounded_biharmonic_weights(glasses.vertices, glasses.faces.astype(float), glasses.handles)
     for spacing in (0.0, -1.0, np.nan, "fine"):
         with pytest.raises(ValueError, match="spacing must be"):

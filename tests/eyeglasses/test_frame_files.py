@@ -1,10 +1,8 @@
 """Files of registered frames and of starts; what a view's picture holds without its mask."""
 
-from pathlib import Path
-
-import jsonschema
 import numpy as np
 import pytest
+from helpers.schemas import check_schema
 
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import (
@@ -20,7 +18,6 @@ from scan2albedo.geometry.pinhole import look_at, project
 from scan2albedo.geometry.rigid import compose, random_rotation
 from scan2albedo.synthetic import eyeglasses
 
-SCHEMAS = Path(__file__).resolve().parents[2] / "data_schemas"
 SHAPE = (300, 300)
 
 
@@ -92,10 +89,7 @@ def test_starts_come_back_in_mm(tmp_path):
         found = read_start(tmp_path / "start.json")
         np.testing.assert_array_equal(found[:3, :3], pose[:3, :3])
         np.testing.assert_allclose(found[:3, 3], mm * pose[:3, 3], rtol=1e-15)
-    import json
-
-    rules = json.loads((SCHEMAS / "eyeglasses_start.schema.json").read_text())
-    jsonschema.validate(json.loads((tmp_path / "start.json").read_text()), rules)
+    check_schema(tmp_path / "start.json", "eyeglasses_start")
 
 
 @pytest.mark.parametrize("pose", [2 * np.eye(4), np.diag([1, 1, -1, 1]), np.full((4, 4), np.nan), np.eye(3)])

@@ -1,12 +1,11 @@
 """Key points proposed from a frame's shape: their errors, what they say of themselves, and the command."""
 
 import json
-from pathlib import Path
 
-import jsonschema
 import numpy as np
 import pytest
 import trimesh
+from helpers.schemas import check_schema
 from typer.testing import CliRunner
 
 from scan2albedo.cli.commands import app
@@ -17,7 +16,6 @@ from scan2albedo.io import load_scan
 from scan2albedo.synthetic import GlassesBend, eyeglasses
 from scan2albedo.synthetic.sitter import join
 
-SCHEMA = Path(__file__).resolve().parents[2] / "data_schemas" / "eyeglasses_keypoints.schema.json"
 MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
 BEHIND = [k for k, name in enumerate(KEY_POINT_NAMES) if "temple" in name or "ear" in name]
 RIM_BRIDGE = KEY_POINT_NAMES.index("left_rim_bridge")
@@ -166,8 +164,7 @@ def test_the_command_writes_a_file_and_a_picture_and_keeps_placed_points(folder,
     arguments = ["glasses", "key-points", str(path), "-o", str(out), "--keypoints", str(placed)]
     answer = CliRunner().invoke(app, arguments)
     assert answer.exit_code == 0, answer.output
-    content = json.loads(out.read_text(encoding="utf-8"))
-    jsonschema.validate(content, json.loads(SCHEMA.read_text(encoding="utf-8")))
+    content = check_schema(out, "eyeglasses_keypoints")
     assert content["unit"] == "mm"
     assert sorted(content["deviations_mm"]) == sorted(set(KEY_POINT_NAMES) - {"left_rim_bridge"})
     np.testing.assert_allclose(read_keypoints(out)[RIM_BRIDGE], 25.4 * points[RIM_BRIDGE], atol=1e-3)

@@ -43,11 +43,11 @@ def test_vertices_are_means_of_where_the_handles_would_take_them(points, shares)
 
 def test_shapes_that_do_not_fit_are_named(points, shares):
     maps = np.stack([np.eye(4)] * 3)
-    with pytest.raises(ValueError, match=r"vertices must have shape \(V, 3\), got \(3,\)"):
+    with pytest.raises(ValueError, match=r"vertices is \(3,\), expected \(V, 3\)"):
         skin(points[0], shares, maps)
-    with pytest.raises(ValueError, match=r"transforms must have shape .* got \(3, 3, 3\)"):
+    with pytest.raises(ValueError, match=r"transforms is \(3, 3, 3\), expected \(K, R, 4\)"):
         skin(points, shares, maps[:, :3, :3])
-    with pytest.raises(ValueError, match=r"weights must have shape \(20, 2\)"):
+    with pytest.raises(ValueError, match=r"weights is .* expected \(20, 2\)"):
         skin(points, shares, maps[:2])
 
 
@@ -59,15 +59,6 @@ def carried(transforms, points):
 def test_key_points_meet_their_targets(make):
     target = eyeglasses(3, bend=GlassesBend(20, 5, 5)).keypoints
     np.testing.assert_allclose(carried(make(POINTS, target), POINTS), target, atol=1e-11)
-
-
-def test_rotations_are_proper():
-    target = POINTS + np.random.default_rng(0).normal(0, 5, (20, 3))
-    rotations = turned_translations(POINTS, target)[:, :3, :3]
-    np.testing.assert_allclose(
-        rotations @ rotations.transpose(0, 2, 1), np.tile(np.eye(3), (20, 1, 1)), atol=1e-12
-    )
-    np.testing.assert_allclose(np.linalg.det(rotations), 1)
 
 
 def test_a_turn_of_one_side_turns_its_key_points():

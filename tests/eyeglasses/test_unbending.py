@@ -150,9 +150,3 @@ def test_a_front_without_temples_comes_out_upright(mode, count):
         assert np.rad2deg(rotation_angle_rad(turn)) < 5
         height = frame.keypoints[[0, 2, 11]] - frame.keypoints[[1, 5, 14]]
         assert (height[:, 1] > 0).all()
-
-
-def test_shifts_alone_do_not_unbend():
-    glasses = eyeglasses(0)
-    with pytest.raises(ValueError, match='mode="mean"'):
-        canonicalize([glasses], [glasses.keypoints], options=CanonicalizationOptions(handles="translated"))

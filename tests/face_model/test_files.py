@@ -50,6 +50,15 @@ def test_round_trip_keeps_a_dense_template(tmp_path: Path):
     np.testing.assert_array_equal(again.template_uv, model.template_uv)
 
 
+def test_a_dense_template_of_points_alone_is_read_again(tmp_path: Path):
+    points = SurfacePoints(np.array([0, 5, 9]), np.full((3, 3), 1 / 3))
+    model = dataclasses.replace(
+        AnnotatedFaceModel.default(), template_points=points, template_faces=np.zeros((0, 3), int)
+    )
+    model.save(tmp_path / "t.json")
+    assert AnnotatedSurface.load(tmp_path / "t.json").template_faces.shape == (0, 3)
+
+
 def test_same_model_gives_the_same_bytes(saved: Path, tmp_path: Path):
     first = saved.read_bytes(), saved.with_suffix(".npz").read_bytes()
     AnnotatedSurface.load(saved).save(saved)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from bench_person_shape import METHODS, Truth, fits_of
-from benchmarks.landmark_cases import LightStage
+from bench.person import PEERS, Truth, fits_of
+from worlds.light_stage import LightStage
 
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core import Trace
@@ -161,7 +161,7 @@ def test_measured_people_in_thirteen_expressions(shared_data) -> None:
     errors = []
     for name in ("person3", "person4"):
         truth, fits = Truth(people, name, model), list(fits_of(people, name, model, 5))
-        found = [truth.of(METHODS[method](fits)) for method in ("mean", "common_shape")]
+        found = [truth.of(control) for control in (PEERS["mean"](fits), common_shape(fits).control_points)]
         errors.append([distance[counted].mean() for distance, counted, _ in found])
     mean, common = np.mean(errors, axis=0)
     assert common < min(0.8, 0.75 * mean)

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.glasses_on_head import worn_glasses
-from benchmarks.raw_like import raw_like
+from worlds.glasses_on_head import worn_glasses
+from worlds.raw_like import raw_like
 
 from scan2albedo import fit
 from scan2albedo.core import Budget, Meter

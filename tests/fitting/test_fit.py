@@ -3,7 +3,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from benchmarks.raw_like import raw_like
+from worlds.raw_like import raw_like
 
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core import Budget

@@ -5,7 +5,7 @@ from importlib import import_module
 
 import numpy as np
 import pytest
-from benchmarks.raw_like import raw_like
+from worlds.raw_like import raw_like
 
 from scan2albedo.core import Budget, Meter
 from scan2albedo.core.raw_scan import RawScan

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.raw_like import raw_like
+from worlds.raw_like import raw_like
 
 from scan2albedo import fit
 from scan2albedo.fitting.landmark_pull import EYES, INNER_LIPS, openings

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from face_model_generator.chart_distortion import chart_distortion
+from helpers.chart_distortion import chart_distortion
 
 from scan2albedo.errors import ModelError
 from scan2albedo.geometry.loop_subdivision import refine

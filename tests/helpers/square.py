@@ -1,10 +1,10 @@
 """Small scans with known colours at every corner; the writers share no code with the readers."""
 
-import json
-import struct
 from pathlib import Path
 
 import numpy as np
+
+from helpers.gltf import Gltf
 
 SQUARE_MM = np.array([[0.0, 0, 0], [100, 0, 0], [100, 120, 0], [0, 120, 0]])
 """Counter-clockwise from the lower left; 156 mm diagonal, the size of a face."""
@@ -48,10 +48,10 @@ def color_near_corner(scan, position_mm):
     return sample(scan, (0.9 * scan.uv[face, corner] + 0.1 * center)[None])[0]
 
 
-def assert_corner_colors(scan, scale=1.0, atol=2e-6):
+def assert_corner_colors(scan, places=SQUARE_MM, factor=1.0, atol=2e-6):
     """The four corners of the square show their own colours: no axis is flipped, colour is linear."""
-    for position, color in zip(SQUARE_MM * scale, CORNER_LINEAR, strict=True):
-        np.testing.assert_allclose(color_near_corner(scan, position), color, atol=atol)
+    found = [color_near_corner(scan, place) for place in places]
+    np.testing.assert_allclose(found, CORNER_LINEAR * factor, atol=atol)
 
 
 def write_image(path: Path, image):
@@ -62,75 +62,39 @@ def write_image(path: Path, image):
 
 
 def write_square_obj(
-    folder: Path, *, name="face", scale=1.0, texture="face.png", image=None, header=""
+    folder: Path, *, name="face", scale=1.0, texture="face.png", image=None, mtl=None, change=("", "")
 ) -> Path:
-    """OBJ, MTL and texture of the square."""
+    """OBJ, MTL and texture of the square; `mtl` is the library's text or bytes, `change` a replacement."""
     path = folder / f"{name}.obj"
-    lines = [header, f"mtllib {name}.mtl"]
+    lines = ["# by hand", f"mtllib {name}.mtl"]
     lines += [f"v {x} {y} {z}" for x, y, z in SQUARE_MM * scale]
     lines += [f"vt {u} {v}" for u, v in SQUARE_UV]
     lines += ["usemtl skin"] + ["f " + " ".join(f"{i + 1}/{i + 1}" for i in face) for face in SQUARE_FACES]
-    path.write_text("\n".join(lines) + "\n")
-    (folder / f"{name}.mtl").write_text(f"newmtl skin\nKd 0.5 0.5 0.5\nmap_Kd {texture}\n")
+    path.write_text(("\n".join(lines) + "\n").replace(*change, 1))
+    if mtl is None:
+        mtl = f"newmtl skin\nKd 0.5 0.5 0.5\nmap_Kd {texture}\n"
+    (folder / f"{name}.mtl").write_bytes(mtl if isinstance(mtl, bytes) else mtl.encode())
     write_image(folder / texture, quarters() if image is None else image)
     return path
 
 
-def glb_bytes(tree: dict, binary: bytes) -> bytes:
-    """A binary glTF container."""
-    text = json.dumps(tree).encode()
-    text += b" " * (-len(text) % 4)
-    binary += b"\0" * (-len(binary) % 4)
-    body = (
-        struct.pack("<II", len(text), 0x4E4F534A)
-        + text
-        + struct.pack("<II", len(binary), 0x004E4942)
-        + binary
-    )
-    return struct.pack("<III", 0x46546C67, 2, 12 + len(body)) + body
-
-
-def square_gltf(png: bytes | None, *, colors=None, nodes=None, scale=1.0, factor=None) -> tuple[dict, bytes]:
-    """glTF tree and buffer of the square, written by hand: v counts from the top, as the standard says."""
-    blocks = [
-        SQUARE_FACES.astype("<u2").tobytes(),
-        (SQUARE_MM * scale).astype("<f4").tobytes(),
-        np.column_stack([SQUARE_UV[:, 0], 1 - SQUARE_UV[:, 1]]).astype("<f4").tobytes(),
-    ]
-    accessors = [
-        {"bufferView": 0, "componentType": 5123, "count": 6, "type": "SCALAR"},
-        {"bufferView": 1, "componentType": 5126, "count": 4, "type": "VEC3"},
-        {"bufferView": 2, "componentType": 5126, "count": 4, "type": "VEC2"},
-    ]
-    attributes = {"POSITION": 1, "TEXCOORD_0": 2}
+def square_gltf(png: bytes | None = None, *, colors=None, scale=1.0) -> Gltf:
+    """The square as glTF, written by hand: v counts from the top, as the standard says."""
+    made = Gltf({"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}]})
+    attributes, tree = {}, made.tree
+    indices = made.add(SQUARE_FACES.astype("<u2").ravel())
+    attributes["POSITION"] = made.add((SQUARE_MM * scale).astype("<f4"))
+    attributes["TEXCOORD_0"] = made.add((SQUARE_UV * (1, -1) + (0, 1)).astype("<f4"))
     if colors is not None:
-        blocks.append(colors.astype("<f4").tobytes())
-        accessors.append({"bufferView": 3, "componentType": 5126, "count": 4, "type": "VEC3"})
-        attributes["COLOR_0"] = 3
-    material: dict = {"name": "skin", "pbrMetallicRoughness": {}}
-    tree = {
-        "asset": {"version": "2.0"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": nodes or [{"mesh": 0}],
-        "meshes": [{"primitives": [{"attributes": attributes, "indices": 0, "material": 0}]}],
-        "materials": [material],
-        "accessors": accessors,
-    }
-    if factor is not None:
-        material["pbrMetallicRoughness"]["baseColorFactor"] = factor
+        attributes["COLOR_0"] = made.add(colors.astype("<f4"))
+    surface: dict = {}
+    tree["meshes"] = [{"primitives": [{"attributes": attributes, "indices": indices, "material": 0}]}]
+    tree["materials"] = [{"name": "skin", "pbrMetallicRoughness": surface}]
     if png is not None:
-        blocks.append(png)
-        tree["images"] = [{"bufferView": len(blocks) - 1, "mimeType": "image/png"}]
+        tree["images"] = [{"bufferView": made.view(png), "mimeType": "image/png"}]
         tree["textures"] = [{"source": 0}]
-        material["pbrMetallicRoughness"]["baseColorTexture"] = {"index": 0}
-    views, binary = [], b""
-    for block in blocks:
-        views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(block)})
-        binary += block + b"\0" * (-len(block) % 4)
-    tree["bufferViews"] = views
-    tree["buffers"] = [{"byteLength": len(binary)}]
-    return tree, binary
+        surface["baseColorTexture"] = {"index": 0}
+    return made
 
 
 def png_bytes(image) -> bytes:

@@ -2,6 +2,7 @@
 
 from functools import cache
 
+from scan2albedo.eyeglasses import bounded_biharmonic_weights
 from scan2albedo.synthetic import wearer
 
 
@@ -13,3 +14,11 @@ def small_wearer(seed, size=256, noise_px=0.0):
     """
     focal_px = 900 * size / 512
     return wearer(seed, picture_size=size, focal_px=focal_px, label_noise_px=noise_px, mask_noise_px=noise_px)
+
+
+@cache
+def rest_frame(seed):
+    """Return vertices, faces, key points and weights of a wearer's frame before it was bent."""
+    glasses = small_wearer(seed).glasses
+    mesh = glasses.rest_vertices, glasses.faces
+    return *mesh, glasses.rest_keypoints, bounded_biharmonic_weights(*mesh, glasses.rest_keypoints)

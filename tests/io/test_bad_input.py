@@ -5,7 +5,8 @@ import re
 import numpy as np
 import pytest
 import trimesh
-from helpers.square import glb_bytes, png_bytes, quarters, square_gltf
+from helpers.meshes import obj_text
+from helpers.square import png_bytes, quarters, square_gltf, write_square_obj
 
 from scan2albedo.core import RawScan
 from scan2albedo.errors import ScanError
@@ -15,19 +16,31 @@ from scan2albedo.io.load_scan import SUPPORTED_SCANS
 SPHERE = trimesh.creation.icosphere(subdivisions=1, radius=80.0)
 
 
-@pytest.mark.parametrize("extension", SUPPORTED_SCANS)
-def test_missing_files(tmp_path, extension):
-    with pytest.raises(
-        ScanError, match=rf"nothing\{extension}: cannot be read: No such file.*check the path"
-    ):
-        load_scan(tmp_path / f"nothing{extension}")
+def missing(path):
+    return "cannot be read: No such file.*check the path"
+
+
+def empty(path):
+    path.touch()
+    return r"the file is empty \(0 bytes\)"
+
+
+def folder(path):
+    path.mkdir()
+    return "is a folder; name the scan file in it, or run `scan2albedo batch"
+
+
+def garbage(path):
+    path.write_bytes(np.random.default_rng(0).bytes(4000))
+    return ""
 
 
 @pytest.mark.parametrize("extension", SUPPORTED_SCANS)
-def test_empty_files(tmp_path, extension):
-    (tmp_path / f"a{extension}").write_bytes(b"")
-    with pytest.raises(ScanError, match=rf"a\{extension}: the file is empty \(0 bytes\)"):
-        load_scan(tmp_path / f"a{extension}")
+@pytest.mark.parametrize("made", [missing, empty, folder, garbage])
+def test_what_is_no_file_of_its_kind_is_named(tmp_path, made, extension):
+    path = tmp_path / f"a{extension}"
+    with pytest.raises(ScanError, match=rf"a\{extension}: {made(path)}"):
+        load_scan(path)
 
 
 @pytest.mark.parametrize("name", ["a.obj", "a.ply", "a.glb", "a.stl", "a.off", "a.zip", "a"])
@@ -48,20 +61,9 @@ def test_what_is_no_scan_is_named_by_its_beginning(tmp_path, name, data, message
 
 
 def test_a_texture_that_is_a_pointer_is_named(tmp_path):
-    (tmp_path / "a.obj").write_text("mtllib a.mtl\nv 0 0 0\nv 90 0 0\nv 0 90 0\nvt 0 0\nf 1/1 2/1 3/1\n")
-    (tmp_path / "a.mtl").write_text("newmtl skin\nmap_Kd a.jpg\n")
-    (tmp_path / "a.jpg").write_bytes(b"version https://git-lfs.github.com/spec/v1\n")
-    assert any("a.jpg: is a Git LFS pointer" in note for note in load_scan(tmp_path / "a.obj").notes)
-
-
-@pytest.mark.parametrize("extension", ["", *SUPPORTED_SCANS])
-def test_folders(tmp_path, extension):
-    (tmp_path / f"folder{extension}").mkdir()
-    with pytest.raises(
-        ScanError,
-        match=rf"folder{extension}: is a folder; name the scan file in it, or run `scan2albedo batch",
-    ):
-        load_scan(tmp_path / f"folder{extension}")
+    path = write_square_obj(tmp_path)
+    (tmp_path / "face.png").write_bytes(b"version https://git-lfs.github.com/spec/v1\n")
+    assert any("face.png: is a Git LFS pointer" in note for note in load_scan(path).notes)
 
 
 @pytest.mark.parametrize("name", ["a.fbx", "a", "a.obj.txt"])
@@ -73,27 +75,15 @@ def test_unsupported_kinds_list_the_supported_ones(tmp_path, name):
         load_scan(tmp_path / name)
 
 
-@pytest.mark.parametrize("extension", SUPPORTED_SCANS)
-@pytest.mark.parametrize("seed", range(6))
-def test_binary_garbage(tmp_path, extension, seed):
-    path = tmp_path / f"a{extension}"
-    path.write_bytes(np.random.default_rng(seed).bytes(4000))
-    with pytest.raises(ScanError, match=rf"a\{extension}: "):
-        load_scan(path)
-
-
 def whole_files():
-    tree, binary = square_gltf(png_bytes(quarters()))
-    obj = "".join(f"v {x} {y} {z}\n" for x, y, z in SPHERE.vertices)
-    obj += "".join(f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in SPHERE.faces)
     return {
-        "a.obj": obj.encode(),
+        "a.obj": obj_text(SPHERE.vertices, SPHERE.faces).encode(),
         "a.ply": SPHERE.export(file_type="ply"),
         "b.ply": SPHERE.export(file_type="ply", encoding="ascii"),
         "a.stl": SPHERE.export(file_type="stl"),
         "b.stl": SPHERE.export(file_type="stl_ascii").encode(),
         "a.off": SPHERE.export(file_type="off").encode(),
-        "a.glb": glb_bytes(tree, binary),
+        "a.glb": square_gltf(png_bytes(quarters())).data(),
     }
 
 
@@ -127,7 +117,7 @@ def test_damaged_bytes_give_a_scan_or_a_clear_error(tmp_path, name):
 def test_a_point_cloud(tmp_path, name):
     data = trimesh.PointCloud(SPHERE.vertices)
     text = {
-        "a.obj": "".join(f"v {x} {y} {z}\n" for x, y, z in SPHERE.vertices).encode(),
+        "a.obj": obj_text(SPHERE.vertices).encode(),
         "a.ply": data.export(file_type="ply"),
         "b.ply": data.export(file_type="ply", encoding="ascii"),
         "a.off": b"OFF\n2 0 0\n0 0 0\n1 1 1\n",
@@ -156,13 +146,17 @@ def test_names_with_spaces_and_letters_of_other_scripts(tmp_path):
     assert load_scan(path, name="subject 1").name == "subject 1"
 
 
-def test_raw_scans_from_memory_are_checked():
-    with pytest.raises(ScanError, match=r"me: a face refers to vertex -1, but there are 3"):
-        RawScan(np.eye(3), [[0, 1, -1]], name="me")
-    with pytest.raises(ScanError, match=r"me: vertices has shape \(3, 2\), expected \(any, 3\)"):
-        RawScan(np.eye(3)[:, :2], [[0, 1, 2]], name="me")
-    with pytest.raises(ScanError, match=r"me: no faces \(3 vertices\)"):
-        RawScan(np.eye(3), np.zeros((0, 3)), name="me")
+@pytest.mark.parametrize(
+    ("vertices", "faces", "message"),
+    [
+        (np.eye(3), [[0, 1, -1]], "a face refers to vertex -1, but there are 3"),
+        (np.eye(3)[:, :2], [[0, 1, 2]], r"vertices has shape \(3, 2\), expected \(any, 3\)"),
+        (np.eye(3), np.zeros((0, 3)), r"no faces \(3 vertices\)"),
+    ],
+)
+def test_raw_scans_from_memory_are_checked(vertices, faces, message):
+    with pytest.raises(ScanError, match=f"me: {message}"):
+        RawScan(vertices, faces, name="me")
 
 
 @pytest.mark.parametrize("name", ["", ".", "..", "a/b", "..\\up"])

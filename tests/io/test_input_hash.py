@@ -1,13 +1,14 @@
 import json
 import shutil
+import sys
 
 import numpy as np
 import pytest
-from helpers.square import glb_bytes, quarters, square_gltf, write_image, write_square_obj
+from helpers.square import png_bytes, quarters, square_gltf, write_image, write_square_obj
 
 from scan2albedo.core import RawScan
 from scan2albedo.errors import ScanError
-from scan2albedo.io.load_scan import files_of_scan, input_sha256
+from scan2albedo.io.load_scan import files_of_scan, input_sha256, load_scan
 
 
 def test_the_hash_follows_the_content_of_all_files_not_their_names(tmp_path):
@@ -26,17 +27,97 @@ def test_the_hash_follows_the_content_of_all_files_not_their_names(tmp_path):
     assert [p.name for p in files_of_scan(path)] == ["face.obj", "face.JPG"]
 
 
-def test_textures_of_ply_and_gltf_count(tmp_path):
-    write_image(tmp_path / "a b.png", quarters())
-    (tmp_path / "a.ply").write_bytes(b"ply\nformat ascii 1.0\ncomment TextureFile a b.png\nend_header\n")
-    assert [p.name for p in files_of_scan(tmp_path / "a.ply")] == ["a.ply", "a b.png"]
-    tree = {"images": [{"uri": "a%20b.png"}, {"uri": "data:,x"}], "buffers": [{"uri": "lost.bin"}]}
-    (tmp_path / "a.gltf").write_text(json.dumps(tree))
-    assert [p.name for p in files_of_scan(tmp_path / "a.gltf")] == ["a.gltf", "a b.png"]
-    (tmp_path / "b.gltf").write_text("no json")
-    (tmp_path / "a.glb").write_bytes(glb_bytes(*square_gltf(None)))
-    for name in ("b.gltf", "a.glb"):
-        assert len(files_of_scan(tmp_path / name)) == 1
+@pytest.mark.parametrize("name", ["no json.gltf", "no json.glb", "alone.glb"])
+def test_a_file_that_names_no_others_stands_alone(tmp_path, name):
+    (tmp_path / name).write_bytes(square_gltf().data() if name == "alone.glb" else b"no json")
+    assert files_of_scan(tmp_path / name) == (tmp_path / name,)
+
+
+def glb_with_files(folder):
+    file = square_gltf()
+    file.tree |= {"images": [{"uri": "a%20skin.png"}], "textures": [{"source": 0}]}
+    file.material["pbrMetallicRoughness"]["baseColorTexture"] = {"index": 0}
+    write_image(folder / "a skin.png", quarters())
+    file.tree["buffers"].append({"uri": "lost.bin", "byteLength": 8})
+    return file.write(folder / "face.glb")
+
+
+def gltf_with_files(folder):
+    file = square_gltf(png_bytes(quarters()))
+    file.tree["buffers"][0]["uri"] = "data.bin"
+    (folder / "data.bin").write_bytes(file.binary)
+    (folder / "face.gltf").write_text(json.dumps(file.tree))
+    return folder / "face.gltf"
+
+
+def ply_with_texture(folder):
+    (folder / "face.ply").write_bytes(
+        b"ply\nformat ascii 1.0\ncomment TextureFile face.png\nelement vertex 4\nproperty float x\n"
+        b"property float y\nproperty float z\nproperty float s\nproperty float t\nelement face 1\n"
+        b"property list uchar int vertex_indices\nend_header\n0 0 0 0 0\n100 0 0 1 0\n100 120 0 1 1\n"
+        b"0 120 0 0 1\n4 0 1 2 3\n"
+    )
+    write_image(folder / "face.png", quarters())
+    return folder / "face.ply"
+
+
+def obj_of_several_libraries(folder):
+    """Its libraries are named in a line that goes on; one of them names a picture that is missing."""
+    path = write_square_obj(folder, change=("mtllib face.mtl", "mtllib other.mtl \\\n  face.mtl"))
+    (folder / "other.mtl").write_text("newmtl lips\nmap_Kd lips.png\n")
+    return path
+
+
+def obj_whose_own_texture_is_missing(folder):
+    """Of two materials the unused one has its picture; the used one takes that of the scan's name."""
+    library = "newmtl skin\nmap_Kd lost.png\nnewmtl lips\nmap_Kd lips.png\n"
+    path = write_square_obj(folder, mtl=library)
+    write_image(folder / "lips.png", quarters())
+    return path
+
+
+def outcome(path):
+    """Return what is read of a scan, as text; or the error."""
+    try:
+        scan = load_scan(path, "mm")
+    except ScanError as error:
+        return str(error)
+    texture = None if scan.texture_linear is None else scan.texture_linear.tobytes()
+    return repr((scan.vertices.tolist(), scan.uv, texture, scan.notes))
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        write_square_obj,
+        obj_of_several_libraries,
+        obj_whose_own_texture_is_missing,
+        ply_with_texture,
+        gltf_with_files,
+        glb_with_files,
+    ],
+)
+def test_no_file_that_changes_what_is_read_is_left_out_of_the_hash(tmp_path, made):
+    path = made(tmp_path)
+    before, read, counted = input_sha256(path), outcome(path), set()
+    for file in sorted(tmp_path.iterdir()):
+        content = file.read_bytes()
+        file.write_bytes(b"")
+        if outcome(path) != read:
+            assert input_sha256(path) != before, file.name
+            counted.add(file)
+        file.write_bytes(content)
+    assert len(counted) > 1
+    assert counted <= set(files_of_scan(path))
+
+
+def test_a_file_that_is_not_hashed_is_not_read(tmp_path, monkeypatch):
+    module = sys.modules["scan2albedo.io.load_scan"]
+    monkeypatch.setattr(module, "files_of_scan", lambda path, textures: (path,))
+    with pytest.raises(ScanError, match=r"refers to a missing file"):
+        load_scan(gltf_with_files(tmp_path))
+    for made in (write_square_obj, ply_with_texture, glb_with_files):
+        assert load_scan(made(tmp_path), "mm").texture_linear is None
 
 
 def test_scans_in_memory_are_hashed_by_value():

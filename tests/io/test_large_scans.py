@@ -2,6 +2,7 @@ import resource
 
 import numpy as np
 import pytest
+from helpers.meshes import grid
 
 from scan2albedo.io import load_scan
 
@@ -9,14 +10,11 @@ SIDE = 1000
 
 
 def relief():
-    """Vertices, faces and colours of a head-sized relief of a million vertices."""
-    u, v = np.meshgrid(np.linspace(0, 1, SIDE), np.linspace(0, 1, SIDE))
+    """Vertices and faces of a head-sized relief of a million vertices."""
+    places, faces = grid(SIDE, SIDE)
+    u, v, _ = places.T
     depth = 40 * np.cos(3 * u - 1.5) * np.cos(2 * v - 1)
-    vertices = np.stack([u * 180, v * 220, depth], axis=-1).reshape(-1, 3).astype(np.float32)
-    index = np.arange(SIDE * SIDE).reshape(SIDE, SIDE)
-    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
-    faces = np.concatenate([np.stack(t, axis=-1).reshape(-1, 3) for t in ((a, b, d), (a, d, c))])
-    return vertices, faces
+    return np.stack([u * 180, v * 220, depth], axis=-1).astype(np.float32), faces
 
 
 def write_ply(path, vertices, faces):

@@ -8,13 +8,15 @@ import time
 import pytest
 
 from scan2albedo.io import leftovers
-from scan2albedo.io.atomic import atomic_path, result_folder
+from scan2albedo.io.atomic import atomic_path
 from scan2albedo.io.leftovers import hidden_path, is_hidden_path, remove_leftovers, remove_unfinished
+from scan2albedo.io.publication import result_folder
 
 KILLED_WHILE_WRITING = """
 import os, signal, sys
 from pathlib import Path
-from scan2albedo.io.atomic import atomic_path, result_folder
+from scan2albedo.io.atomic import atomic_path
+from scan2albedo.io.publication import result_folder
 out = Path(sys.argv[1])
 with result_folder(out / "scan", staged_in=out) as folder, atomic_path(out / "a.json") as file:
     (folder / "albedo.exr").touch()
@@ -37,16 +39,17 @@ def test_the_next_result_removes_them(killed):
     assert [path.name for path in killed.iterdir()] == ["other"]
 
 
-@pytest.mark.parametrize("psutil_is_there", [True, False])
-def test_files_of_processes_that_run_stay(killed, psutil_is_there, monkeypatch):
-    if not psutil_is_there:
-        monkeypatch.setitem(sys.modules, "psutil", None)
+def test_files_of_processes_that_run_stay(killed):
+    earlier = killed / f".x-{leftovers._HOST}-{os.getpid()}-00000000.part"
+    others = killed / f".x-{leftovers._HOST}-{os.getppid()}-00000000.part"
+    for path in (earlier, others):
+        path.touch()
     with atomic_path(killed / "mine.txt") as mine:
         mine.touch()
-        assert remove_leftovers(killed, killed / "nowhere") == 2
-        assert list(killed.iterdir()) == [mine]
+        assert remove_leftovers(killed, killed / "nowhere") == 3
+        assert sorted(killed.iterdir()) == sorted([mine, others])
         remove_unfinished()
-        assert list(killed.iterdir()) == []
+        assert list(killed.iterdir()) == [others]
         mine.touch()
 
 

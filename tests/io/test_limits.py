@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from helpers.square import glb_bytes, quarters, square_gltf, write_image, write_square_obj
+from helpers.square import quarters, square_gltf, write_image, write_square_obj
 
 import scan2albedo as s2a
 from scan2albedo.errors import GeometryImageError, ScanError, TooLargeError
@@ -73,19 +73,13 @@ PICTURES = {".png": 60000, ".jpg": 65000, ".bmp": 60000, ".webp": 16000, ".tif":
 
 @pytest.mark.parametrize("extension", PICTURES)
 def test_pictures_are_judged_by_their_header(tmp_path, extension):
-    side = PICTURES[extension]
-    whole = cv2.imencode(extension, quarters(16).astype(np.float32 if extension == ".hdr" else np.uint8))[1]
-    assert declared_pixels(whole.tobytes()) == 256
+    side, dtype = PICTURES[extension], np.float32 if extension == ".hdr" else np.uint8
+    for height, width in ((16, 16), (4, 3), (3, 4)):
+        whole = cv2.imencode(extension, np.zeros((height, width, 3), dtype))[1].tobytes()
+        assert declared_pixels(whole) == height * width
     (tmp_path / "big.png").write_bytes(declaring(extension, side))
     with pytest.raises(TooLargeError, match=rf"image .*big\.png: {side * side:,} pixels are more than the "):
         read_image_linear(tmp_path / "big.png")
-
-
-@pytest.mark.parametrize("size", [(4, 3), (3, 4)])
-@pytest.mark.parametrize("extension", [".png", ".jpg", ".bmp", ".webp", ".tif", ".hdr"])
-def test_sizes_of_headers_are_those_of_the_pixels(extension, size):
-    picture = np.zeros((*size, 3), np.float32 if extension == ".hdr" else np.uint8)
-    assert declared_pixels(cv2.imencode(extension, picture)[1].tobytes()) == 12
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
@@ -105,13 +99,14 @@ def test_tiff_headers_of_both_orders_and_sizes(order, big):
     assert pixels == 2 * 3_500_000_000
 
 
-def test_chunks_of_png_files_make_no_room_before_they_are_there(tmp_path):
+def test_no_room_is_made_before_the_chunks_of_a_png_are_there(tmp_path):
     data = bytearray(png_of(16, 16))
     place = data.index(b"IDAT") - 4
     data[place : place + 4] = struct.pack(">I", 0xFFFFFF00)
-    (tmp_path / "a.png").write_bytes(data)
-    with pytest.raises(ScanError, match=r"a\.png cannot be decoded .*truncated"):
-        read_image_linear(tmp_path / "a.png")
+    for content in (data, b"P6 60000 60000 255\n" + bytes(100)):  # the other one's header is not known
+        (tmp_path / "a.png").write_bytes(content)
+        with pytest.raises(ScanError, match=r"a\.png cannot be decoded .*truncated or unknown"):
+            read_image_linear(tmp_path / "a.png")
 
 
 def test_exr_windows_are_judged_before_the_pixels(tmp_path):
@@ -125,12 +120,6 @@ def test_exr_windows_are_judged_before_the_pixels(tmp_path):
             read(tmp_path / "a.exr")
 
 
-def test_pictures_of_unknown_headers_are_not_decoded(tmp_path):
-    (tmp_path / "a.png").write_bytes(b"P6 60000 60000 255\n" + bytes(100))
-    with pytest.raises(ScanError, match="damaged, truncated or unknown"):
-        read_image_linear(tmp_path / "a.png")
-
-
 def test_a_texture_that_is_too_large_is_an_error_not_a_scan_without_colour(tmp_path):
     path = write_square_obj(tmp_path)
     (tmp_path / "face.png").write_bytes(png_of(50_000, 50_000))
@@ -139,12 +128,9 @@ def test_a_texture_that_is_too_large_is_an_error_not_a_scan_without_colour(tmp_p
 
 
 def two_textures(folder, first, second):
-    path = write_square_obj(folder)
-    text = path.read_text().splitlines()
-    path.write_text("\n".join([*text[:-1], "usemtl other", text[-1]]))
-    (folder / "face.mtl").write_text(f"newmtl skin\nmap_Kd {first}\nnewmtl other\nmap_Kd {second}\n")
     write_image(folder / "other.png", quarters())
-    return path
+    library = f"newmtl skin\nmap_Kd {first}\nnewmtl other\nmap_Kd {second}\n"
+    return write_square_obj(folder, mtl=library, change=("f 1/1 3/3", "usemtl other\nf 1/1 3/3"))
 
 
 def test_pixels_of_all_materials_count_together_and_shared_pictures_once(tmp_path, monkeypatch):
@@ -245,16 +231,8 @@ def test_material_libraries_and_names_are_limited(tmp_path, monkeypatch):
 
 
 def test_options_of_a_picture_that_never_end_take_no_time(tmp_path):
-    path = write_square_obj(tmp_path)
-    (tmp_path / "face.mtl").write_text("newmtl skin\nmap_Kd " + "-cc x " * 1_000_000 + "face.png\n")
-    load_scan(path)
-
-
-def gltf(folder, change):
-    tree, binary = square_gltf(None)
-    change(tree)
-    (folder / "a.glb").write_bytes(glb_bytes(tree, binary))
-    return folder / "a.glb"
+    library = "newmtl skin\nmap_Kd " + "-cc x " * 1_000_000 + "face.png\n"
+    load_scan(write_square_obj(tmp_path, mtl=library))
 
 
 def doubling(tree):
@@ -279,6 +257,11 @@ def minus(tree):
     tree["accessors"][1]["count"] = -4
 
 
+def three(tree):
+    tree["nodes"] = [{"mesh": 0}] * 3
+    tree["scenes"][0]["nodes"] = [0, 1, 2]
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -287,29 +270,21 @@ def minus(tree):
         (repeated, "4,097 primitives of its meshes"),
         (placeholder, "12,000,.* bytes of arrays"),
         (minus, "cannot be read as GLB .*an accessor has -4 elements"),
+        (three, "12 vertices of its meshes"),
     ],
 )
-def test_scenes_are_judged_before_they_are_made(tmp_path, change, message):
+def test_scenes_are_judged_before_they_are_made(tmp_path, change, message, monkeypatch):
+    if change is three:
+        monkeypatch.setattr(limits, "VERTICES", 10)
+    file = square_gltf()
+    change(file.tree)
     with pytest.raises(ScanError, match=rf"a\.glb: {message}"):
-        load_scan(gltf(tmp_path, change))
-
-
-def test_vertices_of_all_instances_count(tmp_path, monkeypatch):
-    monkeypatch.setattr(limits, "VERTICES", 10)
-
-    def three(tree):
-        tree["nodes"] = [{"mesh": 0}] * 3
-        tree["scenes"][0]["nodes"] = [0, 1, 2]
-
-    with pytest.raises(TooLargeError, match=r"a\.glb: 12 vertices of its meshes"):
-        load_scan(gltf(tmp_path, three))
+        file.load(tmp_path)
 
 
 def test_pictures_in_scenes_are_judged_by_their_header(tmp_path):
-    tree, binary = square_gltf(png_of(40_000, 40_000))
-    (tmp_path / "a.glb").write_bytes(glb_bytes(tree, binary))
     with pytest.raises(TooLargeError, match=r"image 0 of a\.glb: 1,600,000,000 pixels"):
-        load_scan(tmp_path / "a.glb")
+        square_gltf(png_of(40_000, 40_000)).load(tmp_path)
 
 
 def test_values_of_json_are_counted_and_depth_is_no_crash(tmp_path, monkeypatch):
@@ -353,8 +328,6 @@ def test_errors_of_too_large_scans_name_the_scan(tmp_path, monkeypatch, error):
 
 def test_a_texture_of_many_repeats_is_not_laid_out(tmp_path, monkeypatch):
     monkeypatch.setattr(limits, "PIXELS", 64 * 4)
-    path = write_square_obj(tmp_path)
-    path.write_text(path.read_text().replace("vt 1.0 1.0", "vt 9.0 9.0"))
-    scan = load_scan(path)
+    scan = load_scan(write_square_obj(tmp_path, change=("vt 1.0 1.0", "vt 9.0 9.0")))
     assert scan.texture_linear.shape == (8, 8, 3)
     assert any("clamped to one" in note for note in scan.notes)

@@ -2,6 +2,7 @@ import unicodedata
 
 import numpy as np
 import pytest
+from helpers.meshes import obj_text
 from helpers.square import (
     CORNER_LINEAR,
     SQUARE_MM,
@@ -12,6 +13,7 @@ from helpers.square import (
     write_image,
     write_square_obj,
 )
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import OutputError, ScanError
 from scan2albedo.io import load_scan
@@ -29,8 +31,8 @@ def write(folder, text, name="a.obj"):
 
 def test_positions_coordinates_and_colours_arrive(tmp_path):
     scan = load_scan(write_square_obj(tmp_path))
-    np.testing.assert_array_equal(scan.vertices, SQUARE_MM)
-    np.testing.assert_array_equal(scan.uv, SQUARE_UV[scan.faces])
+    assert_array_equal(scan.vertices, SQUARE_MM)
+    assert_array_equal(scan.uv, SQUARE_UV[scan.faces])
     assert scan.name == "face"
     assert_corner_colors(scan)
 
@@ -42,23 +44,24 @@ def test_grey_and_rgba_and_deep_textures(tmp_path, bits):
     scan = load_scan(write_square_obj(tmp_path, name="rgba", image=np.concatenate([color, alpha], 2)))
     assert_corner_colors(scan)
     scan = load_scan(write_square_obj(tmp_path, name="grey", image=color[..., 0]))
-    np.testing.assert_allclose(color_near_corner(scan, SQUARE_MM[3]), CORNER_LINEAR[3], atol=1e-6)
+    assert_allclose(color_near_corner(scan, SQUARE_MM[3]), CORNER_LINEAR[3], atol=1e-6)
 
 
 @pytest.mark.parametrize(
     "map_kd",
-    ["face.png", "-s 1 1 1 face.png", "-clamp on -o 1 0 face.png", '"face.png"', "./face.png",
-     "C:\\Users\\someone\\Desktop\\FACE.PNG", "/home/other/face.png", "Face.Png"],
-)  # fmt: skip
+    [
+        "face.png",
+        "-s 1 1 1 face.png",
+        "-clamp on -o 1 0 face.png",
+        '"face.png"',
+        "./face.png",
+        "C:\\Users\\someone\\Desktop\\FACE.PNG",
+        "/home/other/face.png",
+        "Face.Png",
+    ],
+)
 def test_textures_are_found_however_they_are_written(tmp_path, map_kd):
-    path = write_square_obj(tmp_path)
-    (tmp_path / "face.mtl").write_text(f"newmtl skin\nmap_Kd {map_kd}\n")
-    assert_corner_colors(load_scan(path))
-
-
-def test_spaces_in_names_and_in_the_library_line(tmp_path):
-    path = write_square_obj(tmp_path, name="my face", texture="my texture of it.png")
-    assert_corner_colors(load_scan(path))
+    assert_corner_colors(load_scan(write_square_obj(tmp_path, mtl=f"newmtl skin\nmap_Kd {map_kd}\n")))
 
 
 def test_file_extensions_and_library_in_another_case(tmp_path):
@@ -68,24 +71,27 @@ def test_file_extensions_and_library_in_another_case(tmp_path):
     assert_corner_colors(load_scan(tmp_path / "FACE.OBJ"))
 
 
-def test_a_texture_in_a_subfolder(tmp_path):
+@pytest.mark.parametrize("texture", ["textures/face.png", "my texture of it.png"])
+def test_spaces_in_names_and_a_texture_in_a_subfolder(tmp_path, texture):
     (tmp_path / "textures").mkdir()
-    assert_corner_colors(load_scan(write_square_obj(tmp_path, texture="textures/face.png")))
+    assert_corner_colors(load_scan(write_square_obj(tmp_path, name="my face", texture=texture)))
 
 
 def test_missing_or_damaged_textures_are_told_and_left_out(tmp_path):
     path = write_square_obj(tmp_path)
-    (tmp_path / "face.png").write_bytes(b"no image")
-    scan = load_scan(path)
-    assert scan.texture_linear is None
-    assert any("face.png cannot be decoded" in note and "without it" in note for note in scan.notes)
-    (tmp_path / "face.png").unlink()
-    scan = load_scan(path)
-    assert any("face.png is missing beside the scan" in note for note in scan.notes)
-    assert "no texture or vertex colours: geometry only" in scan.notes
-    (tmp_path / "face.mtl").unlink()
     write_image(tmp_path / "other.png", quarters())
-    assert any("face.mtl is missing beside the scan" in note for note in load_scan(path).notes)
+    (tmp_path / "face.png").write_bytes(b"no image")
+    for gone, said in (
+        (None, "face.png cannot be decoded"),
+        ("face.png", "face.png is missing beside the scan"),
+        ("face.mtl", "face.mtl is missing beside the scan"),
+    ):
+        if gone is not None:
+            (tmp_path / gone).unlink()
+        scan = load_scan(path)
+        assert scan.texture_linear is None
+        assert any(said in note and "went on without" in note for note in scan.notes)
+        assert "no texture or vertex colours: geometry only" in scan.notes
 
 
 def test_no_mtllib_is_no_fault(tmp_path):
@@ -97,7 +103,7 @@ def test_no_mtllib_is_no_fault(tmp_path):
     scan = load_scan(path)
     assert scan.texture_linear.shape == (8, 8, 3)
     assert "texture A.png was found by the scan's name" in scan.notes
-    np.testing.assert_allclose(color_near_corner(scan, np.zeros(3)), CORNER_LINEAR[0], atol=1e-6)
+    assert_allclose(color_near_corner(scan, np.zeros(3)), CORNER_LINEAR[0], atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -117,8 +123,8 @@ def test_no_mtllib_is_no_fault(tmp_path):
 )
 def test_ways_to_write_the_same_square(tmp_path, text):
     scan = load_scan(write(tmp_path, text))
-    np.testing.assert_array_equal(scan.vertices, [[0, 0, 0], [100, 0, 0], [100, 100, 0], [0, 100, 0]])
-    np.testing.assert_array_equal(scan.faces, [[0, 1, 2], [0, 2, 3]])
+    assert_array_equal(scan.vertices, [[0, 0, 0], [100, 0, 0], [100, 100, 0], [0, 100, 0]])
+    assert_array_equal(scan.faces, [[0, 1, 2], [0, 2, 3]])
 
 
 def test_libraries_of_utf16_and_of_lines_that_end_with_cr_are_found(tmp_path):
@@ -135,28 +141,24 @@ def test_libraries_of_utf16_and_of_lines_that_end_with_cr_are_found(tmp_path):
 
 def test_polygons_keep_the_coordinates_of_their_corners(tmp_path):
     angles = np.arange(6) * np.pi / 3
-    ring = np.column_stack([np.cos(angles), np.sin(angles)])
-    lines = [f"v {x * 100:.17g} {y * 100:.17g} 0" for x, y in ring]
-    lines += [f"vt {x / 2 + 0.5:.17g} {y / 2 + 0.5:.17g}" for x, y in ring]
-    path = write(tmp_path, "\n".join([*lines, "f 1/1 2/2 3/3 4/4 5/5 6/6"]))
-    scan = load_scan(path)
+    ring = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(6)])
+    text = obj_text(100 * ring, [range(6)], ring[:, :2] / 2 + 0.5)
+    scan = load_scan(write(tmp_path, text))
     assert len(scan.faces) == 4
-    np.testing.assert_allclose(scan.uv * 200 - 100, scan.vertices[scan.faces][..., :2], atol=1e-12)
+    assert_allclose(scan.uv * 200 - 100, scan.vertices[scan.faces][..., :2], atol=1e-12)
     assert "polygons cut into triangles: 1" in scan.notes
 
 
 def test_vertex_colours_are_srgb(tmp_path):
-    rows = ["v 0 0 0 1 0 0", "v 100 0 0 0 1 0", "v 0 100 0 0.5 0.5 0.5"]
-    scan = load_scan(write(tmp_path, "\n".join([*rows, "f 1 2 3"])))
     expected = [[1, 0, 0], [0, 1, 0], [0.21404114] * 3]
-    np.testing.assert_allclose(scan.vertex_color_linear, expected, rtol=1e-6)
-    rows = ["v 0 0 0 255 0 0", "v 100 0 0 0 255 0", "v 0 100 0 127.5 127.5 127.5"]
-    scan = load_scan(write(tmp_path, "\n".join([*rows, "f 1 2 3"])))
-    np.testing.assert_allclose(scan.vertex_color_linear, expected, rtol=1e-6)
+    for one, half in (("1", "0.5"), ("255", "127.5")):
+        text = f"v 0 0 0 {one} 0 0\nv 100 0 0 0 {one} 0\nv 0 100 0 {half} {half} {half}\nf 1 2 3"
+        scan = load_scan(write(tmp_path, text))
+        assert_allclose(scan.vertex_color_linear, expected, rtol=1e-6)
 
 
 def test_several_materials_become_one_texture(tmp_path):
-    mesh = [f"v {x} {y} 0" for x, y in [(0, 0), (100, 0), (100, 100), (0, 100), (200, 0), (200, 100)]]
+    mesh = ["v 0 0 0", "v 100 0 0", "v 100 100 0", "v 0 100 0", "v 200 0 0", "v 200 100 0"]
     mesh += ["vt 0 0", "vt 1 0", "vt 1 1", "vt 0 1", "mtllib a.mtl"]
     mesh += ["usemtl left", "f 1/1 2/2 3/3 4/4", "usemtl right", "f 2/1 5/2 6/3 3/4"]
     (tmp_path / "a.mtl").write_text("newmtl left\nmap_Kd left.png\nnewmtl right\nmap_Kd right.png\n")
@@ -166,7 +168,7 @@ def test_several_materials_become_one_texture(tmp_path):
     left, right = scan.uv[:2].mean((0, 1)), scan.uv[2:].mean((0, 1))
     assert not np.allclose(left, right)
     for place, color in (((0, 0, 0), [1, 0, 0]), ((200, 0, 0), [1, 0, 0]), ((200, 100, 0), CORNER_LINEAR[3])):
-        np.testing.assert_allclose(color_near_corner(scan, np.array(place, float)), color, atol=1e-6)
+        assert_allclose(color_near_corner(scan, np.array(place, float)), color, atol=1e-6)
     assert any(note.startswith("packed 2 textures into one of") for note in scan.notes)
 
 
@@ -182,31 +184,24 @@ def test_texture_maps_of_free_form_files_are_no_materials(tmp_path):
 
 
 def test_faces_without_coordinates_get_their_materials_colour(tmp_path):
-    path = write_square_obj(tmp_path)
-    with path.open("a") as file:
-        file.write("v 200 0 0\nv 200 120 0\nusemtl cloth\nf 2 5 6\n")
-    with (tmp_path / "face.mtl").open("a") as file:
-        file.write("newmtl cloth\nKd 0.5 0 1\n")
-    scan = load_scan(path)
+    last = "f 1/1 3/3 4/4\n"
+    more = (last, f"{last}v 200 0 0\nv 200 120 0\nusemtl cloth\nf 2 5 6\n")
+    library = "newmtl skin\nmap_Kd face.png\nnewmtl cloth\nKd 0.5 0 1\n"
+    scan = load_scan(write_square_obj(tmp_path, mtl=library, change=more))
     assert_corner_colors(scan)
-    np.testing.assert_allclose(
-        color_near_corner(scan, np.array([200.0, 120, 0])), [0.21404114, 0, 1], rtol=1e-6
-    )
+    assert_allclose(color_near_corner(scan, np.array([200.0, 120, 0])), [0.21404114, 0, 1], rtol=1e-6)
     assert "faces without texture, given their material's colour: 1" in scan.notes
 
 
 def test_an_unknown_material_is_told(tmp_path):
-    path = write_square_obj(tmp_path)
-    path.write_text(path.read_text().replace("usemtl skin", "usemtl other"))
-    notes = load_scan(path).notes
+    notes = load_scan(write_square_obj(tmp_path, change=("usemtl skin", "usemtl other"))).notes
     assert any("material other is not in the material library" in note for note in notes)
 
 
 def test_numbers_are_read_to_the_last_bit_but_one(tmp_path):
     values = np.random.default_rng(1).normal(size=(300, 3)) * 10.0 ** np.arange(-150, 150)[:, None]
-    text = "\n".join("v " + " ".join(repr(float(x)) for x in row) for row in values)
-    parsed = read_obj(write(tmp_path, text + "\nf 1 2 3"), ScanFolder(tmp_path))
-    np.testing.assert_allclose(parsed.vertices, values, rtol=5e-16 * 4)
+    parsed = read_obj(write(tmp_path, obj_text(values, [(0, 1, 2)])), ScanFolder(tmp_path))
+    assert_allclose(parsed.vertices, values, rtol=5e-16 * 4)
 
 
 @pytest.mark.parametrize("token", ["nan", "NaN", "-nan", "inf", "-Infinity", "1.#QNAN", "-1.#IND"])
@@ -247,18 +242,17 @@ def test_a_mesh_comes_back_to_the_last_bit(tmp_path):
     vertices, faces = np.random.default_rng(0).normal(size=(5, 3)) * 90, np.array([[0, 1, 2], [2, 3, 4]])
     write_obj(tmp_path / "a.obj", vertices, faces)
     scan = load_scan(tmp_path / "a.obj", "mm")
-    np.testing.assert_allclose(scan.vertices, vertices, rtol=4e-16)
-    np.testing.assert_array_equal(scan.faces, faces)
+    assert_allclose(scan.vertices, vertices, rtol=4e-16)
+    assert_array_equal(scan.faces, faces)
     with pytest.raises(OutputError, match="nowhere"):
         write_obj(tmp_path / "nowhere" / "a.obj", vertices, faces)
 
 
 @pytest.mark.parametrize("library", [None, "", "newmtl skin\nmap_Kd lost.png\n"])
 def test_a_picture_of_the_scans_own_name_stands_in_for_what_is_missing(tmp_path, library):
-    path = write_square_obj(tmp_path)
-    (tmp_path / "face.mtl").unlink()
-    if library is not None:
-        (tmp_path / "face.mtl").write_text(library)
+    path = write_square_obj(tmp_path, mtl=library or "")
+    if library is None:
+        (tmp_path / "face.mtl").unlink()
     scan = load_scan(path)
     assert_corner_colors(scan)
     assert "texture face.png was found by the scan's name" in scan.notes
@@ -268,27 +262,22 @@ def test_a_picture_of_the_scans_own_name_stands_in_for_what_is_missing(tmp_path,
 
 
 def test_a_plain_material_needs_no_picture(tmp_path):
-    path = write_square_obj(tmp_path)
-    (tmp_path / "face.mtl").write_text("newmtl skin\nKd 1 0 0\n")
+    path = write_square_obj(tmp_path, mtl="newmtl skin\nKd 1 0 0\n")
     assert load_scan(path).texture_linear is None
 
 
 def test_materials_that_share_a_picture_read_it_once(tmp_path, monkeypatch):
     from scan2albedo.io import parsed_mesh
 
-    path = write_square_obj(tmp_path)
-    text = path.read_text().splitlines()
-    path.write_text("\n".join([*text[:-1], "usemtl other", text[-1]]))
-    (tmp_path / "face.mtl").write_text(
-        "newmtl skin\nmap_Kd face.png\nnewmtl other\nmap_Kd -clamp on ./face.png\n"
-    )
-    taken = []
-    read = parsed_mesh.read_image_linear
-    monkeypatch.setattr(
-        parsed_mesh,
-        "read_image_linear",
-        lambda file, **options: (taken.append(file), read(file, **options))[1],
-    )
+    library = "newmtl skin\nmap_Kd face.png\nnewmtl other\nmap_Kd -clamp on ./face.png\n"
+    path = write_square_obj(tmp_path, mtl=library, change=("f 1/1 3/3", "usemtl other\nf 1/1 3/3"))
+    taken, read = [], parsed_mesh.read_image_linear
+
+    def reading(file, **options):
+        taken.append(file)
+        return read(file, **options)
+
+    monkeypatch.setattr(parsed_mesh, "read_image_linear", reading)
     scan = load_scan(path)
     assert len(taken) == 1
     assert scan.texture_linear.shape == (8, 8, 3)
@@ -298,12 +287,9 @@ def test_materials_that_share_a_picture_read_it_once(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("encoding", ["utf-8", "cp1252", "utf-8-sig"])
 def test_names_of_other_scripts_in_obj_and_mtl(tmp_path, encoding):
-    path = write_square_obj(tmp_path)
-    (tmp_path / "face.mtl").rename(tmp_path / "Jürgen.mtl")
-    (tmp_path / "face.png").rename(tmp_path / "Gesicht é.png")
-    path.write_bytes(path.read_text().replace("face.mtl", "Jürgen.mtl").encode(encoding))
-    library = "newmtl skin\nmap_Kd Gesicht é.png\n"
-    (tmp_path / "Jürgen.mtl").write_bytes(library.encode(encoding))
+    library = "newmtl skin\nmap_Kd Gesicht é.png\n".encode(encoding)
+    path = write_square_obj(tmp_path, name="Jürgen", texture="Gesicht é.png", mtl=library)
+    path.write_bytes(path.read_text().encode(encoding))
     assert_corner_colors(load_scan(path))
 
 
@@ -320,9 +306,8 @@ def test_names_in_another_unicode_form_and_other_code_pages(tmp_path):
 
 
 def test_a_name_that_nothing_decodes_is_told_and_printable(tmp_path):
-    path = write_square_obj(tmp_path)
+    path = write_square_obj(tmp_path, mtl=b"newmtl skin\nmap_Kd lost\xff\xfe.png\n")
     (tmp_path / "face.png").unlink()
-    (tmp_path / "face.mtl").write_bytes(b"newmtl skin\nmap_Kd lost\xff\xfe.png\n")
     (note,) = [note for note in load_scan(path).notes if "missing" in note]
     assert note.isprintable()
 
@@ -340,7 +325,7 @@ def test_vertices_without_a_colour_were_not_seen(tmp_path, weight):
     rows = [f"v {x} {y} {z} {weight * bool(c)}{c}" for (x, y, z), c in zip(SQUARE_MM, colors, strict=True)]
     (tmp_path / "a.obj").write_text("\n".join([*rows, "f 1 2 3", "f 1 3 4"]))
     scan = load_scan(tmp_path / "a.obj")
-    np.testing.assert_array_equal(scan.vertex_color_linear[[0, 2, 3]], np.eye(3)[[0, 1, 2]])
+    assert_array_equal(scan.vertex_color_linear[[0, 2, 3]], np.eye(3)[[0, 1, 2]])
     assert scan.color_seen.tolist() == [True, False, True, True]
 
 
@@ -353,30 +338,25 @@ def test_vertices_without_a_colour_were_not_seen(tmp_path, weight):
     ],
 )
 def test_a_picture_is_looked_up_where_its_scale_and_offset_say(tmp_path, options, placement):
-    path = write_square_obj(tmp_path)
-    (tmp_path / "face.mtl").write_text(f"newmtl skin\nmap_Kd {options} face.png\n")
+    path = write_square_obj(tmp_path, mtl=f"newmtl skin\nmap_Kd {options} face.png\n")
     scale, offset = np.array(placement).reshape(2, 2)
     parsed = read_obj(path, ScanFolder(tmp_path))
-    np.testing.assert_allclose(parsed.uv, SQUARE_UV[parsed.faces] * scale + offset)
+    assert_allclose(parsed.uv, SQUARE_UV[parsed.faces] * scale + offset)
     (tmp_path / "face.mtl").write_text("newmtl skin\nmap_Kd -s 1e308 -o 1e999 face.png\n")
     assert load_scan(path).texture_linear is None or not load_scan(path).color_seen.any()
 
 
 def test_a_renamed_material_is_the_only_one_of_its_library(tmp_path):
-    path = write_square_obj(tmp_path)
-    path.write_text(path.read_text().replace("usemtl skin", "usemtl lambert2SG"))
-    scan = load_scan(path)
+    scan = load_scan(write_square_obj(tmp_path, change=("usemtl skin", "usemtl lambert2SG")))
     assert_corner_colors(scan)
-    note = "material lambert2SG is not in the material library: took its only one, skin"
-    assert note in scan.notes
+    assert "material lambert2SG is not in the material library: took its only one, skin" in scan.notes
 
 
 def test_colours_that_zbrush_painted(tmp_path):
-    rows = [f"v {x} {y} {z}" for x, y, z in SQUARE_MM]
-    painted = ["#MRGB ffff00000000ff00", "#MRGB FF0000FFff808080"]
-    scan = load_scan(write(tmp_path, "\n".join([*rows, *painted, "f 1 2 3 4"])))
-    np.testing.assert_allclose(scan.vertex_color_linear, CORNER_LINEAR, atol=1e-6)
+    mesh, first = obj_text(SQUARE_MM, [range(4)]), "#MRGB ffff00000000ff00\n"
+    scan = load_scan(write(tmp_path, f"{mesh}{first}#MRGB FF0000FFff808080"))
+    assert_allclose(scan.vertex_color_linear, CORNER_LINEAR, atol=1e-6)
     for wrong in ("ff00ff00", "ff0", "grey"):
-        scan = load_scan(write(tmp_path, "\n".join([*rows, painted[0], f"#MRGB {wrong}", "f 1 2 3 4"])))
+        scan = load_scan(write(tmp_path, f"{mesh}{first}#MRGB {wrong}"))
         assert scan.vertex_color_linear is None
         assert any("#MRGB colours are not those of its vertices" in note for note in scan.notes)

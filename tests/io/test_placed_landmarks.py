@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from scan2albedo import load_scan
 from scan2albedo.errors import ScanError
@@ -34,7 +35,7 @@ def test_every_format_says_the_same(name, tmp_path):
     found = read_landmarks(tmp_path / name, mm_per_unit=10.0)
     assert np.flatnonzero(found.placed).tolist() == sorted(POINTS)
     for number, point in POINTS.items():
-        np.testing.assert_allclose(found.points[number], 10 * np.array(point))
+        assert_allclose(found.points[number], 10 * np.array(point))
 
 
 def test_a_list_has_null_where_none_was_placed(tmp_path):
@@ -51,8 +52,8 @@ def test_what_process_wrote_is_read_back_with_its_deviations(tmp_path):
     write_landmarks_csv(tmp_path / "a.csv", record)
     for name in ("a.json", "a.csv"):
         found = read_landmarks(tmp_path / name, mm_per_unit=10.0)
-        np.testing.assert_allclose(found.points, 10 * points, rtol=1e-6)
-        np.testing.assert_allclose(found.sigma_mm, deviation_mm, atol=0.01)
+        assert_allclose(found.points, 10 * points, rtol=1e-6)
+        assert_allclose(found.sigma_mm, deviation_mm, atol=0.01)
 
 
 @pytest.mark.parametrize(
@@ -104,7 +105,7 @@ def test_a_folder_has_a_file_named_after_the_scan(tmp_path):
 def test_a_scan_is_loaded_with_landmarks_in_its_own_unit(tmp_path):
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 0.2 0 0\nv 0 0.2 0.1\nf 1 2 3\n")
     scan = load_scan(tmp_path / "a.obj", landmarks={30: (0.1, 0.1, 0.05)})
-    np.testing.assert_allclose(scan.landmarks.points[30], (100, 100, 50))
+    assert_allclose(scan.landmarks.points[30], (100, 100, 50))
     assert scan.notes[-1] == "1 landmarks given"
     (tmp_path / "marks").mkdir()
     without = load_scan(tmp_path / "a.obj", landmarks=tmp_path / "marks")

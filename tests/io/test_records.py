@@ -122,18 +122,17 @@ def test_wrong_values_are_refused(change):
 
 def test_reading_names_the_file_and_the_fault(tmp_path):
     path = tmp_path / "result.json"
-    with pytest.raises(Scan2AlbedoError, match=r"result\.json cannot be read \(No such file"):
-        read_record(path, ResultRecord)
-    write_record(path, result())
-    text = path.read_text()
-    path.write_text(text[: len(text) // 2])
-    with pytest.raises(Scan2AlbedoError, match=r"result\.json: the file: Invalid JSON"):
-        read_record(path, ResultRecord)
-    path.write_text(text.replace('"seed": 3', '"seed": "three"'))
-    with pytest.raises(Scan2AlbedoError, match=r"result\.json: seed: .*integer"):
-        read_record(path, ResultRecord)
-    with pytest.raises(Scan2AlbedoError, match=r"result\.json: model_from_scan: Field required"):
-        read_record(path, RegistrationRecord)
+    text = result().model_dump_json(indent=2)
+    for content, kind, said in (
+        (None, ResultRecord, r" cannot be read \(No such file"),
+        (text[: len(text) // 2], ResultRecord, ": the file: Invalid JSON"),
+        (text.replace('"seed": 3', '"seed": "three"'), ResultRecord, ": seed: .*integer"),
+        (text, RegistrationRecord, ": model_from_scan: Field required"),
+    ):
+        if content is not None:
+            path.write_text(content)
+        with pytest.raises(Scan2AlbedoError, match=rf"result\.json{said}"):
+            read_record(path, kind)
 
 
 def test_a_record_that_cannot_be_written_names_its_folder(tmp_path):

@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
-import trimesh
+from helpers.meshes import obj_text, sphere
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import ScanError
 from scan2albedo.geometry.mesh import vertex_components
@@ -11,22 +12,17 @@ from scan2albedo.io import load_scan
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh
 from scan2albedo.io.repair import first_equal_row, repair, require_usable
 
-SPHERE = trimesh.creation.icosphere(subdivisions=2, radius=80.0)
-VERTICES, FACES = np.asarray(SPHERE.vertices, float), np.asarray(SPHERE.faces, np.int64)
+VERTICES, FACES = sphere(2, 80.0)
+
+
+SHAPES = st.tuples(st.integers(1, 40), st.just(3))
 
 
 @given(
-    arrays.arrays(
-        np.float64, st.tuples(st.integers(1, 40), st.just(3)), elements=st.sampled_from([-0.0, 0.0, 1.0, 2.0])
-    )
+    arrays.arrays(np.float64, SHAPES, elements=st.sampled_from([-0.0, 0.0, 1.0, 2.0]))
+    | arrays.arrays(np.int64, SHAPES, elements=st.integers(-2, 2))
 )
 def test_equal_rows_are_found_as_a_slow_search_finds_them(rows):
-    slow = [next(j for j in range(len(rows)) if (rows[j] == rows[i]).all()) for i in range(len(rows))]
-    assert first_equal_row(rows).tolist() == slow
-
-
-@given(arrays.arrays(np.int64, st.tuples(st.integers(1, 40), st.just(3)), elements=st.integers(-2, 2)))
-def test_equal_rows_of_integers(rows):
     slow = [next(j for j in range(len(rows)) if (rows[j] == rows[i]).all()) for i in range(len(rows))]
     assert first_equal_row(rows).tolist() == slow
 
@@ -35,8 +31,8 @@ def test_a_clean_mesh_stays_as_it_is():
     mesh = ParsedMesh(VERTICES, FACES)
     fixed = repair(mesh)
     assert fixed.notes == ()
-    np.testing.assert_array_equal(fixed.vertices, VERTICES)
-    np.testing.assert_array_equal(fixed.faces, FACES)
+    assert_array_equal(fixed.vertices, VERTICES)
+    assert_array_equal(fixed.faces, FACES)
 
 
 def test_each_fault_is_mended_and_told():
@@ -49,11 +45,11 @@ def test_each_fault_is_mended_and_told():
     color = np.arange(len(seam) * 3, dtype=np.float32).reshape(-1, 3)
     mesh = ParsedMesh(seam, faces, uv, np.arange(len(faces)), (Material("a"),), color, ("first",))
     fixed = repair(mesh)
-    np.testing.assert_array_equal(fixed.vertices, VERTICES)
-    np.testing.assert_array_equal(fixed.faces, FACES)
-    np.testing.assert_array_equal(fixed.uv, uv[: len(FACES)])
-    np.testing.assert_array_equal(fixed.material, np.arange(len(FACES)))
-    np.testing.assert_array_equal(fixed.vertex_color_linear, color[: len(VERTICES)])
+    assert_array_equal(fixed.vertices, VERTICES)
+    assert_array_equal(fixed.faces, FACES)
+    assert_array_equal(fixed.uv, uv[: len(FACES)])
+    assert_array_equal(fixed.material, np.arange(len(FACES)))
+    assert_array_equal(fixed.vertex_color_linear, color[: len(VERTICES)])
     assert fixed.notes == (
         "first",
         "vertices merged at equal positions (seams): 2",
@@ -73,7 +69,7 @@ def test_slivers_go_and_thin_triangles_stay_at_any_scale(scale, offset):
     vertices = np.concatenate([sliver, thin]) * scale + offset * scale
     fixed = repair(ParsedMesh(vertices, np.arange(6).reshape(2, 3)))
     assert len(fixed.faces) == 1
-    np.testing.assert_array_equal(fixed.vertices, vertices[3:])
+    assert_array_equal(fixed.vertices, vertices[3:])
 
 
 def test_broken_vertices_count_only_when_faces_use_them(tmp_path):
@@ -89,20 +85,11 @@ def test_broken_vertices_count_only_when_faces_use_them(tmp_path):
 
 def test_seams_of_an_obj_are_closed_and_their_coordinates_kept(tmp_path):
     """Two triangles that share an edge only by position."""
-    lines = ["v 0 0 0", "v 100 0 0", "v 100 100 0", "v 0 0 0", "v 100 100 0", "v 0 100 0"]
-    lines += [
-        "vt 0 0",
-        "vt 0.4 0",
-        "vt 0.4 0.4",
-        "vt 0.6 0.6",
-        "vt 1 1",
-        "vt 0.6 1",
-        "f 1/1 2/2 3/3",
-        "f 4/4 5/5 6/6",
-    ]
-    (tmp_path / "a.obj").write_text("\n".join(lines))
+    places = [(0, 0, 0), (100, 0, 0), (100, 100, 0), (0, 0, 0), (100, 100, 0), (0, 100, 0)]
+    uv = [(0, 0), (0.4, 0), (0.4, 0.4), (0.6, 0.6), (1, 1), (0.6, 1)]
+    (tmp_path / "a.obj").write_text(obj_text(places, [(0, 1, 2), (3, 4, 5)], uv))
     scan = load_scan(tmp_path / "a.obj")
     assert len(scan.vertices) == 4
     assert vertex_components(len(scan.vertices), scan.faces).max() == 0
-    np.testing.assert_allclose(scan.uv[1], [[0.6, 0.6], [1, 1], [0.6, 1]])
+    assert_allclose(scan.uv[1], [[0.6, 0.6], [1, 1], [0.6, 1]])
     assert "vertices merged at equal positions (seams): 2" in scan.notes

@@ -13,12 +13,13 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
+from helpers import folders
+from helpers.cli import invoke
 
 import scan2albedo
-from scan2albedo.cli import app
 from scan2albedo.errors import OutputError
-from scan2albedo.io.leftovers import JOURNAL, is_hidden_path, remove_leftovers, settle
+from scan2albedo.io.leftovers import JOURNAL, is_hidden_path, remove_leftovers
+from scan2albedo.io.publication import check_whole
 from scan2albedo.io.records import read_record
 from scan2albedo.io.result_records import RunRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder, Staging
@@ -69,7 +70,8 @@ def with_an_old_result(tmp_path):
 
 
 def which(folder):
-    """Return whose result is in a folder, which is whole."""
+    """Return whose result is in a folder, which the next writer finds whole."""
+    RunFolder(folder, FILES).check()
     text = RunFolder(folder, FILES).read().text
     remove_leftovers(folder.parent, folder)
     assert contents(folder) == MINE | {"link": "mine"} | result(text)
@@ -275,12 +277,12 @@ def test_the_folder_keeps_its_mode_and_what_is_added_meanwhile(tmp_path, monkeyp
     folder.chmod(0o710)
     rename = os.rename
 
-    def and_somebody_saves(a, b):
+    def and_somebody_saves(a, b, **folders):
         if Path(a).name == JOURNAL:
             (folder / "sub" / "late.txt").write_text("late")
             (folder / "mine.txt").unlink()
             (folder / "mine.txt").write_text("mine, saved late")
-        rename(a, b)
+        rename(a, b, **folders)
 
     monkeypatch.setattr(os, "rename", and_somebody_saves)
     run(folder, "new")
@@ -308,10 +310,10 @@ def test_a_folder_keeps_its_place(tmp_path, monkeypatch, where):
     else:
         rename = os.rename
 
-        def other_file_system(a, b):
+        def other_file_system(a, b, **folders):
             if Path(a).parent == folder.parent:
                 raise OSError(errno.EXDEV, "Invalid cross-device link")
-            rename(a, b)
+            rename(a, b, **folders)
 
         monkeypatch.setattr(os, "rename", other_file_system)
     run(folder, "new")
@@ -319,25 +321,68 @@ def test_a_folder_keeps_its_place(tmp_path, monkeypatch, where):
     assert which(folder) == "new"
 
 
-@pytest.mark.parametrize(
-    "journal",
-    [
-        "[]",
-        "{",
-        '{"holder": "page", "made": [], "dropped": []}',
-        '{"holder": ".x-000000-1-00000000.part", "made": ["../x"], "dropped": []}',
-        '{"holder": "../.x-000000-1-00000000.part", "made": [], "dropped": []}',
-    ],
-)
-def test_an_edited_journal_is_refused_and_moves_nothing(tmp_path, journal):
-    folder = with_an_old_result(tmp_path)
-    (folder / JOURNAL).write_text(journal)
-    before = contents(folder)
-    with pytest.raises(OutputError, match=r"\.publishing\.json was edited"):
-        run(folder, "new")
-    with pytest.raises(OSError, match="was edited"):
-        settle(folder)
-    assert contents(folder) == before
+HOLDER = ".x-000000-1-00000000.part"
+
+
+def journal_with(**changes):
+    """Return a journal of a publication that was cut off when it had made a.txt, with changes."""
+    return json.dumps({"holder": HOLDER, "made": ["a.txt"], "dropped": []} | changes)
+
+
+HOSTILE = {
+    "no object": "[]",
+    "cut short": "{",
+    "a folder of another name": journal_with(holder="page"),
+    "a folder elsewhere": journal_with(holder="../" + HOLDER),
+    "other content": journal_with(more=1),
+    "a path up": journal_with(made=["../a.txt"]),
+    "an absolute path": journal_with(made=["/a.txt"]),
+    "a file of the user's": journal_with(made=["mine.txt"]),
+    "a folder of the user's": journal_with(made=["sub"]),
+    "a file of the user's in a folder": journal_with(dropped=["page/mine.txt"]),
+    "a linked folder": journal_with(made=["elsewhere/page.json"]),
+    "new files in a linked folder": journal_with(made=["b.txt"]),
+    "new files in a linked folder of theirs": journal_with(made=["other/page.json"]),
+    "numbers": journal_with(made=[1]),
+    "a journal that is a link": None,
+    "a journal that is a pipe": None,
+    "a journal of another user": journal_with(),
+}
+"""Journals of which nothing may be believed."""
+
+
+@pytest.mark.usefixtures("no_endless_reading")
+@pytest.mark.parametrize("kind", HOSTILE)
+def test_a_hostile_journal_is_refused_and_moves_nothing(tmp_path, kind, monkeypatch):
+    folder, outside = with_an_old_result(tmp_path), tmp_path / "outside"
+    outside.mkdir()
+    for name in ("page.json", "a.txt", "b.txt"):
+        (outside / name).write_text("outside")
+    (folder / "elsewhere").symlink_to(outside)
+    if kind == "new files in a linked folder":
+        (folder / HOLDER).symlink_to(outside)
+    else:
+        (folder / HOLDER).mkdir()
+        (folder / HOLDER / "other").symlink_to(outside)
+    if kind.endswith("pipe"):
+        os.mkfifo(folder / JOURNAL)
+    elif kind.endswith("link"):
+        (outside / JOURNAL).write_text(journal_with())
+        (folder / JOURNAL).symlink_to(outside / JOURNAL)
+    else:
+        (folder / JOURNAL).write_text(HOSTILE[kind])
+    if kind.endswith("another user"):
+        me = os.geteuid()
+        monkeypatch.setattr(os, "geteuid", lambda: me + 1)
+    before = folders.contents(tmp_path)
+    for attempt in (lambda: run(folder, "new"), RunFolder(folder, FILES).check):
+        with pytest.raises(OutputError, match=r"\.publishing\.json was edited or cut short, or is not ours"):
+            attempt()
+        assert folders.contents(tmp_path) == before
+    with pytest.raises(OSError, match="a run was ended while it wrote"):
+        check_whole(folder)
+    assert remove_leftovers(folder) == 0
+    assert folders.contents(tmp_path) == before
 
 
 def commands():
@@ -392,13 +437,20 @@ COMMANDS = {
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_refuses_a_file_of_the_users_before_the_work(tmp_path, monkeypatch, name):
+@pytest.mark.parametrize("way", ["a file of the user's", "a journal"])
+def test_every_command_refuses_what_is_not_its_own_before_the_work(tmp_path, monkeypatch, name, way):
     arguments, file = COMMANDS[name]
     monkeypatch.chdir(tmp_path)
-    mine = tmp_path / "OUT" / file
+    mine, said = tmp_path / "OUT" / file, "no run of scan2albedo"
     mine.parent.mkdir(parents=True)
-    mine.write_text("mine")
-    done = CliRunner().invoke(app, arguments)
+    if way == "a journal":
+        said = "was edited or cut short, or is not ours"
+        for place in (mine.parent, tmp_path / "OUT"):
+            (place / JOURNAL).write_text(journal_with(made=["mine"]))
+    else:
+        mine.write_text("mine")
+    before = folders.contents(tmp_path)
+    done = invoke(*arguments)
     assert done.exit_code != 0
-    assert "no run of scan2albedo" in f"{done.output} {done.exception}"
-    assert [path.read_text() for path in tmp_path.rglob("*") if path.is_file()] == ["mine"]
+    assert said in f"{done.output} {done.exception}"
+    assert folders.contents(tmp_path) == before

@@ -5,6 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
+from helpers.cli import invoke
 from helpers.square import quarters, square_gltf, write_image, write_square_obj
 
 from scan2albedo import load_scan
@@ -25,24 +26,18 @@ def ply(folder, texture):
 
 
 def gltf(folder, texture):
-    tree, binary = square_gltf(None)
-    (folder / "face.bin").write_bytes(binary)
-    tree["buffers"][0]["uri"] = "face.bin"
-    tree["images"] = [{"uri": texture}]
-    tree["textures"] = [{"source": 0}]
-    material = {"name": "skin", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}
-    tree["materials"] = [material]
-    for mesh in tree["meshes"]:
-        for primitive in mesh["primitives"]:
-            primitive["material"] = 0
-    (folder / "face.gltf").write_text(json.dumps(tree))
+    file = square_gltf()
+    file.tree["buffers"][0]["uri"] = "face.bin"
+    file.tree |= {"images": [{"uri": texture}], "textures": [{"source": 0}]}
+    file.material["pbrMetallicRoughness"]["baseColorTexture"] = {"index": 0}
+    (folder / "face.bin").write_bytes(file.binary)
+    (folder / "face.gltf").write_text(json.dumps(file.tree))
     return folder / "face.gltf"
 
 
 def obj(folder, texture):
-    path = write_square_obj(folder)
+    path = write_square_obj(folder, mtl=f"newmtl skin\nmap_Kd {texture}\n")
     (folder / "face.png").unlink()
-    (folder / "face.mtl").write_text(f"newmtl skin\nmap_Kd {texture}\n")
     return path
 
 
@@ -79,12 +74,9 @@ def test_a_texture_elsewhere_is_not_read_unless_its_folder_is_given(places, writ
 @pytest.mark.parametrize("name", ["../other/face.mtl", "linked.mtl"])
 def test_a_material_library_elsewhere_is_not_read_either(places, name):
     scan, other = places
-    path = write_square_obj(scan)
+    path = write_square_obj(scan, texture="skin.png", change=("face.mtl", name))
     shutil.move(scan / "face.mtl", other / "face.mtl")
-    (scan / "face.png").rename(scan / "skin.png")
-    (other / "face.mtl").write_text("newmtl skin\nmap_Kd skin.png\n")
     (scan / "linked.mtl").symlink_to(other / "face.mtl")
-    path.write_text(path.read_text().replace("face.mtl", name))
     loaded = load_scan(path)
     assert loaded.texture_linear is None
     assert any(f"material library {name} {OUTSIDE}" in note for note in loaded.notes)
@@ -116,16 +108,12 @@ def test_names_that_no_file_has_find_nothing(places, name):
 
 
 def test_the_command_takes_the_folder(places, tmp_path):
-    from typer.testing import CliRunner
-
-    from scan2albedo.cli.commands import app
-
     scan, other = places
     path = obj(scan, "../other/secret.png")
     arguments = ["process", path, "-o", tmp_path / "out", "--model", "none", "--size", 32, "--no-pictures"]
     arguments += ["--quality", "draft", "--lights", 1]
     for more, seen in (((), False), (("--textures", other), True)):
-        done = CliRunner().invoke(app, [str(word) for word in (*arguments, *more)])
+        done = invoke(*arguments, *more)
         assert done.exit_code == 0, done.output
         assert (OUTSIDE in done.stderr) is not seen
         assert (tmp_path / "out" / "face" / "albedo.exr").exists() is seen

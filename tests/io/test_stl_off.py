@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import trimesh
 from helpers.square import CORNER_COLORS, CORNER_LINEAR, SQUARE_FACES, SQUARE_MM
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import ScanError
 from scan2albedo.io import load_scan
@@ -9,14 +10,21 @@ from scan2albedo.io import load_scan
 SPHERE = trimesh.creation.icosphere(subdivisions=2, radius=80.0)
 
 
+def exported(kind, mesh=SPHERE):
+    data = mesh.export(file_type=kind)
+    return data if isinstance(data, bytes) else data.encode()
+
+
+def written(path, data):
+    path.write_bytes(data)
+    return path
+
+
 @pytest.mark.parametrize("kind", ["stl", "stl_ascii"])
 def test_stl_comes_back_welded(tmp_path, kind):
-    data = SPHERE.export(file_type=kind)
-    path = tmp_path / "a.STL"
-    path.write_bytes(data if isinstance(data, bytes) else data.encode())
-    scan = load_scan(path)
+    scan = load_scan(written(tmp_path / "a.STL", exported(kind)))
     assert scan.vertices.shape == SPHERE.vertices.shape
-    np.testing.assert_allclose(
+    assert_allclose(
         np.sort(scan.vertices[scan.faces].reshape(-1, 9), axis=0),
         np.sort(SPHERE.triangles.reshape(-1, 9), axis=0),
         atol=1e-4,
@@ -25,57 +33,50 @@ def test_stl_comes_back_welded(tmp_path, kind):
 
 
 def test_a_binary_stl_may_begin_with_solid(tmp_path):
-    data = bytearray(SPHERE.export(file_type="stl"))
-    data[:5] = b"solid"
-    (tmp_path / "a.stl").write_bytes(bytes(data))
-    assert len(load_scan(tmp_path / "a.stl").faces) == len(SPHERE.faces)
+    path = written(tmp_path / "a.stl", b"solid" + exported("stl")[5:])
+    assert len(load_scan(path).faces) == len(SPHERE.faces)
 
 
 @pytest.mark.parametrize("part", [0.001, 0.3, 0.999])
 @pytest.mark.parametrize("kind", ["stl", "stl_ascii"])
 def test_truncated_stl_is_refused_by_name(tmp_path, kind, part):
-    data = SPHERE.export(file_type=kind)
-    data = data if isinstance(data, bytes) else data.encode()
-    (tmp_path / "a.stl").write_bytes(data[: int(len(data) * part)])
+    data = exported(kind)
     with pytest.raises(ScanError, match=r"a\.stl: .*truncated"):
-        load_scan(tmp_path / "a.stl")
+        load_scan(written(tmp_path / "a.stl", data[: int(len(data) * part)]))
 
 
 def test_all_solids_of_a_text_stl_are_read(tmp_path):
     other = SPHERE.copy()
     other.apply_translation((300, 0, 0))
-    text = "\n".join(mesh.export(file_type="stl_ascii") for mesh in (SPHERE, other))
-    (tmp_path / "a.stl").write_text(text)
-    assert len(load_scan(tmp_path / "a.stl", "mm").faces) == 2 * len(SPHERE.faces)
-    (tmp_path / "b.stl").write_text(text[: int(0.8 * len(text))])
+    text = b"\n".join(exported("stl_ascii", mesh) for mesh in (SPHERE, other))
+    assert len(load_scan(written(tmp_path / "a.stl", text), "mm").faces) == 2 * len(SPHERE.faces)
     with pytest.raises(ScanError, match=r"b\.stl: .*endsolid.*truncated"):
-        load_scan(tmp_path / "b.stl")
+        load_scan(written(tmp_path / "b.stl", text[: int(0.8 * len(text))]))
 
 
-@pytest.mark.parametrize(("old", "new"), [("endloop\n", "endloop "), ("solid \n", "solid by # 5 vertex\n")])
+@pytest.mark.parametrize(
+    ("old", "new"), [(b"endloop\n", b"endloop "), (b"solid \n", b"solid by # 5 vertex\n")]
+)
 def test_a_text_stl_of_other_lines_gives_the_same(tmp_path, old, new):
-    text = SPHERE.export(file_type="stl_ascii")
-    (tmp_path / "a.stl").write_text(text)
-    (tmp_path / "b.stl").write_text(text.replace(old, new))
+    text = exported("stl_ascii")
     assert old in text
-    plain, other = load_scan(tmp_path / "a.stl"), load_scan(tmp_path / "b.stl")
-    np.testing.assert_allclose(other.vertices, plain.vertices, rtol=1e-14)
-    np.testing.assert_array_equal(other.faces, plain.faces)
+    plain = load_scan(written(tmp_path / "a.stl", text))
+    other = load_scan(written(tmp_path / "b.stl", text.replace(old, new)))
+    assert_allclose(other.vertices, plain.vertices, rtol=1e-14)
+    assert_array_equal(other.faces, plain.faces)
 
 
 def test_the_name_of_a_text_stl_may_be_in_any_encoding(tmp_path):
-    text = SPHERE.export(file_type="stl_ascii").encode().replace(b"solid", b"solid Gesch\xfctz", 1)
-    (tmp_path / "a.stl").write_bytes(text)
-    assert len(load_scan(tmp_path / "a.stl").faces) == len(SPHERE.faces)
+    text = exported("stl_ascii").replace(b"solid", b"solid Gesch\xfctz", 1)
+    assert len(load_scan(written(tmp_path / "a.stl", text)).faces) == len(SPHERE.faces)
 
 
 @pytest.mark.parametrize(
     "data", [bytes(84), b"solid\nvertex 0 0\nvertex 1 0\nvertex 1 1\nendsolid\n", b"solid\nendsolid\n"]
 )
 def test_an_stl_without_triangles_is_refused_by_name(tmp_path, data):
-    (tmp_path / "a.stl").write_bytes(data)
     with pytest.raises(ScanError, match=r"a\.stl: .*damaged"):
-        load_scan(tmp_path / "a.stl")
+        load_scan(written(tmp_path / "a.stl", data))
 
 
 def off(path, header="OFF", vertices=None, faces=None, counts=None):
@@ -92,13 +93,13 @@ def off(path, header="OFF", vertices=None, faces=None, counts=None):
 )
 def test_off(tmp_path, header, counts):
     scan = load_scan(off(tmp_path / "a.off", header, counts=counts))
-    np.testing.assert_array_equal(scan.vertices, SQUARE_MM)
-    np.testing.assert_array_equal(scan.faces, SQUARE_FACES)
+    assert_array_equal(scan.vertices, SQUARE_MM)
+    assert_array_equal(scan.faces, SQUARE_FACES)
 
 
 def test_off_polygons_and_face_colours(tmp_path):
     scan = load_scan(off(tmp_path / "a.off", faces=["4 0 1 2 3 255 0 0"]))
-    np.testing.assert_array_equal(scan.faces, SQUARE_FACES)
+    assert_array_equal(scan.faces, SQUARE_FACES)
 
 
 @pytest.mark.parametrize("top", [1, 255])
@@ -108,7 +109,7 @@ def test_coff_vertex_colours(tmp_path, top):
         for v, color in zip(SQUARE_MM, CORNER_COLORS.values(), strict=True)
     ]
     scan = load_scan(off(tmp_path / "a.off", "COFF", vertices=rows))
-    np.testing.assert_allclose(scan.vertex_color_linear, CORNER_LINEAR, rtol=1e-5)
+    assert_allclose(scan.vertex_color_linear, CORNER_LINEAR, rtol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -134,10 +135,7 @@ def test_damaged_off_is_refused_by_name(tmp_path, options, message):
 
 
 def test_numbers_that_signal_are_named_without_a_warning(tmp_path):
-    path = tmp_path / "a.stl"
-    path.write_bytes(trimesh.creation.box((100, 100, 100)).export(file_type="stl"))
-    data = bytearray(path.read_bytes())
+    data = bytearray(exported("stl", trimesh.creation.box((100, 100, 100))))
     data[84 + 12 : 84 + 16] = bytes.fromhex("010080ff")  # a signalling NaN
-    path.write_bytes(data)
     with pytest.raises(ScanError, match=r"a\.stl: 1 vertices used by faces are NaN"):
-        load_scan(path)
+        load_scan(written(tmp_path / "a.stl", data))

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh
 from scan2albedo.io.texture_atlas import pack_texture
@@ -26,16 +27,18 @@ def bilinear(texture, uv):
     return upper * (1 - b) + lower * b
 
 
-def mesh_of(uv, material, materials):
+def packed_of(uv, *materials, material=None):
+    """Pack materials, or the only texture "a", of faces without common corners."""
     faces = np.arange(len(uv) * 3).reshape(-1, 3)
-    return ParsedMesh(RNG.random((len(uv) * 3, 3)), faces, uv, material, materials)
+    named = tuple(one if isinstance(one, Material) else Material("a", one) for one in materials)
+    return pack_texture(ParsedMesh(RNG.random((len(uv) * 3, 3)), faces, uv, material, named))
 
 
 def test_one_texture_is_passed_on_untouched():
     texture, uv = smooth(5, 9, 0), RNG.random((4, 3, 2))
-    packed = pack_texture(mesh_of(uv, None, (Material("a", texture),)))
+    packed = packed_of(uv, texture)
     assert packed.texture_linear is texture
-    np.testing.assert_array_equal(packed.uv, uv)
+    assert_array_equal(packed.uv, uv)
     assert packed.notes == ()
 
 
@@ -44,10 +47,10 @@ def test_interpolated_lookups_are_the_same_in_the_atlas():
     material = np.repeat(np.arange(5), 30)
     uv = RNG.random((150, 3, 2))
     uv[::5, 0] = RNG.integers(0, 2, (30, 2))  # corners of the tiles too
-    packed = pack_texture(mesh_of(uv, material, tuple(Material(str(i), t) for i, t in enumerate(textures))))
+    packed = packed_of(uv, *textures, material=material)
     for i, texture in enumerate(textures):
         mine = material == i
-        np.testing.assert_allclose(
+        assert_allclose(
             bilinear(packed.texture_linear, packed.uv[mine]), bilinear(texture, uv[mine]), atol=1e-5
         )
     assert packed.uv.min() >= 0
@@ -64,14 +67,12 @@ def test_untextured_faces_get_colour_and_unused_textures_no_room():
     )
     uv = RNG.random((4, 3, 2))
     uv[2, 1] = np.nan
-    packed = pack_texture(mesh_of(uv, np.array([0, 1, 0, -1]), materials))
+    packed = packed_of(uv, *materials, material=np.array([0, 1, 0, -1]))
     assert max(packed.texture_linear.shape) < 30
     # No picture showed the colour of a material: its alpha is 0.
-    np.testing.assert_allclose(
-        bilinear(packed.texture_linear, packed.uv[1]), [[0.1, 0.2, 0.3, 0]] * 3, rtol=1e-6
-    )
+    assert_allclose(bilinear(packed.texture_linear, packed.uv[1]), [[0.1, 0.2, 0.3, 0]] * 3, rtol=1e-6)
     plain = np.tile([0.5, 0.5, 0.5, 0], (2, 3, 1))
-    np.testing.assert_allclose(bilinear(packed.texture_linear, packed.uv[[2, 3]]), plain, rtol=1e-6)
+    assert_allclose(bilinear(packed.texture_linear, packed.uv[[2, 3]]), plain, rtol=1e-6)
     assert bilinear(packed.texture_linear, packed.uv[0])[:, 3].min() == 1
     assert "faces without texture, given their material's colour: 3" in packed.notes
 
@@ -81,8 +82,8 @@ def test_whole_periods_are_moved_back(shift):
     texture, uv = smooth(16, 16, 2), RNG.random((6, 3, 2)) * 0.8 + 0.1
     moved = uv.copy()
     moved[3:] += shift
-    packed = pack_texture(mesh_of(moved, None, (Material("a", texture),)))
-    np.testing.assert_allclose(packed.uv, uv, atol=1e-12)
+    packed = packed_of(moved, texture)
+    assert_allclose(packed.uv, uv, atol=1e-12)
     assert packed.texture_linear is texture
     assert packed.notes == ("a: texture coordinates outside [0, 1] repeat the texture",)
 
@@ -90,7 +91,7 @@ def test_whole_periods_are_moved_back(shift):
 def test_faces_across_a_period_get_the_texture_repeated():
     texture = RNG.random((8, 8, 3)).astype(np.float32)
     uv = np.array([[[0.5, 0.5], [2.5, 0.5], [0.5, 1.25]]])
-    packed = pack_texture(mesh_of(uv, None, (Material("a", texture),)))
+    packed = packed_of(uv, texture)
     assert packed.texture_linear.shape == (16, 24, 3)
     inside = (uv[0] + 1e-9) % 1
     inner = (np.array([[0.2, 0.3, 0.5], [0.6, 0.3, 0.1], [0.1, 0.8, 0.1]]) @ uv[0]) % 1
@@ -98,25 +99,25 @@ def test_faces_across_a_period_get_the_texture_repeated():
     for want, got in ((inside, packed.uv[0] + 1e-10), (inner, looked)):
         nearest = [texture[int((1 - v) * 8), int(u * 8)] for u, v in want]
         found = [packed.texture_linear[int((1 - v) * 16), int(u * 24)] for u, v in got]
-        np.testing.assert_array_equal(found, nearest)
+        assert_array_equal(found, nearest)
     assert packed.notes == ("a: texture coordinates outside [0, 1] repeat the texture: laid out 3x2 times",)
 
 
 def test_rounding_beyond_the_rim_does_not_repeat_the_texture():
     texture = smooth(8, 8, 4)
     uv = np.array([[[-1e-4, 0.0], [1.0001, 0.5], [0.5, 1.0]]])
-    packed = pack_texture(mesh_of(uv, None, (Material("a", texture),)))
+    packed = packed_of(uv, texture)
     assert packed.texture_linear is texture
-    np.testing.assert_array_equal(packed.uv, np.clip(uv, 0, 1))
+    assert_array_equal(packed.uv, np.clip(uv, 0, 1))
 
 
 def test_absurd_repeats_are_clamped_and_told():
     texture = smooth(64, 64, 4)
     uv = np.array([[[0.0, 0.0], [900.0, 0.5], [0.5, 900.0]], [[0.1, 0.1], [0.2, 0.1], [0.1, 0.2]]])
-    packed = pack_texture(mesh_of(uv, None, (Material("a", texture),)))
+    packed = packed_of(uv, texture)
     assert packed.texture_linear is texture
     assert packed.notes == ("a: texture coordinates of 1 faces span 900x900 repeats: clamped to one",)
-    np.testing.assert_array_equal(packed.uv[1], uv[1])
+    assert_array_equal(packed.uv[1], uv[1])
 
 
 def test_a_texture_without_coordinates_is_left_out_and_told():
@@ -129,7 +130,7 @@ def test_a_texture_without_coordinates_is_left_out_and_told():
 def test_coordinates_without_a_texture_are_kept():
     uv = RNG.random((2, 3, 2))
     uv[1, 0] = np.nan
-    packed = pack_texture(mesh_of(uv, None, ()))
+    packed = packed_of(uv)
     assert packed.texture_linear is None
-    np.testing.assert_array_equal(packed.uv[0], uv[0])
-    np.testing.assert_array_equal(packed.uv[1], 0)
+    assert_array_equal(packed.uv[0], uv[0])
+    assert_array_equal(packed.uv[1], 0)

@@ -1,12 +1,13 @@
 """Meshes with pictures on their own coordinates come back as they were written."""
 
-import json
-import struct
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
+from helpers.gltf import Gltf
+from helpers.meshes import grid
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.io.color import encode_srgb_bytes
@@ -17,14 +18,11 @@ from scan2albedo.io.textured_mesh import MeshPicture, TexturedMesh, write_textur
 COLORS = [(0.8, 0.1, 0.1), (0.1, 0.6, 0.2)]
 
 
-def bent_sheet(n=6):
+def bent_sheet():
     """A sheet whose left and right half have a picture each, apart on the texture."""
-    x, y = np.meshgrid(np.linspace(0, 100, n), np.linspace(0, 100, n))
-    vertices = np.stack([x.ravel(), y.ravel(), 0.01 * x.ravel() ** 2], axis=1)
-    corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
-    faces = np.concatenate(
-        [np.stack([corner, corner + 1, corner + n], 1), np.stack([corner + 1, corner + n + 1, corner + n], 1)]
-    )
+    vertices, faces = grid(6, 6)
+    vertices *= 100
+    vertices[:, 2] = 0.01 * vertices[:, 0] ** 2
     uv = (vertices[:, :2] / 100)[faces]
     right = vertices[faces].mean(1)[:, 0] > 50
     uv[right, :, 0] += 1.0  # the next tile
@@ -46,13 +44,13 @@ def test_an_obj_keeps_vertices_coordinates_and_a_picture_for_each_tile(sheet, tm
     written = write_textured_obj(tmp_path / "mine.obj", mesh, mm_per_unit=10.0)
     assert written == ("mine.mtl", "mine.1001.png", "mine.1002.png")
     parsed = read_mesh_file(tmp_path / "mine.obj")
-    np.testing.assert_allclose(parsed.vertices * 10, mesh.vertices, atol=1e-6)
+    assert_allclose(parsed.vertices * 10, mesh.vertices, atol=1e-6)
     order = np.concatenate([np.flatnonzero(~right), np.flatnonzero(right)])  # by material
-    np.testing.assert_array_equal(parsed.faces, mesh.faces[order])
-    np.testing.assert_allclose(parsed.uv, mesh.uv[order], atol=1e-8)
-    np.testing.assert_array_equal(parsed.material, right[order])
+    assert_array_equal(parsed.faces, mesh.faces[order])
+    assert_allclose(parsed.uv, mesh.uv[order], atol=1e-8)
+    assert_array_equal(parsed.material, right[order])
     for material, color in zip(parsed.materials, COLORS, strict=True):
-        np.testing.assert_allclose(material.texture_linear[4, 4], color, atol=0.01)
+        assert_allclose(material.texture_linear[4, 4], color, atol=0.01)
 
 
 def test_a_glb_has_them_too_and_light_without_seams(sheet, tmp_path):
@@ -60,12 +58,12 @@ def test_a_glb_has_them_too_and_light_without_seams(sheet, tmp_path):
     write_textured_glb(tmp_path / "mine.glb", mesh)
     parsed = read_mesh_file(tmp_path / "mine.glb")
     assert len(parsed.faces) == len(mesh.faces)
-    np.testing.assert_array_equal(np.bincount(parsed.material), [(~right).sum(), right.sum()])
+    assert_array_equal(np.bincount(parsed.material), [(~right).sum(), right.sum()])
     scene = trimesh.load(tmp_path / "mine.glb", process=False)
     normals = vertex_normals(mesh.vertices, mesh.faces)
     for part in scene.geometry.values():
         at = np.linalg.norm(part.vertices[:, None] * 1000 - mesh.vertices[None], axis=2).argmin(1)
-        np.testing.assert_allclose(part.vertex_normals, normals[at], atol=1e-5)
+        assert_allclose(part.vertex_normals, normals[at], atol=1e-5)
 
 
 def test_vertex_colours_stand_in_both(tmp_path):
@@ -87,27 +85,20 @@ def test_morph_targets_lead_from_the_rest_to_the_vertices(sheet, tmp_path):
     targets, weights = {"jawOpen": lift, "eyeWideLeft": np.roll(lift, 1, axis=1)}, np.array([0.75, 0.0])
     moving = replace(mesh, rest=mesh.vertices - 0.75 * lift, targets=targets, weights=weights)
     write_textured_glb(tmp_path / "mine.glb", moving)
-    data = (tmp_path / "mine.glb").read_bytes()
-    size = struct.unpack("<I", data[12:16])[0]
-    tree, binary = json.loads(data[20 : 20 + size]), data[28 + size :]
-
-    def array(number):
-        accessor = tree["accessors"][number]
-        view = tree["bufferViews"][accessor["bufferView"]]
-        values = np.frombuffer(binary, "<f4", 3 * accessor["count"], view["byteOffset"])
-        return values.reshape(-1, 3).astype(float)
-
-    assert len(tree["meshes"]) == 2
-    for part in tree["meshes"]:
+    file = Gltf.read(tmp_path / "mine.glb")
+    assert len(file.tree["meshes"]) == 2
+    for part in file.tree["meshes"]:
         assert part["extras"] == {"targetNames": ["jawOpen", "eyeWideLeft"]}
         assert part["weights"] == [0.75, 0.0]
         (primitive,) = part["primitives"]
-        moved, turned = array(primitive["attributes"]["POSITION"]), array(primitive["attributes"]["NORMAL"])
+        moved, turned = (
+            file.array(primitive["attributes"][name]).astype(float) for name in ("POSITION", "NORMAL")
+        )
         for weight, target in zip(weights, primitive["targets"], strict=True):
-            moved += weight * array(target["POSITION"])
+            moved += weight * file.array(target["POSITION"])
         nearest = np.linalg.norm(1000 * moved[:, None] - mesh.vertices, axis=2)
         assert nearest.min(1).max() < 1e-3
         # The first target tilts the sheet by as much everywhere, also beside the seam.
         whole = vertex_normals(moving.rest + lift, mesh.faces)
-        found = turned + array(primitive["targets"][0]["NORMAL"])
-        np.testing.assert_allclose(found, whole[nearest.argmin(1)], atol=1e-5)
+        found = turned + file.array(primitive["targets"][0]["NORMAL"])
+        assert_allclose(found, whole[nearest.argmin(1)], atol=1e-5)

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 import trimesh
-from benchmarks.stereo_scan import StereoScanner, stereo_scan
 from helpers.square import SQUARE_MM, assert_corner_colors, write_square_obj
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from worlds.stereo import StereoScanner, stereo_scan
 
 from scan2albedo.errors import ScanError
 from scan2albedo.geometry.mesh import vertex_components

@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.meshes import grid, obj_text
+from numpy.testing import assert_array_equal
 from PIL import Image
 
 from scan2albedo.io import load_scan
@@ -14,15 +16,10 @@ SIDE = 40
 ORANGE = (255, 127, 39)
 
 
-def grid():
+def square():
     """A square of 40 x 40 cells, each two faces: vertices, faces, and coordinates of the corners."""
-    row, column = np.divmod(np.arange((SIDE + 1) ** 2), SIDE + 1)
-    vertices = np.column_stack([column * 4.0, row * 4.0, np.zeros(len(row))])
-    first = (np.arange(SIDE)[:, None] * (SIDE + 1) + np.arange(SIDE)).ravel()
-    lower, upper = [first, first + 1, first + SIDE + 1], [first + 1, first + SIDE + 2, first + SIDE + 1]
-    faces = np.concatenate([np.stack(lower, 1), np.stack(upper, 1)])
-    uv = np.column_stack([column, row]) / SIDE
-    return vertices, faces, uv[faces]
+    vertices, faces = grid(SIDE + 1, SIDE + 1)
+    return vertices * 160, faces, vertices[faces][..., :2]
 
 
 def picture(seed=0):
@@ -36,15 +33,10 @@ def picture(seed=0):
 
 def written(folder, pixels, **options):
     """Write the square with a texture as OBJ and return its path."""
-    vertices, _, _ = grid()
+    vertices, faces = grid(SIDE + 1, SIDE + 1)
     Image.fromarray(pixels).save(folder / "skin.png", **options)
-    corners = np.arange(len(vertices)).reshape(SIDE + 1, SIDE + 1) + 1
-    lines = ["mtllib skin.mtl", "usemtl skin"]
-    lines += [f"v {x} {y} {z}" for x, y, z in vertices]
-    lines += [f"vt {x / 160} {y / 160}" for x, y, _ in vertices]
-    quads = corners[:-1, :-1], corners[:-1, 1:], corners[1:, 1:], corners[1:, :-1]
-    lines += [f"f {a}/{a} {b}/{b} {c}/{c} {d}/{d}" for a, b, c, d in np.stack(quads, -1).reshape(-1, 4)]
-    (folder / "skin.obj").write_text("\n".join(lines))
+    text = obj_text(160 * vertices, faces, vertices[:, :2])
+    (folder / "skin.obj").write_text(f"mtllib skin.mtl\nusemtl skin\n{text}")
     (folder / "skin.mtl").write_text("newmtl skin\nmap_Kd skin.png\n")
     return folder / "skin.obj"
 
@@ -73,7 +65,7 @@ def test_what_is_transparent_was_not_seen(tmp_path):
         image.save(tmp_path / "kind.png")
         file = written(tmp_path, pixels)
         (tmp_path / "kind.png").rename(tmp_path / "skin.png")
-        np.testing.assert_array_equal(load_scan(file, unit="mm").color_seen, ~hole, err_msg=kind)
+        assert_array_equal(load_scan(file, unit="mm").color_seen, ~hole, err_msg=kind)
 
 
 def test_an_alpha_that_is_alike_everywhere_says_nothing(tmp_path):
@@ -85,7 +77,7 @@ def test_an_alpha_that_is_alike_everywhere_says_nothing(tmp_path):
 
 def test_photographs_and_clipped_white_were_seen():
     pixels, hole = picture()
-    _, faces, uv = grid()
+    _, faces, uv = square()
     assert seen_colors(srgb_to_linear(pixels / 255).astype(np.float32), faces, uv)[1] is None
     pixels[hole] = 255
     assert seen_colors(srgb_to_linear(pixels / 255).astype(np.float32), faces, uv)[1] is None
@@ -102,12 +94,12 @@ def test_a_scan_of_one_colour_has_no_colour(tmp_path):
 
 
 def test_vertices_of_one_colour_were_not_seen():
-    vertices, faces, _ = grid()
+    vertices, faces, _ = square()
     colors = np.random.default_rng(0).uniform(0.2, 0.6, (len(vertices), 3)).astype(np.float32)
     assert seen_colors(colors, faces)[1] is None
     hole = np.linalg.norm(vertices - [80, 80, 0], axis=1) < 30
     colors[hole] = 0.5
-    np.testing.assert_array_equal(seen_colors(colors, faces)[1], ~hole)
+    assert_array_equal(seen_colors(colors, faces)[1], ~hole)
     found, seen = seen_colors(np.column_stack([colors, ~hole]).astype(np.float32), faces)
-    np.testing.assert_array_equal(found, colors)
-    np.testing.assert_array_equal(seen, ~hole)
+    assert_array_equal(found, colors)
+    assert_array_equal(seen, ~hole)

@@ -1,9 +1,9 @@
 """`process(..., linear_model=FILE)`: coefficients.json, the mesh in its place, the texture on its UV."""
 
-import json
-
 import numpy as np
 import pytest
+from helpers.records import read_json
+from numpy.testing import assert_allclose, assert_array_equal
 
 import scan2albedo as s2a
 from scan2albedo.errors import ModelError
@@ -32,7 +32,7 @@ def result(coarse_scan, file, tmp_path_factory):
 
 
 def test_files_place_the_model_on_the_scan(result, file):
-    record = json.loads((result.out / "coefficients.json").read_text())
+    record = read_json(result.out / "coefficients.json")
     model = LinearFaceModel.load(file)
     assert (record["model"], record["model_sha256"]) == ("bumps", model.sha256)
     assert (len(record["shape"]), record["expression"], record["mm_per_unit"]) == (10, [], pytest.approx(10))
@@ -41,21 +41,21 @@ def test_files_place_the_model_on_the_scan(result, file):
         stored = {name: arrays[name] for name in arrays.files}
     shape = model.at(np.array(record["shape"]))
     placed = transform_points(np.array(record["scan_from_model"]), shape)
-    np.testing.assert_allclose(placed, stored["vertices"], atol=1e-5)
+    assert_allclose(placed, stored["vertices"], atol=1e-5)
     near = ~np.isnan(stored["residual_mm"])
     assert near.mean() > 0.5
     assert np.median(stored["residual_mm"][near]) < 1.5
     assert (np.abs(stored["displacement_mm"][near]) <= stored["residual_mm"][near] + 1e-9).all()
-    np.testing.assert_array_equal(np.isnan(stored["displacement_mm"]), ~near)
+    assert_array_equal(np.isnan(stored["displacement_mm"]), ~near)
 
 
 def test_the_template_is_the_linear_model_with_its_texture(result, file):
     assert {"template.obj", "template.png", "template.glb"} <= {path.name for path in result.out.iterdir()}
     assert result.template.vertices.shape == LinearFaceModel.load(file).mean.shape
-    own = json.loads((result.out / "result.json").read_text())["template_from_model"]
+    own = read_json(result.out / "result.json")["template_from_model"]
     back = transform_points(np.array(own), result.template.vertices)
     expected = LinearFaceModel.load(file).at(result.linear_model.coefficients)
-    np.testing.assert_allclose(back, expected, atol=1e-6)
+    assert_allclose(back, expected, atol=1e-6)
     assert result.template.tiles[0].seen.mean() > 0.3
 
 

@@ -1,15 +1,12 @@
 """One shape and one albedo from several scans of a person."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from scan2albedo import RawScan, process_person, read_geometry_image
+from scan2albedo import process_person, read_geometry_image
 from scan2albedo.albedo import albedo_error
 from scan2albedo.applications import load_result, relight
 from scan2albedo.errors import RegistrationError
@@ -25,27 +22,27 @@ LIGHTS = (
 SCANNER = Scanner(size=256)
 
 
-def scanned(seed: int, k: int, expression: str) -> tuple[RawScan, np.ndarray]:
-    scan, truth = raw_scan(seed, expression=expression, lights=LIGHTS[k], scanner=SCANNER)  # type: ignore[arg-type]
+def scanned(seed, k, expression):
+    scan, truth = raw_scan(seed, expression=expression, lights=LIGHTS[k], scanner=SCANNER)
     return replace(scan, name=f"scan{k}"), truth.albedo_linear
 
 
-def test_what_no_person_can_be_made_of_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="no scan was given"):
-        process_person([])
-    with pytest.raises(ValueError, match="several are called 'a'"):
-        process_person([tmp_path / "a.obj", tmp_path / "x" / "a.ply"])
-    with pytest.raises(ValueError, match="a person needs the model of a face"):
-        process_person([tmp_path / "a.obj"], model="none")
-    with pytest.raises(ValueError, match=r"name is '\.\./x'"):
-        process_person([tmp_path / "a.obj"], name="../x")
+def test_what_no_person_can_be_made_of_is_refused(tmp_path):
+    for scans, options, words in (
+        ([], {}, "no scan was given"),
+        ([tmp_path / "a.obj", tmp_path / "x" / "a.ply"], {}, "several are called 'a'"),
+        ([tmp_path / "a.obj"], {"model": "none"}, "a person needs the model of a face"),
+        ([tmp_path / "a.obj"], {"name": "../x"}, r"name is '\.\./x'"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            process_person(scans, **options)
     with pytest.raises(RegistrationError, match=r"ann: no scan can be used: .*missing.obj"):
         process_person([tmp_path / "missing.obj"], tmp_path / "out", name="ann")
     assert not (tmp_path / "out" / "ann").exists()
 
 
 @pytest.mark.slow
-def test_scans_of_a_person_in_other_lights_and_expressions(tmp_path: Path) -> None:
+def test_scans_of_a_person_in_other_lights_and_expressions(tmp_path):
     (first, truth), (second, _) = scanned(3, 0, "neutral"), scanned(3, 1, "smile")
     third, stranger = scanned(3, 2, "frown")[0], scanned(8, 2, "neutral")[0]
     broken = tmp_path / "broken.obj"
@@ -60,8 +57,6 @@ def test_scans_of_a_person_in_other_lights_and_expressions(tmp_path: Path) -> No
     assert {"broken", "stranger"} <= {word for note in person.notes for word in note.split()}
     assert f"scan1: {lost}" in " ".join(person.notes)
     common, shape = person.common, person.shape
-    assert common is not None
-    assert shape is not None
     seen = (common.coverage > 1) & (truth.max(-1) > 0) & (person.geometry_image.skin > 0.5)
     alone = [read_albedo(tmp_path / "ann" / name, truth, seen) for name in person.members]
     together = albedo_error(common.albedo_linear[seen], truth[seen], np.ones(seen.sum(), bool))
@@ -82,7 +77,7 @@ def test_scans_of_a_person_in_other_lights_and_expressions(tmp_path: Path) -> No
     assert len(read_labelled_templates(gallery)) == 2
 
 
-def read_albedo(folder: Path, truth: np.ndarray, seen: np.ndarray) -> float:
+def read_albedo(folder, truth, seen):
     channels = read_exr_channels(folder / "albedo.exr")
     albedo = np.stack([channels[name] for name in "RGB"], -1)
     return albedo_error(albedo[seen], truth[seen], np.ones(seen.sum(), bool)).relative_rmse

@@ -3,16 +3,15 @@
 import csv
 import inspect
 import json
-import os
 from dataclasses import fields, replace
 from itertools import pairwise
-from pathlib import Path
 
 import igl
-import jsonschema
 import numpy as np
 import pytest
 import trimesh
+from helpers.records import files_in, read_json, valid_record
+from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 import scan2albedo as s2a
@@ -25,33 +24,17 @@ from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.io.load_scan import input_sha256
 from scan2albedo.io.obj import write_obj
 from scan2albedo.pipeline import process as pipeline_process
-from scan2albedo.pipeline import result as result_files
 from scan2albedo.pipeline.demo import compare_with_truth, run_demo
 from scan2albedo.pipeline.options import STEPS, ProcessOptions
 from scan2albedo.registration.register import refined_registration
 
 SIZE = 128
-SCHEMAS = Path(__file__).resolve().parents[2] / "data_schemas"
 STEP = "register.depth_annealing"
 FILES = {
-    "result.json",
-    "geometry_image.npz",
-    "geometry_image.exr",
-    "albedo.exr",
-    "albedo.png",
-    "expected_error.exr",
-    "shading.exr",
-    "specular.exr",
-    "shadow.png",
-    "skin.png",
-    "labels.png",
-    "fitted.glb",
-    "registration.json",
-    "landmarks.json",
-    "landmarks.csv",
-    "trace.csv",
-    "error_vs_time.png",
-    "overview.png",
+    *("result.json", "geometry_image.npz", "geometry_image.exr", "albedo.exr", "albedo.png"),
+    *("expected_error.exr", "shading.exr", "specular.exr", "shadow.png", "skin.png", "labels.png"),
+    *("fitted.glb", "registration.json", "landmarks.json", "landmarks.csv", "trace.csv"),
+    *("error_vs_time.png", "overview.png"),
 }
 
 
@@ -88,7 +71,7 @@ def test_error_against_the_truth(result, case):
 
 def test_the_skin_becomes_a_reflectance_of_the_models_vertices(result, case):
     found = reflectance_of_processed(result.out)
-    np.testing.assert_array_equal(found.mesh.faces, result.fitted.faces)
+    assert_array_equal(found.mesh.faces, result.fitted.faces)
     known = found.reflectance.known
     assert known.mean() > 0.7
     as_true = replace(load_result(result.out), image=case[1].image)
@@ -100,7 +83,7 @@ def test_the_skin_becomes_a_reflectance_of_the_models_vertices(result, case):
 
 
 def test_every_file_of_the_contract_is_there_and_none_else(result):
-    assert {path.name for path in result.out.iterdir()} == FILES
+    assert files_in(result.out) == FILES
     assert [path.name for path in result.out.parent.iterdir()] == [result.out.name]
 
 
@@ -113,14 +96,11 @@ def test_colours_go_on_beyond_the_rim_for_viewers_that_filter(result):
 
 
 def test_json_files_agree_with_their_schemas(result):
-    for name in ("result", "registration", "landmarks"):
-        schema = json.loads((SCHEMAS / f"{name}.schema.json").read_text())
-        jsonschema.validate(json.loads((result.out / f"{name}.json").read_text()), schema)
-    written = json.loads((result.out / "result.json").read_text())
+    names = ("result", "registration", "landmarks")
+    written, poses, _ = (valid_record(result.out / f"{name}.json", name) for name in names)
     assert set(written["files"]) == FILES
-    poses = json.loads((result.out / "registration.json").read_text())
-    np.testing.assert_array_equal(poses["model_from_scan"], result.registration.model_from_scan)
-    np.testing.assert_array_equal(poses["fitted_from_scan"], poses["model_from_scan"])
+    assert_array_equal(poses["model_from_scan"], result.registration.model_from_scan)
+    assert_array_equal(poses["fitted_from_scan"], poses["model_from_scan"])
 
 
 def test_landmarks_lie_on_the_scan_in_the_unit_of_its_file(result, tmp_path):
@@ -128,12 +108,12 @@ def test_landmarks_lie_on_the_scan_in_the_unit_of_its_file(result, tmp_path):
         result.out / "landmarks.csv", delimiter=",", names=True, dtype=None, encoding="utf-8"
     )
     on_scan = np.stack([table[f"scan_{axis}"] for axis in "xyz"], 1)
-    np.testing.assert_allclose(on_scan, result.landmarks_scan, rtol=1e-6)
-    written = json.loads((result.out / "landmarks.json").read_text())
+    assert_allclose(on_scan, result.landmarks_scan, rtol=1e-6)
+    written = read_json(result.out / "landmarks.json")
     assert written["mm_per_unit"] == 1
     assert [point["number"] for point in written["landmarks"]] == list(range(68))
-    np.testing.assert_array_equal([p["model_mm"] for p in written["landmarks"]], result.fitted.landmarks)
-    np.testing.assert_array_equal([p["scan"] for p in written["landmarks"]], result.landmarks_scan)
+    assert_array_equal([p["model_mm"] for p in written["landmarks"]], result.fitted.landmarks)
+    assert_array_equal([p["scan"] for p in written["landmarks"]], result.landmarks_scan)
     off = ClosestPointQuery(result.scan.vertices, result.scan.faces).query(on_scan[17:]).distance
     assert np.median(off) < 0.5
     quick = {"size": 32, "quality": "draft", "skip": ["albedo"]}
@@ -163,7 +143,7 @@ def test_landmarks_of_a_file_are_followed_in_the_scans_own_unit(case, result, tm
     points = np.full((68, 3), np.nan)
     points[30] = marks[2] * 1000
     same = s2a.process(scan, **(options | {"landmarks": points}))
-    np.testing.assert_array_equal(same.landmarks_scan, one.landmarks_scan)
+    assert_array_equal(same.landmarks_scan, one.landmarks_scan)
     assert same.options["landmarks"] == "given"
     covers = next(step for step in same.plan if step.stage == "fit.covers")
     assert not covers.ran
@@ -171,7 +151,7 @@ def test_landmarks_of_a_file_are_followed_in_the_scans_own_unit(case, result, tm
 
 def test_the_registration_has_the_pose_of_the_fit_and_the_distance_there(result, case):
     registration, model = result.registration, s2a.AnnotatedFaceModel.default()
-    np.testing.assert_array_equal(registration.model_from_scan, result.fitted.model_from_scan)
+    assert_array_equal(registration.model_from_scan, result.fitted.model_from_scan)
     assert registration.face_scale == result.fitted.metrics["scale"]
     searched = s2a.register(case[0], model)
     apart = np.abs(registration.model_from_scan - searched.model_from_scan)
@@ -191,12 +171,12 @@ def test_files_hold_what_the_result_holds(result):
     from scan2albedo.io.images import read_image_linear
 
     image = s2a.read_geometry_image(result.out / "geometry_image.npz")
-    np.testing.assert_array_equal(image.position, result.geometry_image.position)
-    np.testing.assert_array_equal(image.region, result.geometry_image.region)
-    np.testing.assert_array_equal(read_image_linear(result.out / "albedo.exr"), result.albedo.albedo_linear)
+    assert_array_equal(image.position, result.geometry_image.position)
+    assert_array_equal(image.region, result.geometry_image.region)
+    assert_array_equal(read_image_linear(result.out / "albedo.exr"), result.albedo.albedo_linear)
     with Image.open(result.out / "albedo.png") as preview:
         alpha = np.asarray(preview.getchannel("A"))
-    np.testing.assert_array_equal(alpha, 255 * image.seen)
+    assert_array_equal(alpha, 255 * image.seen)
     rows = list(csv.DictReader((result.out / "trace.csv").read_text().splitlines()))
     assert len(rows) == len(result.trace)
     assert {row["stage"] for row in rows} == set(result.trace.stages)
@@ -263,9 +243,9 @@ def test_a_hole_where_the_nose_should_be_is_told(case, result):
 @pytest.mark.slow
 def test_same_input_and_seed_give_the_same_bits(case, result):
     again = s2a.process(case[0], size=SIZE)
-    np.testing.assert_array_equal(again.registration.model_from_scan, result.registration.model_from_scan)
-    np.testing.assert_array_equal(again.fitted.vertices, result.fitted.vertices)
-    np.testing.assert_array_equal(again.albedo.albedo_linear, result.albedo.albedo_linear)
+    assert_array_equal(again.registration.model_from_scan, result.registration.model_from_scan)
+    assert_array_equal(again.fitted.vertices, result.fitted.vertices)
+    assert_array_equal(again.albedo.albedo_linear, result.albedo.albedo_linear)
 
 
 def test_a_budget_gives_the_best_answer_so_far(case):
@@ -290,7 +270,7 @@ def test_a_scan_without_colour_ends_without_albedo_and_says_so(case, tmp_path):
     result = s2a.process(plain, tmp_path, size=64)
     assert result.albedo is None
     assert "no usable colour" in result.plan.of_stage("albedo")[0].reason
-    names = {path.name for path in result.out.iterdir()}
+    names = files_in(result.out)
     assert "albedo.png" not in names
     assert {"overview.png", "geometry_image.npz", "result.json"} <= names
 
@@ -399,7 +379,7 @@ def test_the_input_is_hashed_as_it_was_read(tmp_path, monkeypatch):
 
     monkeypatch.setattr(pipeline_process, "geometry_image_of_scan", edit_and_sample)
     result = s2a.process(scan, tmp_path / "out", model="none", size=48, pictures=False)
-    record = json.loads((result.out / "result.json").read_text())
+    record = read_json(result.out / "result.json")
     assert record["input"]["sha256"] == result.input_sha256 == before != input_sha256(scan)
 
 
@@ -454,62 +434,6 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path, case):
         s2a.process(case[0], tmp_path / "file" / "out")
 
 
-def test_a_disk_that_fills_up_leaves_no_half_written_result(result, tmp_path, monkeypatch):
-    def full(*arguments):
-        raise OSError(28, os.strerror(28))
-
-    monkeypatch.setattr(result_files, "write_glb", full)
-    with pytest.raises(OutputError, match="No space left"):
-        result_files.write_result(result, tmp_path)
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.slow
-def test_an_interrupted_write_keeps_the_older_result(result, tmp_path, monkeypatch):
-    folder = result_files.write_result(result, tmp_path)
-    before = {path.name: path.read_bytes() for path in folder.iterdir()}
-
-    def interrupted(*arguments):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(result_files, "write_glb", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        result_files.write_result(result, tmp_path)
-    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
-    assert [path.name for path in tmp_path.iterdir()] == [folder.name]
-
-
-@pytest.mark.slow
-def test_files_of_an_older_run_with_more_stages_do_not_stay(result, tmp_path):
-    result_files.write_result(result, tmp_path)
-    folder = result_files.write_result(replace(result, albedo=None), tmp_path)
-    assert not (folder / "albedo.png").exists()
-    assert set(json.loads((folder / "result.json").read_text())["files"]) == {
-        p.name for p in folder.iterdir()
-    }
-
-
-@pytest.mark.slow
-def test_an_interrupted_publication_leaves_the_whole_old_result(result, tmp_path, monkeypatch):
-    folder = result_files.write_result(result, tmp_path)
-    before = {path.name: path.read_bytes() for path in folder.iterdir()}
-
-    rename = os.rename
-
-    def interrupted(a, b):
-        if Path(a).name == "fitted.glb" and Path(a).parent.name == "new":
-            raise KeyboardInterrupt
-        rename(a, b)
-
-    monkeypatch.setattr(os, "rename", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        result_files.write_result(result, tmp_path)
-    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
-    assert [path.name for path in tmp_path.iterdir()] == [folder.name]
-    monkeypatch.undo()
-    assert (result_files.write_result(result, tmp_path) / "result.json").is_file()
-
-
 @pytest.mark.slow
 def test_demo_at_full_size():
     report = run_demo(None)
@@ -529,8 +453,8 @@ def test_a_template_of_ones_own_comes_back_in_its_own_topology(case, tmp_path):
     igl.writeOBJ(str(template), own.control_vertices @ turn.T / 1000, own.control_faces)
     result = s2a.process(case[0], tmp_path, model=template, size=64, skip=["albedo"])
     vertices, faces = igl.read_triangle_mesh(str(result.out / "template.obj"))
-    np.testing.assert_allclose(vertices, result.fitted.template_vertices, atol=1e-3)
-    np.testing.assert_array_equal(faces, own.control_faces)
+    assert_allclose(vertices, result.fitted.template_vertices, atol=1e-3)
+    assert_array_equal(faces, own.control_faces)
     truth = case[1]
     truth_from_fit = truth.model_from_scan @ invert_rigid(result.fitted.model_from_scan)
     landmarks = transform_points(truth_from_fit, result.fitted.landmarks)

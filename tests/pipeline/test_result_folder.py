@@ -3,9 +3,9 @@
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
-import trimesh
+from helpers.folders import contents
+from helpers.meshes import ball
 
 import scan2albedo as s2a
 from scan2albedo.errors import OutputError, ScanError
@@ -16,18 +16,12 @@ TINY = {"model": "none", "size": 32, "unit": "mm", "pictures": False, "quality":
 
 @pytest.fixture(scope="module")
 def scan():
-    sphere = trimesh.creation.icosphere(2, 90.0)
-    color = np.clip(0.5 + sphere.vertices / 200, 0, 1)
-    return s2a.RawScan(sphere.vertices, sphere.faces, vertex_color_linear=color, name="ball")
+    return ball()
 
 
 @pytest.fixture(scope="module")
 def result(scan):
     return s2a.process(scan, **TINY)
-
-
-def contents(folder):
-    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
 def somebody_elses(folder):
@@ -52,7 +46,7 @@ def test_a_folder_of_somebody_else_is_refused_before_any_work_and_stays(tmp_path
     make, words = somebody_elses(folder)[whose]
     make()
     before = contents(tmp_path)
-    monkeypatch.setattr("scan2albedo.pipeline.process._processed", None)  # no work is done
+    monkeypatch.setattr("scan2albedo.pipeline.process._Run", None)  # no work is done
     with pytest.raises(OutputError, match=f"ball.*{words}"):
         s2a.process(scan, tmp_path / "out", **TINY)
     assert contents(tmp_path) == before

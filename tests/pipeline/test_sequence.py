@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bench_sequence import followed
-from benchmarks.raw_like import raw_like
-from benchmarks.takes import SCRIPTS, take
+from bench.sequence import figures, followed
+from numpy.testing import assert_allclose
+from worlds.raw_like import raw_like
+from worlds.takes import SCRIPTS, take
 
 from scan2albedo.errors import OutputError, ScanError
 from scan2albedo.fitting.tracking import FaceTracker
@@ -21,7 +22,9 @@ from scan2albedo.synthetic.face_shape import person
 from tests.io.test_glb import moving
 
 COUNT = 6
-LOST, BROKEN, HALF = 2, 3, 4
+LOST = 2
+BROKEN = 3
+HALF = 4
 
 
 def turned(scan, degrees):
@@ -83,7 +86,7 @@ def test_frames_of_other_topologies_get_the_same_vertices(whole, frames):
     assert max(frame["residual_mm"] for frame in whole.frames) < 0.3
     with np.load(whole.out / "frames.npz") as stored:
         assert stored["vertices_mm"].shape == (COUNT, *whole.vertices(0).shape)
-        np.testing.assert_allclose(stored["vertices_mm"][3], whole.vertices(3), atol=1e-4)
+        assert_allclose(stored["vertices_mm"][3], whole.vertices(3), atol=1e-4)
         assert stored["landmarks_mm"].shape == (COUNT, 68, 3)
 
 
@@ -173,13 +176,13 @@ def test_files_are_read_in_the_unit_of_the_first(frames, whole, tmp_path):
     assert "empty.obj: holds a point cloud" in found.left_out[1][1]
     assert "missing.obj" in found.frames[0]["notes"][0]
     size = [np.ptp(points, axis=0) for points in (found.control_points[1], whole.control_points[0])]
-    np.testing.assert_allclose(*size, atol=1.5)
+    assert_allclose(*size, atol=1.5)
     assert found.frames[0]["deviation_mm"] is None
 
 
 def test_one_frame_is_a_take(frames, whole, tmp_path):
     found = process_sequence(frames[:1], tmp_path, name="one")
-    np.testing.assert_allclose(found.vertices(0), found.fitted.vertices, atol=1e-9)
+    assert_allclose(found.vertices(0), found.fitted.vertices, atol=1e-9)
     assert (tmp_path / "one" / "sequence.glb").stat().st_size > 10_000
 
 
@@ -205,11 +208,12 @@ def test_wrong_input_is_refused(frames, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("person", ["person1", "person4"])
 def test_measured_faces_keep_their_landmarks(shared_data: Path, person):
-    """Sixty frames of `tools/bench_sequence.py`, each resampled, with expressions there and back."""
+    """Sixty frames of `tools/bench/sequence.py`, each resampled, with expressions there and back."""
     if not (shared_data / "ict_expressions.npz").exists():
         pytest.skip("ict_expressions.npz is not among the real scans")
-    figures, _ = followed(take(person, SCRIPTS[person], seed=1))
-    assert figures["motion"] < 1.8
-    assert figures["jitter"] < figures["true"]
-    assert figures["nose"] < 0.25
-    assert figures["drift"] < 0.6
+    made = take(person, SCRIPTS[person], seed=1)
+    found = figures(made, followed(made))
+    assert found["motion"] < 1.8
+    assert found["jitter"] < found["true"]
+    assert found["nose"] < 0.25
+    assert found["drift"] < 0.6

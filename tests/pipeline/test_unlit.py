@@ -6,37 +6,25 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from benchmarks.texture_rims import LIMIT, exported_textures, rim_step
+from bench.applications import LIMIT, exported_textures, rim_step
+from helpers.faces import with_template
+from helpers.meshes import grid
+from helpers.records import files_in
+from numpy.testing import assert_allclose, assert_array_equal
 
 import scan2albedo as s2a
 from scan2albedo.applications import light_removal, load_result, swap_texture, write_face
 from scan2albedo.applications.light_removal import UnlitScan, unlit_scan
 from scan2albedo.applications.template_baking import template_texture
 from scan2albedo.errors import ApplicationError
-from scan2albedo.geometry.loop_subdivision import SurfacePoints
 from scan2albedo.geometry.rasterization import filled_smoothly
 from scan2albedo.io.color import is_deep
 from scan2albedo.io.images import encode_image, read_image_linear, read_image_values
 from scan2albedo.io.textured_mesh import MeshPicture, TexturedMesh, write_textured_obj
 from scan2albedo.pipeline.demo import compare_with_truth
-from scan2albedo.pipeline.result import write_template, write_unlit
+from scan2albedo.pipeline.mesh_files import write_template, write_unlit
 
 SIZE = 128
-
-
-def with_template(model, columns=1):
-    """The default model with its control mesh as template, charted on so many tiles side by side."""
-    face, corner = np.zeros((2, len(model.control_vertices)), np.int64)
-    for number, triangle in enumerate(model.control_faces):
-        face[triangle], corner[triangle] = number, np.arange(3)
-    uv = model.uv[model.control_faces] * [columns, 1]
-    return replace(
-        model,
-        template_points=SurfacePoints(face, np.eye(3)[corner]),
-        template_faces=model.control_faces,
-        template_uv=uv,
-        name="mine",
-    )
 
 
 @pytest.fixture(scope="module")
@@ -46,10 +34,16 @@ def case(coarse_scan):
 
 @pytest.fixture(scope="module")
 def result(case, tmp_path_factory):
-    model = with_template(s2a.AnnotatedFaceModel.default(), columns=2)
     out = tmp_path_factory.mktemp("out")
     return s2a.process(
-        case[0], out, model=model, size=SIZE, unlit="all", texture_size=256, quality="draft", pictures=False
+        case[0],
+        out,
+        model=with_template(2),
+        size=SIZE,
+        unlit="all",
+        texture_size=256,
+        quality="draft",
+        pictures=False,
     )
 
 
@@ -122,36 +116,33 @@ def test_what_was_left_out_of_the_fit_keeps_its_colours(result):
 
 
 def test_errors_name_what_is_missing(result):
-    bare = replace(result.scan, uv=None, texture_linear=None)
-    with pytest.raises(ApplicationError, match="no colours"):
-        unlit_scan(bare, result.fitted, result.albedo)
-    with pytest.raises(ValueError, match="reach is 'head'"):
-        unlit_scan(result.scan, result.fitted, result.albedo, "head")
-    plain = replace(result.fitted, model=s2a.AnnotatedFaceModel.default())
-    with pytest.raises(ApplicationError, match="no template with texture coordinates"):
-        template_texture(result.scan, plain)
-    elsewhere = replace(result.scan, vertices=result.scan.vertices + 1000)
-    with pytest.raises(ApplicationError, match="no part of it lies at the fitted face"):
-        unlit_scan(elsewhere, result.fitted, result.albedo)
-    moved = replace(result.fitted, vertices=result.fitted.vertices + 1)
-    with pytest.raises(ApplicationError, match="of another face"):
-        unlit_scan(result.scan, moved, result.albedo)
-    for size in (7, 9000, "x", 8.5):
-        with pytest.raises(ValueError, match="whole number of texels"):
-            template_texture(result.scan, result.fitted, size)
-    with pytest.raises(ValueError, match="texture_size is 9000"):
-        s2a.process(result.scan, texture_size=9000)
-    with pytest.raises(ValueError, match="unlit is 'head'"):
-        s2a.process(result.scan, unlit="head")
+    scan, fitted, albedo = result.scan, result.fitted, result.albedo
+    bare = replace(scan, uv=None, texture_linear=None)
+    plain = replace(fitted, model=s2a.AnnotatedFaceModel.default())
+    elsewhere = replace(scan, vertices=scan.vertices + 1000)
+    moved = replace(fitted, vertices=fitted.vertices + 1)
+    for call, given, words in (
+        (unlit_scan, (bare, fitted, albedo), "no colours"),
+        (unlit_scan, (scan, fitted, albedo, "head"), "reach is 'head'"),
+        (unlit_scan, (elsewhere, fitted, albedo), "no part of it lies at the fitted face"),
+        (unlit_scan, (scan, moved, albedo), "of another face"),
+        (template_texture, (scan, plain), "no template with texture coordinates"),
+        *((template_texture, (scan, fitted, n), "whole number of texels") for n in (7, 9000, "x", 8.5)),
+    ):
+        with pytest.raises((ApplicationError, ValueError), match=words):
+            call(*given)
+    for option, wrong in (("texture_size", 9000), ("unlit", "head"), ("files", "few")):
+        with pytest.raises(ValueError, match=f"{option} is {wrong!r}"):
+            s2a.process(scan, **{option: wrong})
 
 
 def test_a_template_gets_the_colours_of_the_skin_below_it(result):
     """Its control mesh's chart is that of the face, so its picture is the chart's."""
-    fitted = replace(result.fitted, model=with_template(s2a.AnnotatedFaceModel.default()))
+    fitted = replace(result.fitted, model=with_template())
     painted = template_texture(result.scan, fitted, SIZE)
     (tile,) = painted.tiles
     assert tile.number == 1001
-    np.testing.assert_array_equal(painted.vertices, fitted.template_vertices)
+    assert_array_equal(painted.vertices, fitted.template_vertices)
     image = result.geometry_image
     both = tile.seen & image.seen
     assert both.sum() > 0.8 * image.seen.sum()
@@ -172,7 +163,7 @@ def test_each_tile_is_a_picture_of_its_own(result):
 
 
 def test_files_and_plan_tell_of_both(result):
-    names = {path.name for path in result.out.iterdir()}
+    names = files_in(result.out)
     unlit = {"unlit.glb", "unlit.obj", "unlit.mtl", "unlit.png", "unlit_confidence.png"}
     template = {"template.obj", "template.mtl", "template.glb", "template.1001.png", "template.1002.png"}
     template |= {"template_normal.1001.png", "template_normal.1002.png"}
@@ -186,9 +177,9 @@ def test_files_and_plan_tell_of_both(result):
     assert record["template_from_model"] is None  # the model was not made from a mesh
     alpha = cv2.imread(str(result.out / "template.1001.png"), cv2.IMREAD_UNCHANGED)[..., 3]
     tile = next(tile for tile in result.template.tiles if tile.number == 1001)
-    np.testing.assert_array_equal(alpha > 0, tile.seen)
+    assert_array_equal(alpha > 0, tile.seen)
     again = s2a.load_scan(result.out / "unlit.obj", unit="mm")
-    np.testing.assert_allclose(again.vertices, result.scan.vertices, atol=1e-4)
+    assert_allclose(again.vertices, result.scan.vertices, atol=1e-4)
     stored = read_image_linear(result.out / "unlit.png")
     assert np.abs(stored - np.clip(result.unlit.scan.texture_linear, 0, 1)).max() < 0.01
     assert s2a.load_scan(result.out / "template.glb").texture_linear is not None
@@ -197,23 +188,14 @@ def test_files_and_plan_tell_of_both(result):
 def test_minimal_files_leave_out_what_others_have_and_all_have_the_unlit_scan(case, tmp_path):
     options = {"size": 32, "quality": "draft", "budget": s2a.Budget(evaluations=20)}
     minimal = s2a.process(case[0], tmp_path / "a", files="minimal", **options)
-    names = {path.name for path in minimal.out.iterdir()}
+    names = files_in(minimal.out)
     assert names == {
-        "result.json",
-        "registration.json",
-        "landmarks.json",
-        "landmarks.csv",
-        "trace.csv",
-        "geometry_image.npz",
-        "albedo.exr",
-        "albedo.png",
-        "fitted.glb",
+        *("result.json", "registration.json", "landmarks.json", "landmarks.csv", "trace.csv"),
+        *("geometry_image.npz", "albedo.exr", "albedo.png", "fitted.glb"),
     }
     load_result(minimal.out)
     every = s2a.process(case[0], tmp_path / "a", files="all", **options)
-    assert {"unlit.glb", "overview.png"} <= {path.name for path in every.out.iterdir()}
-    with pytest.raises(ValueError, match="files is 'few'"):
-        s2a.process(case[0], files="few")
+    assert {"unlit.glb", "overview.png"} <= files_in(every.out)
 
 
 def test_a_fit_without_a_light_leaves_it_out_and_says_so(case):
@@ -234,10 +216,9 @@ def test_a_budget_that_is_spent_leaves_it_out_and_the_face_comes_first(case):
 
 
 def test_several_pictures_come_back_as_they_came(tmp_path):
-    x, y = (axis.ravel() for axis in np.meshgrid(np.linspace(0, 180, 9), np.linspace(0, 180, 9)))
-    vertices = np.stack([x, y, 0.002 * (x - 90) ** 2], axis=1)
-    first = (np.arange(8)[:, None] * 9 + np.arange(8)).ravel()
-    faces = np.concatenate([first[:, None] + [0, 1, 9], first[:, None] + [1, 10, 9]])
+    vertices, faces = grid(9, 9)
+    vertices *= 180
+    vertices[:, 2] = 0.002 * (vertices[:, 0] - 90) ** 2
     right = vertices[faces].mean(1)[:, 0] > 90
     rng = np.random.default_rng(0)
     pictures = tuple(
@@ -253,8 +234,8 @@ def test_several_pictures_come_back_as_they_came(tmp_path):
         assert (tmp_path / f"unlit.{number}.png").read_bytes() == picture.png
         assert (tmp_path / f"unlit_confidence.{number}.png").is_file()
     again = s2a.load_scan(tmp_path / "unlit.obj", unit="mm")
-    np.testing.assert_allclose(again.uv, scan.uv, atol=1e-7)
-    np.testing.assert_array_equal(again.texture_linear, scan.texture_linear)
+    assert_allclose(again.uv, scan.uv, atol=1e-7)
+    assert_array_equal(again.texture_linear, scan.texture_linear)
     assert s2a.load_scan(tmp_path / "unlit.glb").texture_linear.shape == scan.texture_linear.shape
 
 
@@ -269,16 +250,14 @@ def test_pictures_keep_their_sixteen_bits(result, tmp_path):
         write_unlit(tmp_path, unlit, samples, exr=samples is np.uint16)
         assert read_image_values(tmp_path / "unlit.png").dtype == samples
         again = read_image_linear(tmp_path / "unlit.png")
-        np.testing.assert_allclose(again, np.clip(deep.texture_linear, 0, 1), atol=exact)
-    np.testing.assert_array_equal(read_image_linear(tmp_path / "unlit.exr"), deep.texture_linear)
+        assert_allclose(again, np.clip(deep.texture_linear, 0, 1), atol=exact)
+    assert_array_equal(read_image_linear(tmp_path / "unlit.exr"), deep.texture_linear)
     for tile in result.template.tiles:
         write_template(tmp_path, result.template, np.uint16, exr=True)
         picture = read_image_values(tmp_path / f"template.{tile.number}.png", alpha=True)
         assert picture.dtype == np.uint16
-        np.testing.assert_array_equal(picture[..., 3] > 0, tile.seen)
-        np.testing.assert_array_equal(
-            read_image_linear(tmp_path / f"template.{tile.number}.exr"), tile.color_linear
-        )
+        assert_array_equal(picture[..., 3] > 0, tile.seen)
+        assert_array_equal(read_image_linear(tmp_path / f"template.{tile.number}.exr"), tile.color_linear)
 
 
 def test_a_fold_gives_no_dark_spot_and_a_shadow_stays():
@@ -287,8 +266,8 @@ def test_a_fold_gives_no_dark_spot_and_a_shadow_stays():
     light[50:53, 40:44] = -2.5
     found = light_removal._without_dark_spots(light)
     assert found[50:53, 40:44].min() > -0.75
-    np.testing.assert_array_equal(found[:, 110:], light[:, 110:])
-    np.testing.assert_array_equal(found[100:, :90], light[100:, :90])
+    assert_array_equal(found[:, 110:], light[:, 110:])
+    assert_array_equal(found[100:, :90], light[100:, :90])
 
 
 def test_filling_goes_on_smoothly_and_keeps_what_is_known():
@@ -298,14 +277,14 @@ def test_filling_goes_on_smoothly_and_keeps_what_is_known():
     known[4:28, 4:28] = True
     known[12:16, 12:16] = False
     filled = filled_smoothly(np.where(known[..., None], image, 9).astype(np.float32), known)
-    np.testing.assert_array_equal(filled[known], image[known])
+    assert_array_equal(filled[known], image[known])
     assert np.abs(filled - image)[12:16, 12:16].max() < 0.1
     assert np.abs(filled - image).max() < 0.4
     # Bands of rows are no bands of columns.
     tall = np.random.default_rng(0).random((600, 90, 3)).astype(np.float32)
     some = np.random.default_rng(1).random((600, 90)) < 0.01
     turned = filled_smoothly(tall.swapaxes(0, 1), some.T).swapaxes(0, 1)
-    np.testing.assert_allclose(filled_smoothly(tall, some), turned, atol=1e-6)
+    assert_allclose(filled_smoothly(tall, some), turned, atol=1e-6)
 
 
 def test_no_exported_texture_has_a_fringe_at_the_rim_of_its_charts(result, tmp_path):

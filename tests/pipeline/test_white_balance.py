@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import scan2albedo as s2a
 from scan2albedo.albedo.prior import AlbedoPrior
@@ -29,8 +30,8 @@ def test_what_is_said_to_be_grey_becomes_grey():
     scan, image = painted()
     scan = RawScan(**TRIANGLE, vertex_color_linear=np.float32([[0.4, 0.5, 0.25]] * 3))
     found, lit, step = balanced(scan, image, (0.4, 0.5, 0.25))
-    np.testing.assert_allclose(found.vertex_color_linear, 0.5, rtol=1e-6)
-    np.testing.assert_allclose(lit.texture_linear, image.texture_linear * [1.25, 1, 2], rtol=1e-6)
+    assert_allclose(found.vertex_color_linear, 0.5, rtol=1e-6)
+    assert_allclose(lit.texture_linear, image.texture_linear * [1.25, 1, 2], rtol=1e-6)
     assert step.text == "something grey is grey (red x 1.250, green x 1.000, blue x 2.000)"
 
 
@@ -40,7 +41,7 @@ def test_skin_gets_the_mean_colour_of_people():
     _, image, step = balanced(*painted(skin), "grey-skin")
     red, green, blue = np.log(image.texture_linear[2:, :4].reshape(-1, 3), dtype=np.float64).T
     chroma = np.median(green - red), np.median(blue - red)
-    np.testing.assert_allclose(chroma, AlbedoPrior.faces().chroma[0], atol=1e-5)
+    assert_allclose(chroma, AlbedoPrior.faces().chroma[0], atol=1e-5)
     assert step.ran
 
 
@@ -65,7 +66,7 @@ def test_a_result_says_what_was_done(coarse_scan, tmp_path):
     plain = s2a.process(coarse_scan[0], skip=["albedo"], **asked)
     result = s2a.process(coarse_scan[0], tmp_path, white_balance="0.5, 1, 2", **asked)
     ratio = result.geometry_image.texture_linear / np.maximum(plain.geometry_image.texture_linear, 1e-6)
-    np.testing.assert_allclose(np.median(ratio[plain.geometry_image.seen], 0), [2, 1, 0.5], rtol=1e-4)
+    assert_allclose(np.median(ratio[plain.geometry_image.seen], 0), [2, 1, 0.5], rtol=1e-4)
     record = json.loads((result.out / "result.json").read_text())
     assert record["options"]["white_balance"] == [0.5, 1, 2]
     done = next(step for step in record["plan"] if step["stage"] == "white_balance")

@@ -2,6 +2,7 @@
 
 import shutil
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,13 +19,13 @@ from scan2albedo.recognition import (
     read_face,
     read_labelled_templates,
     read_manifest,
-    similarity_matrix,
     write_labelled_templates,
 )
 from scan2albedo.recognition.templates import NothingToCompareError
 from scan2albedo.synthetic import face
 
 OPTIONS = TemplateOptions(size=64)
+identified = partial(identify_results, options=OPTIONS)
 
 
 def known_names(found):
@@ -99,10 +100,8 @@ def test_a_gallery_kept_in_a_file_gives_the_same(gallery, probes, tmp_path):
 def test_several_images_of_a_person_are_combined(people, probes, tmp_path):
     rows = [(name, people / f"{name}{end}") for name in ("ann", "bob", "cy") for end in ("", "-2")]
     both = listed(tmp_path, rows, "both.csv")
-    best, mean = (identify_results(both, probes, options=OPTIONS, combine=c) for c in ("best", "mean"))
-    np.testing.assert_array_equal(
-        identify_results(both, probes, options=OPTIONS).matches.similarities, mean.matches.similarities
-    )
+    best, mean = (identified(both, probes, combine=c) for c in ("best", "mean"))
+    np.testing.assert_array_equal(identified(both, probes).matches.similarities, mean.matches.similarities)
     assert best.by_kind["albedo"].max(1).min() > 0.999
     assert (mean.matches.similarities.max(1) < best.matches.similarities.max(1)).all()
     assert "3 of 3 probes are in the gallery themselves" in best.notes[0]
@@ -125,27 +124,17 @@ def test_sizes_and_models_have_to_agree(stored, people, tmp_path, probes):
             identify_results(alone, probes, options=TemplateOptions(size=32))
 
 
-def test_charts_of_sets_of_templates_have_to_agree(stored, people, tmp_path):
-    stored(tmp_path / "other", 0, model="mine")
-    sets = [
-        read_labelled_templates(listed(tmp_path, [("ann", path)]), options=OPTIONS).templates
-        for path in (people / "ann", tmp_path / "other")
-    ]
-    with pytest.raises(RecognitionError, match="'default' and the second 64 x 64 texels of model 'mine'"):
-        similarity_matrix(*sets)
-
-
 def test_images_of_a_chart_nobody_named_go_with_any_model(people, tmp_path, probes):
     write_exr(tmp_path / "ann.exr", face(0, size=64).albedo_linear)
     rows = [("ann", "ann.exr"), ("bob", people / "bob"), ("cy", people / "cy")]
-    found = identify_results(listed(tmp_path, rows), probes, options=OPTIONS)
+    found = identified(listed(tmp_path, rows), probes)
     assert found.matches.predicted == ("bob", "ann", "cy")
     assert found.gallery.templates.chart.model == "default"
 
 
 def test_whom_the_gallery_does_not_know_is_named(gallery, people, tmp_path):
     strangers = listed(tmp_path, [("zoe", people / "ann-2"), ("bob", people / "bob-2")])
-    found = identify_results(gallery, strangers, options=OPTIONS)
+    found = identified(gallery, strangers)
     assert found.matches.predicted == ("ann", "bob")
     assert known_names(found) == ("bob",)
     assert found.probes.persons == ("zoe", "bob")
@@ -180,16 +169,22 @@ def test_images_without_a_record_are_a_result(people, gallery, tmp_path):
     folder = shutil.copytree(people / "bob-2", tmp_path / "common" / "bob")
     (folder / "application.json").unlink()
     write_exr(folder / "expected_error.exr", np.full((64, 64), 0.1, np.float32))
-    found = identify_results(gallery, tmp_path / "common", options=OPTIONS)
+    found = identified(gallery, tmp_path / "common")
     assert found.matches.predicted == ("bob",)
     assert found.probes.templates.chart.model is None
+
+
+def test_a_gallery_of_no_templates_is_refused(gallery):
+    known = read_labelled_templates(gallery, options=OPTIONS)
+    with pytest.raises(RecognitionError, match=r"gallery\.csv: holds no template"):
+        identify_results(replace(known, sets={}, rows={}), known)
 
 
 def test_what_cannot_be_read_is_named_with_its_line(gallery, people, tmp_path):
     (tmp_path / "empty").mkdir()
     rows = [("bob", people / "bob-2"), ("ann", "empty")]
     with pytest.raises(RecognitionError, match=r"list\.csv, line 3: empty: .*holds no result\.json"):
-        identify_results(gallery, listed(tmp_path, rows), options=OPTIONS)
+        identified(gallery, listed(tmp_path, rows))
 
 
 def test_command_and_function_give_one_number(people, stored, tmp_path):
@@ -203,15 +198,13 @@ def test_command_and_function_give_one_number(people, stored, tmp_path):
     assert by_albedo.by_kind["albedo"][0, 0] == pytest.approx(expected, abs=1e-5)
     together = identify_results(gallery, probes)
     assert together.by_kind["albedo"][0, 0] == pytest.approx(expected, abs=1e-5)
-    templates = [albedo_templates([one.values], ["ann"], masks=[one.certainty > 0]) for one in (shown, known)]
-    assert similarity_matrix(*templates)[0, 0] == pytest.approx(expected, abs=1e-5)
 
 
 def test_a_folder_of_results_is_a_gallery(people, stored, tmp_path):
     for seed, name in enumerate(("ann", "bob", "cy")):
         stored(tmp_path / "nested" / name / "monday", seed, noise=3)
     (tmp_path / "nested" / ".batch").mkdir()
-    found = identify_results(tmp_path / "nested", people, options=OPTIONS)
+    found = identified(tmp_path / "nested", people)
     assert found.gallery.labels == ("ann/monday", "bob/monday", "cy/monday")
     assert found.matches.predicted == ("ann", "ann", "bob", "bob", "cy", "cy")
     assert known_names(found) == ("ann", "bob", "cy")
@@ -252,7 +245,7 @@ def test_scans_without_colour_are_recognised_by_shape(people, tmp_path, gallery)
     image = replace(read_geometry_image(gray / "geometry_image.npz"), texture_linear=None)
     write_geometry_image(gray / "geometry_image.npz", image)
     probes = listed(tmp_path, [("bob", "gray"), ("cy", people / "cy-2")], "probes.csv")
-    found = identify_results(gallery, probes, options=OPTIONS)
+    found = identified(gallery, probes)
     assert found.matches.predicted == ("bob", "cy")
     assert np.isnan(found.by_kind["albedo"][0]).all()
     assert found.notes[0].startswith("compared without albedo: ")
@@ -267,9 +260,9 @@ def test_scans_without_colour_are_recognised_by_shape(people, tmp_path, gallery)
     assert found.notes[1].endswith("of the gallery gray lacks it")
     write_exr(tmp_path / "ann.exr", face(0, size=64).albedo_linear)
     images = listed(tmp_path, [("ann", "ann.exr")], "images.csv")
-    found = identify_results(images, probes, options=OPTIONS)
+    found = identified(images, probes)
     assert "probes.csv: gray: no albedo, which is all that both sides can be compared by" in found.notes[-2]
-    found = identify_results(gallery, probes, use=["albedo"], options=OPTIONS)
+    found = identified(gallery, probes, use=["albedo"])
     assert (found.probes.labels, found.matches.predicted) == ((str(people / "cy-2"),), ("cy",))
     assert found.notes[0].startswith("left out: ")
     for source, named in ((tmp_path / "all", tmp_path / "all" / "gray"), (probes, f"{probes}, line 2: gray")):
@@ -290,14 +283,14 @@ def test_results_without_a_window_are_left_out(people, stored, tmp_path, gallery
     stored(tmp_path / "narrow", 0, hidden=narrow)
     rows = [("bob", people / "bob-2"), ("ann", "masked"), ("ann", "narrow")]
     monkeypatch.setattr("scan2albedo.recognition.templates.HOLE_RADIUS", 0)
-    found = identify_results(gallery, listed(tmp_path, rows), options=OPTIONS)
+    found = identified(gallery, listed(tmp_path, rows))
     assert found.matches.predicted == ("bob",)
     assert "line 3: masked: is masked everywhere" in found.notes[0]
     assert "list.csv: narrow: no window of 5 x 5 coefficients lies inside the mask" in found.notes[1]
     with pytest.raises(RecognitionError, match=r"no result has a shape .*masked: is masked everywhere"):
-        identify_results(gallery, listed(tmp_path, rows[1:2]), options=OPTIONS)
+        identified(gallery, listed(tmp_path, rows[1:2]))
     with pytest.raises(RecognitionError, match=r"narrow: no window of 5 x 5 .* and no result is left"):
-        identify_results(gallery, listed(tmp_path, rows[2:]), options=OPTIONS)
+        identified(gallery, listed(tmp_path, rows[2:]))
 
 
 def test_halves_of_faces_that_do_not_meet_count_as_unlike(people, stored, tmp_path):
@@ -322,7 +315,7 @@ def test_what_to_use_is_checked(gallery, probes, use):
 def test_probes_of_one_person_are_one_probe(gallery, people, tmp_path):
     rows = [("bob", people / "bob-2"), ("", people / "ann-2"), ("bob", people / "bob"), ("", people / "cy-2")]
     probes = listed(tmp_path, rows, "several.csv")
-    alone, together = (identify_results(gallery, probes, options=OPTIONS, together=t) for t in (False, True))
+    alone, together = (identified(gallery, probes, together=t) for t in (False, True))
     assert together.probes.labels[0] == f"{people / 'bob-2'}, {people / 'bob'}"
     assert together.probes.persons == ("bob", None, None)
     odds = alone.matches.similarities

@@ -9,6 +9,7 @@ from skimage.metrics import structural_similarity
 
 from scan2albedo.errors import RecognitionError
 from scan2albedo.recognition import (
+    Chart,
     TemplateOptions,
     Templates,
     albedo_templates,
@@ -17,18 +18,28 @@ from scan2albedo.recognition import (
 )
 
 
-def reference(a, b, mask_a, mask_b, window=5, k=1e-3):
-    """CW-SSIM of coefficients (O, h, w), window by window."""
-    values = []
-    for x, y in zip(a.astype(complex), b.astype(complex), strict=True):
-        for row in range(x.shape[0] - window + 1):
-            for column in range(x.shape[1] - window + 1):
-                here = (slice(row, row + window), slice(column, column + window))
-                if mask_a[here].all() and mask_b[here].all():
-                    shared = abs((x[here] * y[here].conj()).sum())
-                    energy = (abs(x[here]) ** 2).sum() + (abs(y[here]) ** 2).sum()
-                    values.append((2 * shared + k) / (energy + k))
-    return np.mean(values)
+def reference(a, b, weight_a, weight_b, window=5, k=1e-3):
+    """CW-SSIM of coefficients (O, h, w) by weights (h, w), 0 outside the masks, window by window."""
+    a, b, total, norm = a.astype(complex), b.astype(complex), 0.0, 0.0
+    for row in range(a.shape[1] - window + 1):
+        for column in range(a.shape[2] - window + 1):
+            here = slice(row, row + window), slice(column, column + window)
+            if weight_a[here].all() and weight_b[here].all():
+                x, y = a[:, *here], b[:, *here]
+                shared = abs((x * y.conj()).sum((1, 2)))
+                energy = (abs(x) ** 2 + abs(y) ** 2).sum((1, 2))
+                weight = weight_a[here].mean() * weight_b[here].mean()
+                total += weight * ((2 * shared + k) / (energy + k)).mean()
+                norm += weight
+    return total / norm
+
+
+def assert_as_reference(a, b, window=5):
+    fast = similarity_matrix(a, b, window=window)
+    for i in range(len(a)):
+        for j in range(len(b)):
+            pair = a.coefficients[i], b.coefficients[j], a.weight[i], b.weight[j]
+            assert fast[i, j] == pytest.approx(reference(*pair, window), abs=2e-6)
 
 
 USUAL = 7
@@ -50,27 +61,12 @@ def random_templates(seed, count, shape=(12, 15), contrast=1.0):
 
 
 def test_windows_are_weighed_by_both():
-    a, b = random_templates(7, 2), random_templates(8, 3)
     random = np.random.default_rng(9)
     a, b = (
         replace(t, weight=np.where(t.mask, random.uniform(0.01, 1, t.mask.shape), 0).astype(np.float32))
-        for t in (a, b)
+        for t in (random_templates(7, 2), random_templates(8, 3))
     )
-    fast, window = similarity_matrix(a, b), 5
-    for i in range(2):
-        for j in range(3):
-            total = norm = 0.0
-            for row in range(a.mask.shape[1] - window + 1):
-                for column in range(a.mask.shape[2] - window + 1):
-                    here = slice(row, row + window), slice(column, column + window)
-                    if a.mask[i][here].all() and b.mask[j][here].all():
-                        x, y = (t.coefficients[k][:, *here].astype(complex) for t, k in ((a, i), (b, j)))
-                        shared = abs((x * y.conj()).sum((1, 2)))
-                        energy = (abs(x) ** 2 + abs(y) ** 2).sum((1, 2))
-                        weight = a.weight[i][here].mean() * b.weight[j][here].mean()
-                        total += weight * ((2 * shared + 1e-3) / (energy + 1e-3)).mean()
-                        norm += weight
-            assert fast[i, j] == pytest.approx(total / norm, abs=2e-6)
+    assert_as_reference(a, b)
 
 
 def test_an_image_is_like_itself(albedo, face_like_mask):
@@ -117,14 +113,9 @@ def test_what_is_masked_does_not_count(albedo, face_like_mask):
 @pytest.mark.parametrize("window", [1, 4, 7, 12])
 def test_blocks_are_the_plain_reference(window):
     a, b = random_templates(0, 3), random_templates(1, 4)
-    fast = similarity_matrix(a, b, window=window)
     if window == 12:
         a, b = (Templates(t.coefficients, np.ones_like(t.mask), t.names) for t in (a, b))
-        fast = similarity_matrix(a, b, window=window)
-    for i in range(3):
-        for j in range(4):
-            pair = (a.coefficients[i], b.coefficients[j], a.mask[i], b.mask[j])
-            assert fast[i, j] == pytest.approx(reference(*pair, window), abs=2e-6)
+    assert_as_reference(a, b, window)
 
 
 def test_strong_neighbours_do_not_spoil_weak_windows():
@@ -135,13 +126,10 @@ def test_strong_neighbours_do_not_spoil_weak_windows():
 
 def test_cw_ssim_is_the_plain_reference(albedo, face_like_mask):
     a, b = albedo(0), albedo(1)
-    templates = albedo_templates([a, b], ["a", "b"], masks=[face_like_mask] * 2)
-    slow = reference(*templates.coefficients, *templates.mask)
-    assert cw_ssim(a, b, face_like_mask) == pytest.approx(slow, abs=1e-5)
-    other = np.roll(face_like_mask, 9, axis=1)
-    templates = albedo_templates([a, b], ["a", "b"], masks=[face_like_mask, other])
-    slow = reference(*templates.coefficients, *templates.mask)
-    assert cw_ssim(a, b, face_like_mask, mask_b=other) == pytest.approx(slow, abs=1e-5)
+    for mask_b in (face_like_mask, np.roll(face_like_mask, 9, axis=1)):
+        templates = albedo_templates([a, b], ["a", "b"], masks=[face_like_mask, mask_b])
+        slow = reference(*templates.coefficients, *templates.mask)
+        assert cw_ssim(a, b, face_like_mask, mask_b=mask_b) == pytest.approx(slow, abs=1e-5)
 
 
 def test_many_blocks_hold_what_pairs_hold():
@@ -164,41 +152,42 @@ def test_a_pair_costs_less_than_sixty_microseconds():
     assert (time.process_time() - start) / len(templates) ** 2 < 60e-6
 
 
-def test_images_of_other_sizes_are_refused(albedo):
-    with pytest.raises(RecognitionError, match=r"\(128, 128\) and \(64, 64\)"):
-        cw_ssim(albedo(0), albedo(0, (64, 64)))
-    with pytest.raises(RecognitionError, match="its mask 64 x 64"):
-        cw_ssim(albedo(0), albedo(1), np.ones((64, 64), bool))
-    with pytest.raises(ValueError, match="expected \\(H, W\\) or"):
-        cw_ssim(np.zeros((64, 64, 2)), np.zeros((64, 64, 2)))
+SMALL = np.zeros((128, 128), bool)
+SMALL[60:80, 60:80] = True
+WHITE = np.ones((128, 128))
 
 
-def test_images_without_a_window_are_refused(albedo):
-    image = albedo(0)
-    small = np.zeros((128, 128), bool)
-    small[60:80, 60:80] = True
-    with pytest.raises(RecognitionError, match="no window of 7 x 7"):
-        cw_ssim(image, image, small, window=USUAL)
+@pytest.mark.parametrize(
+    ("other", "options", "error", "words"),
+    [
+        (np.ones((64, 64)), {}, RecognitionError, r"\(128, 128\) and \(64, 64\)"),
+        (WHITE, {"mask": np.ones((64, 64), bool)}, RecognitionError, "its mask 64 x 64"),
+        (np.ones((128, 128, 2)), {}, ValueError, r"expected \(H, W\) or"),
+        (WHITE, {"mask": SMALL, "window": USUAL}, RecognitionError, "no window of 7 x 7"),
+    ],
+)
+def test_images_that_cannot_be_compared_are_refused(other, options, error, words):
+    with pytest.raises(error, match=words):
+        cw_ssim(WHITE, other, **options)
 
 
 def test_templates_that_cannot_be_compared_are_refused():
     a = random_templates(0, 2)
-    with pytest.raises(RecognitionError, match="second set of templates is empty"):
-        similarity_matrix(a, a.select([]))
-    with pytest.raises(RecognitionError, match="images of one size"):
-        similarity_matrix(a, random_templates(0, 2, (12, 12)))
-    with pytest.raises(RecognitionError, match="differ in their options"):
-        similarity_matrix(a, Templates(a.coefficients, a.mask, a.names, TemplateOptions(size=64)))
-    normals = np.repeat(a.coefficients, 3, axis=1)
-    with pytest.raises(RecognitionError, match="first set is of the shape, the second of the albedo"):
-        similarity_matrix(Templates(normals, a.mask, a.names, kind="shape"), a)
-    with pytest.raises(RecognitionError, match="window of 13"):
-        similarity_matrix(a, a, window=13)
-    with pytest.raises(ValueError, match="window is 0"):
-        similarity_matrix(a, a, window=0)
+    normals = Templates(np.repeat(a.coefficients, 3, axis=1), a.mask, a.names, kind="shape")
+    charted, mine = (replace(a, chart=Chart(name, (64, 64))) for name in ("default", "mine"))
     left, right = a.mask.copy(), a.mask.copy()
     left[1, :, 7:] = False
     right[0, :, :7] = False
-    apart = (Templates(a.coefficients, mask, a.names) for mask in (left, right))
-    with pytest.raises(RecognitionError, match=r"template 1 \(p1\) and template 0 \(p0\)"):
-        similarity_matrix(*apart)
+    left, right = (Templates(a.coefficients, mask, a.names) for mask in (left, right))
+    for one, two, window, error, words in (
+        (a, a.select([]), 5, RecognitionError, "second set of templates is empty"),
+        (a, random_templates(0, 2, (12, 12)), 5, RecognitionError, "images of one size"),
+        (a, replace(a, options=TemplateOptions(size=64)), 5, RecognitionError, "differ in their options"),
+        (normals, a, 5, RecognitionError, "first set is of the shape, the second of the albedo"),
+        (charted, mine, 5, RecognitionError, "'default' and the second 64 x 64 texels of model 'mine'"),
+        (a, a, 13, RecognitionError, "window of 13"),
+        (a, a, 0, ValueError, "window is 0"),
+        (left, right, 5, RecognitionError, r"template 1 \(p1\) and template 0 \(p0\)"),
+    ):
+        with pytest.raises(error, match=words):
+            similarity_matrix(one, two, window=window)

@@ -8,7 +8,7 @@ import pytest
 
 from scan2albedo.errors import RecognitionError
 from scan2albedo.io.images import encode_image, write_exr
-from scan2albedo.recognition import read_face
+from scan2albedo.recognition import certainty, read_face
 from scan2albedo.synthetic import face
 
 
@@ -27,6 +27,10 @@ def test_a_folder_gives_albedo_seen_texels_and_chart(stored, tmp_path):
     assert (read.chart.model, read.chart.shape) == ("mine", (64, 64))
     of_file = read_face(folder / "albedo.exr")
     np.testing.assert_array_equal(of_file.certainty > 0, read.certainty > 0)
+
+
+def test_of_a_face_that_nothing_shows_nothing_is_certain():
+    assert not certainty(np.ones((4, 4)), np.ones((4, 4)), np.zeros((4, 4), bool)).any()
 
 
 def test_processed_scans_are_read_too(folder):

@@ -1,7 +1,8 @@
 """Details of the albedo: what is shared with the light, and what is not said."""
 
 import numpy as np
-from benchmarks.everyday_light import generated_environment
+from helpers.meshes import grid
+from worlds.environments import generated_environment
 
 from scan2albedo.lighting.harmonics import project_environment
 from scan2albedo.reflectance import (
@@ -13,15 +14,9 @@ from scan2albedo.reflectance import (
 from scan2albedo.reflectance.face_fit import ShadingDivided, detail_field
 
 SIDE = 41
-X, Y = (axis.ravel() for axis in np.meshgrid(3.0 * np.arange(SIDE), 3.0 * np.arange(SIDE)))
-VERTICES = np.stack([X, Y, np.zeros(SIDE**2)], 1)
-CORNER = (np.arange(SIDE - 1)[:, None] * SIDE + np.arange(SIDE - 1)).ravel()
-FACES = np.concatenate(
-    [
-        np.stack([CORNER, CORNER + 1, CORNER + SIDE], 1),
-        np.stack([CORNER + 1, CORNER + SIDE + 1, CORNER + SIDE], 1),
-    ]
-)
+SQUARE, FACES = grid(SIDE, SIDE)
+VERTICES = 3.0 * (SIDE - 1) * SQUARE
+X, Y, _ = VERTICES.T
 ALL = np.ones(SIDE**2, bool)
 
 

@@ -132,16 +132,3 @@ def test_a_convex_mesh_costs_nothing(dug, ball):
 def test_other_shapes_are_refused(dug):
     with pytest.raises(ReflectanceError, match="form_factors is"):
         replace(dug[0], form_factors=dug[0].form_factors[:-1])
-
-
-@pytest.mark.slow
-def test_intervals_hold_the_truth_on_a_pale_head_that_lights_itself():
-    pytest.importorskip("mitsuba")
-    from benchmarks.reflectance_bounce import SKINS, bounce_fits, interval_figures
-    from benchmarks.reflectance_mitsuba import mitsuba_capture
-
-    capture = mitsuba_capture("person2", views=4, flashes=7, size=128, bounces=True, skin=SKINS["pale"])
-    before, after = (interval_figures(capture, fit) for fit in bounce_fits(capture, 24))
-    assert before[0, 0] < 0.9
-    assert after[:, 0].min() >= 0.9
-    assert after[0, 3] < 0.9 * before[0, 3]

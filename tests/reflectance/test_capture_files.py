@@ -63,26 +63,27 @@ def test_what_is_written_is_read_again(capture, written):
     assert olat.valid[capture.skin].mean() > 0.9
 
 
-def test_unit_of_the_file_is_that_of_mesh_poses_and_falloff(folder, capture):
-    def to_metres(content):
-        content["unit"] = "m"
+def in_metres(folder, **more):
+    """Write mesh, poses and falloff in metres."""
+
+    def change(content):
         content["falloff_distance"] /= 1000
         for pose in content["poses"]:
             pose["translation"] = [x / 1000 for x in pose["translation"]]
-
-    changed(folder, to_metres)
-    import trimesh
+        content.update(more)
 
     mesh = trimesh.load(folder / "face.ply", process=False)
-    trimesh.Trimesh(mesh.vertices / 1000, mesh.faces, process=False).export(folder / "face.ply")
-    read = read_capture(folder / "capture.json")
+    mesh.vertices /= 1000
+    mesh.export(folder / "face.ply")
+    return changed(folder, change)
+
+
+def test_unit_of_the_file_is_that_of_mesh_poses_and_falloff(folder, capture):
+    read = read_capture(in_metres(folder, unit="m"))
     assert np.allclose(read.vertices, capture.vertices, atol=1e-3)
-    assert np.allclose(read.rig.camera_positions, capture_positions(capture), atol=1e-6)
+    positions = -np.einsum("cji,cj->ci", capture.head_rotations, capture.head_translations)
+    assert np.allclose(read.rig.camera_positions, positions[capture.view], atol=1e-6)
     assert read.reference_distance_mm == pytest.approx(1000)
-
-
-def capture_positions(capture):
-    return -np.einsum("cji,cj->ci", capture.head_rotations, capture.head_translations)[capture.view]
 
 
 @pytest.mark.parametrize(
@@ -197,16 +198,7 @@ def test_a_mesh_of_no_heads_size_is_told(fitted, folder):
         return [note for note in fit_capture(read_capture(file), held_out_every=0).notes if "long" in note]
 
     assert not any("long" in note for note in fitted.notes)
-    mesh = trimesh.load(folder / "face.ply", process=False)
-    mesh.vertices /= 1000
-    mesh.export(folder / "face.ply")
-
-    def in_metres(content):
-        content["falloff_distance"] /= 1000
-        for pose in content["poses"]:
-            pose["translation"] = [t / 1000 for t in pose["translation"]]
-
-    (note,) = notes(changed(folder, in_metres))
+    (note,) = notes(in_metres(folder))
     assert re.match(
         r"face\.ply is 0\.\d+ mm long, and a head measures 80 to 800 mm: .* \"unit\": \"m\"", note
     )

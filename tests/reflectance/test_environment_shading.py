@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from helpers.lobes import lobes_under
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics
-from scan2albedo.reflectance import EXPONENTS, VertexReflectance, shade_environment
+from scan2albedo.reflectance import VertexReflectance, shade_environment
 
 LIGHTS = 20000
 
@@ -27,15 +28,10 @@ def brute_force(reflectance, normals, view, light, horizon=True):
     assert radiance.min() > 0
     diffuse, specular = np.zeros_like(normals), np.zeros_like(normals)
     for vertex, (n, v) in enumerate(zip(normals, view, strict=True)):
-        half = toward + v
-        n_h = np.maximum(half @ n, 0) / np.maximum(np.linalg.norm(half, axis=1), 1e-12)
-        n_l = toward @ n
-        diffuse[vertex] = reflectance.diffuse_linear[vertex] / np.pi * (np.maximum(n_l, 0) @ radiance)
-        lobe = sum(
-            w * (s + 2) / (8 * np.pi) * n_h**s
-            for w, s in zip(reflectance.weights[vertex], EXPONENTS, strict=True)
-        )
-        specular[vertex] = (lobe * (n_l > 0) if horizon else lobe) @ radiance
+        white, *lobes = lobes_under(n, v, toward)
+        diffuse[vertex] = reflectance.diffuse_linear[vertex] * (white @ radiance)
+        gloss = reflectance.weights[vertex] @ lobes
+        specular[vertex] = (gloss * (toward @ n > 0) if horizon else gloss) @ radiance
     return diffuse, specular
 
 
@@ -115,16 +111,20 @@ def test_backs_have_no_highlight_and_the_unknown_no_number():
         np.testing.assert_array_equal(np.isnan(shading.radiance_linear).any(1), ~known)
 
 
-def test_what_cannot_be_shaded_is_refused():
-    reflectance, normals, view = scene([10, 20])
-    light = smooth_light(0)
-    with pytest.raises(ReflectanceError, match=r"vertex 1 .*no unit vector"):
-        shade_environment(reflectance, np.array([normals[0], [0, 0, 0]]), view, light)
-    with pytest.raises(ReflectanceError, match=r"vertex 0 .*no unit vector"):
-        shade_environment(reflectance, normals, np.array([[np.nan, 0, 1], view[1]]), light)
-    with pytest.raises(ValueError, match=r"\(81, 3\)"):
-        shade_environment(reflectance, normals, view, light[:9])
-    with pytest.raises(ValueError, match="lobe must be"):
-        shade_environment(reflectance, normals, view, light, lobe="phong")
-    with pytest.raises(ValueError, match="normals"):
-        shade_environment(reflectance, normals[:1], view[:1], light)
+UP = np.array([[0.0, 0, 1], [0, 0, 1]])
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "words"),
+    [
+        ({"normals": UP * [[1], [0]]}, ReflectanceError, r"vertex 1 .*no unit vector"),
+        ({"toward_camera": UP * [[np.nan], [1]]}, ReflectanceError, r"vertex 0 .*no unit vector"),
+        ({"light": np.zeros((9, 3))}, ValueError, r"\(81, 3\)"),
+        ({"lobe": "phong"}, ValueError, "lobe must be"),
+        ({"normals": UP[:1], "toward_camera": UP[:1]}, ValueError, "normals"),
+    ],
+)
+def test_what_cannot_be_shaded_is_refused(changes, error, words):
+    given = {"normals": UP, "toward_camera": UP, "light": smooth_light(0)} | changes
+    with pytest.raises(error, match=words):
+        shade_environment(scene([10, 20])[0], **given)

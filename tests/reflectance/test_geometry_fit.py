@@ -7,7 +7,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
-from benchmarks.everyday_light import generated_environment
+from worlds.environments import generated_environment
 
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core import Budget, Meter
@@ -61,6 +61,7 @@ def skin(seed=0):
 
 
 SKIN = skin()
+LIT = {"reflectance": SKIN, "light": LIGHT}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -155,7 +156,7 @@ def test_photometry_brings_faces_nearer_than_landmarks_alone(model):
     for seed in range(3):
         face = portrait(model, seed)
         landmarks = refine(face, model)
-        both = refine(face, model, reflectance=SKIN, light=LIGHT)
+        both = refine(face, model, **LIT)
         assert both.converged
         assert both.plan.ran("reflectance.geometry.photometry")
         assert both.photometric_rmse_after < 0.6 * both.photometric_rmse_before
@@ -169,7 +170,7 @@ def test_photometry_brings_faces_nearer_than_landmarks_alone(model):
 
 
 def test_the_result_holds_together(model, face):
-    fit = refine(face, model, reflectance=SKIN, light=LIGHT)
+    fit = refine(face, model, **LIT)
     made = transform_points(fit.scene_from_model, model.at(np.concatenate([fit.identity, fit.expression])))
     np.testing.assert_allclose(fit.vertices, made, atol=1e-9)
     turn = fit.scene_from_model[:3, :3]
@@ -179,12 +180,14 @@ def test_the_result_holds_together(model, face):
     np.testing.assert_allclose(fit.landmark_error_px, np.linalg.norm(pixels - face.landmarks, axis=1))
     assert fit.landmark_rmse_px == pytest.approx(np.sqrt(np.mean(fit.landmark_error_px**2)))
     assert fit.trace.stages == ("reflectance.geometry.landmarks", "reflectance.geometry.photometry")
-    again = refine(face, model, reflectance=SKIN, light=LIGHT)
+    again = refine(face, model, **LIT)
     np.testing.assert_array_equal(again.vertices, fit.vertices)
 
 
 def test_landmarks_alone_descend(model, face):
-    fit = refine(face, model)
+    rows = []
+    fit = refine(face, model, on_progress=rows.append)
+    assert tuple(rows) == fit.trace.rows
     errors = [row.error for row in fit.trace]
     assert all(after <= before for before, after in itertools.pairwise(errors))
     assert fit.landmark_rmse_px < 1.6
@@ -194,7 +197,7 @@ def test_landmarks_alone_descend(model, face):
 
 @pytest.mark.slow
 def test_exposure_does_not_matter(model, face):
-    one = refine(face, model, reflectance=SKIN, light=LIGHT)
+    one = refine(face, model, **LIT)
     bright = dataclasses.replace(face, image=1000 * face.image)
     other = refine(bright, model, reflectance=SKIN, light=1000 * LIGHT)
     np.testing.assert_allclose(other.vertices, one.vertices, atol=1e-4)
@@ -208,9 +211,7 @@ def test_neither_the_cameras_scale_nor_its_sign_matters(model, face):
 
 def test_without_landmarks_photometry_goes_on_from_the_pose_given(model, face):
     off = compose(rotation_from_vector([0.01, -0.01, 0.005]), [1.0, -1.0, 0]) @ face.pose
-    fit = refine(
-        face, model, landmarks_px=NO_MARKS, reflectance=SKIN, light=LIGHT, initial_scene_from_model=off
-    )
+    fit = refine(face, model, landmarks_px=NO_MARKS, **LIT, initial_scene_from_model=off)
     assert fit.plan.ran("reflectance.geometry.photometry")
     assert not fit.plan.ran("reflectance.geometry.landmarks")
     assert np.isnan(fit.landmark_error_px).all()
@@ -227,45 +228,37 @@ def test_a_few_landmarks_are_enough_beside_a_pose(model, face):
     assert fit.landmark_rmse_px < 1
 
 
-def test_the_jaw_line_may_be_left_out(model, face):
-    shifted = face.landmarks.copy()
-    shifted[:17] = np.nan
-    fit = refine(face, model, landmarks_px=shifted)
-    assert np.isnan(fit.landmark_error_px[:17]).all()
-    assert fit.landmark_rmse_px < 1.6
-
-
 def test_a_face_that_looks_away_shows_nothing_and_keeps_its_landmarks_fit(model, face):
     away = face.pose @ compose(rotation_from_vector([0, np.pi, 0]), np.zeros(3))
     pixels, _ = project(CAMERA, transform_points(away, REST)[model.landmark_vertices])
-    fit = refine(
-        face,
-        model,
-        landmarks_px=pixels,
-        initial_scene_from_model=away,
-        reflectance=SKIN,
-        light=LIGHT,
-    )
+    fit = refine(face, model, landmarks_px=pixels, initial_scene_from_model=away, **LIT)
     assert not fit.plan.ran("reflectance.geometry.photometry")
     assert np.isfinite(fit.vertices).all()
 
 
-def test_a_face_outside_the_image_or_the_mask_shows_nothing(model, face):
+CORNER = (np.arange(SHAPE[0])[:, None] < 5) & (np.arange(SHAPE[1]) < 5)
+
+
+@pytest.mark.parametrize(
+    ("more", "brightness"),
+    [
+        ({"mask": CORNER}, 1),
+        ({}, 0),
+        ({"light": np.zeros((81, 3))}, 1),
+        ({"light": -LIGHT}, 1),
+        ({"light": 5 * LIGHT}, 1),
+    ],
+    ids=["masked", "black", "no light", "negative light", "strong light"],
+)
+def test_colours_that_explain_nothing_change_nothing(model, face, more, brightness):
     alone = refine(face, model)
-    mask = np.zeros(SHAPE, bool)
-    mask[:5, :5] = True
-    masked = refine(face, model, reflectance=SKIN, light=LIGHT, mask=mask)
-    np.testing.assert_array_equal(masked.vertices, alone.vertices)
-    assert not masked.plan.ran("reflectance.geometry.photometry")
-    assert masked.photometric_rmse_after is None
-
-
-@pytest.mark.parametrize("light", [np.zeros((81, 3)), -LIGHT, 5 * LIGHT], ids=["none", "negative", "strong"])
-def test_light_that_explains_nothing_changes_nothing(model, face, light):
-    alone, lit = refine(face, model), refine(face, model, reflectance=SKIN, light=light)
+    lit = refine(dataclasses.replace(face, image=brightness * face.image), model, **(LIT | more))
     np.testing.assert_array_equal(lit.vertices, alone.vertices)
     assert not lit.plan.ran("reflectance.geometry.photometry")
-    assert lit.photometric_rmse_before > 0.3
+    if "light" in more:
+        assert lit.photometric_rmse_before > 0.3
+    else:
+        assert lit.photometric_rmse_after is None
 
 
 @pytest.mark.slow
@@ -283,8 +276,8 @@ def test_missing_pixels_are_left_out(model, face):
     image = face.image.copy()
     image[::7, ::5] = np.nan
     image[100:130, 60:90] = np.nan
-    spoilt = refine(dataclasses.replace(face, image=image), model, reflectance=SKIN, light=LIGHT)
-    whole = refine(face, model, reflectance=SKIN, light=LIGHT)
+    spoilt = refine(dataclasses.replace(face, image=image), model, **LIT)
+    whole = refine(face, model, **LIT)
     assert spoilt.plan.ran("reflectance.geometry.photometry")
     alone = vertex_error(refine(face, model).vertices, face.vertices)
     assert vertex_error(spoilt.vertices, face.vertices) < 0.5 * (
@@ -302,67 +295,46 @@ def test_vertices_without_known_reflectance_are_left_out(model, face):
 
 def test_models_without_directions_move_the_pose_alone(model, face):
     rigid = dataclasses.replace(model, basis=model.basis[:0], identity_components=0)
-    fit = refine(face, rigid, reflectance=SKIN, light=LIGHT)
+    fit = refine(face, rigid, **LIT)
     np.testing.assert_allclose(fit.vertices, transform_points(fit.scene_from_model, model.mean), atol=1e-9)
     expressions = model.basis[model.identity_components :]
     only_expressions = dataclasses.replace(model, basis=expressions, identity_components=0)
-    fit = refine(face, only_expressions, reflectance=SKIN, light=LIGHT)
+    fit = refine(face, only_expressions, **LIT)
     assert fit.identity.shape == (0,)
     assert vertex_error(fit.vertices, face.vertices) < vertex_error(model.mean, face.vertices)
 
 
-def test_a_black_image_changes_nothing(model, face):
-    black = dataclasses.replace(face, image=np.zeros_like(face.image))
-    fit = refine(black, model, reflectance=SKIN, light=LIGHT)
-    np.testing.assert_array_equal(fit.vertices, refine(face, model).vertices)
-
-
 @pytest.mark.parametrize("evaluations", [1, 5, 14])
 def test_a_budget_that_ends_gives_the_best_so_far(model, face, evaluations):
+    budget = Budget(evaluations=evaluations)
     with pytest.warns(RuntimeWarning, match="without having converged"):
-        fit = refine_geometry(
-            face.image,
-            CAMERA,
-            face.landmarks,
-            model,
-            reflectance=SKIN,
-            light=LIGHT,
-            budget=Budget(evaluations=evaluations),
-        )
+        fit = refine_geometry(face.image, CAMERA, face.landmarks, model, budget=budget, **LIT)
     assert not fit.converged
     assert np.isfinite(fit.vertices).all()
     assert sum(1 for _ in fit.trace) <= evaluations
 
 
-def test_progress_is_told(model, face):
-    rows = []
-    fit = refine(face, model, on_progress=rows.append)
-    assert tuple(rows) == fit.trace.rows
+FEW = VertexReflectance(np.ones((5, 3)), np.ones((5, 3)), np.ones(5, bool))
 
 
-def test_what_cannot_be_fitted_is_refused(model, face):
-    image = face.image
-    with pytest.raises(ReflectanceError, match="undetermined"):
-        refine_geometry(image, CAMERA, NO_MARKS, model, initial_scene_from_model=np.eye(4))
-    with pytest.raises(ReflectanceError, match="not rigid"):
-        refine_geometry(image, CAMERA, face.landmarks, model, initial_scene_from_model=2 * np.eye(4))
-    few = VertexReflectance(np.ones((5, 3)), np.ones((5, 3)), np.ones(5, bool))
-    with pytest.raises(ReflectanceError, match="topology"):
-        refine_geometry(image, CAMERA, face.landmarks, model, reflectance=few, light=LIGHT)
-    with pytest.raises(ReflectanceError, match="NaN"):
-        refine_geometry(image, CAMERA, face.landmarks, model, reflectance=SKIN, light=LIGHT * np.nan)
-    start = np.full(model.identity_components, np.nan)
-    with pytest.raises(ReflectanceError, match="initial_identity"):
-        refine_geometry(image, CAMERA, face.landmarks, model, initial_identity=start)
-
-
-def test_shapes_that_do_not_fit_are_refused(model, face):
-    image = face.image
-    with pytest.raises(ValueError, match="go together"):
-        refine_geometry(image, CAMERA, face.landmarks, model, light=LIGHT)
-    with pytest.raises(ValueError, match="landmarks_px"):
-        refine_geometry(image, CAMERA, face.landmarks[:5], model)
-    with pytest.raises(ValueError, match="image_linear"):
-        refine_geometry(image[..., 0], CAMERA, face.landmarks, model, reflectance=SKIN, light=LIGHT)
-    with pytest.raises(ValueError, match="cameras"):
-        refine_geometry(image, np.eye(4), face.landmarks, model)
+@pytest.mark.parametrize(
+    ("change", "error", "words"),
+    [
+        ({"landmarks_px": NO_MARKS, "initial_scene_from_model": np.eye(4)}, ReflectanceError, "undetermined"),
+        ({"initial_scene_from_model": 2 * np.eye(4)}, ReflectanceError, "not rigid"),
+        ({"landmarks_px": NO_MARKS}, ReflectanceError, "0 landmarks seen, a pose takes 6"),
+        (LIT | {"reflectance": FEW}, ReflectanceError, "topology"),
+        (LIT | {"light": LIGHT * np.nan}, ReflectanceError, "NaN"),
+        ({"initial_identity": "NaN"}, ReflectanceError, "initial_identity"),
+        ({"light": LIGHT}, ValueError, "go together"),
+        ({"landmarks_px": np.zeros((5, 2))}, ValueError, "landmarks_px"),
+        (LIT | {"image_linear": np.zeros((9, 9))}, ValueError, "image_linear"),
+        ({"camera": np.eye(4)}, ValueError, "cameras"),
+    ],
+)
+def test_what_cannot_be_fitted_is_refused(model, face, change, error, words):
+    given = {"image_linear": face.image, "camera": CAMERA, "landmarks_px": face.landmarks} | change
+    if "initial_identity" in given:
+        given["initial_identity"] = np.full(model.identity_components, np.nan)
+    with pytest.raises(error, match=words):
+        refine_geometry(shape_model=model, **given)

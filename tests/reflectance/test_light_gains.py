@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.reflectance_captures import head_capture, relative_rmse, samples_of
+from bench.judging import relative_rmse
+from worlds.flash_captures import head_capture, samples_of
 
 from scan2albedo.core import Budget
 from scan2albedo.reflectance import ReflectanceFitOptions, fit_reflectance, vertex_fit

@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
-from benchmarks.everyday_light import generated_environment
+from helpers.lobes import lobes_under
 from scipy.spatial import ConvexHull
+from worlds.environments import generated_environment
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics, project_environment
-from scan2albedo.reflectance import EXPONENTS, light_transfer
+from scan2albedo.reflectance import light_transfer
 from scan2albedo.reflectance.environment_shading import light_response
 
 BALL = distant_directions(1500)
@@ -20,11 +21,7 @@ def brute_force(point, n, v, hidden, count=10_000):
     """Sum visibility times lobes times harmonics over many directions; `hidden` tells it of directions."""
     toward = distant_directions(count) @ np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
     free = ~hidden(point, toward) & (toward @ n > 0)
-    half = toward + v
-    n_h = np.maximum(half @ n, 0) / np.maximum(np.linalg.norm(half, axis=1), 1e-12)
-    lobes = [np.maximum(toward @ n, 0) / np.pi] + [(s + 2) / (8 * np.pi) * n_h**s for s in EXPONENTS]
-    basis = harmonics(toward) * (4 * np.pi / count)
-    return np.stack([(free * lobe) @ basis for lobe in lobes])
+    return (free * lobes_under(n, v, toward)) @ (harmonics(toward) * (4 * np.pi / count))
 
 
 def test_a_convex_surface_has_no_shadows():
@@ -107,18 +104,19 @@ def test_vertices_without_a_surface_receive_nothing():
     assert np.isfinite(transfer.specular).all()
 
 
-def test_what_is_no_surface_is_refused():
-    with pytest.raises(ValueError, match="directions"):
-        light_transfer(BALL, FACES, BALL, VIEW, directions=63)
-    with pytest.raises(ReflectanceError, match="no triangles"):
-        light_transfer(BALL, np.zeros((0, 3), int), BALL, VIEW)
-    with pytest.raises(ReflectanceError, match="finite"):
-        light_transfer(BALL * np.nan, FACES, BALL, VIEW)
-    with pytest.raises(ReflectanceError, match="length 2"):
-        light_transfer(BALL, FACES, 2 * BALL, VIEW)
-    with pytest.raises(ReflectanceError, match="toward_camera of vertex 0"):
-        light_transfer(BALL, FACES, BALL, 2 * VIEW)
-    with pytest.raises(ValueError, match="normals"):
-        light_transfer(BALL, FACES, BALL[:5], VIEW)
-    with pytest.raises(ValueError, match="toward_camera"):
-        light_transfer(BALL, FACES, BALL, VIEW[:5])
+@pytest.mark.parametrize(
+    ("changes", "error", "words"),
+    [
+        ({"directions": 63}, ValueError, "directions"),
+        ({"faces": np.zeros((0, 3), int)}, ReflectanceError, "no triangles"),
+        ({"vertices": BALL * np.nan}, ReflectanceError, "finite"),
+        ({"normals": 2 * BALL}, ReflectanceError, "length 2"),
+        ({"toward_camera": 2 * VIEW}, ReflectanceError, "toward_camera of vertex 0"),
+        ({"normals": BALL[:5]}, ValueError, "normals"),
+        ({"toward_camera": VIEW[:5]}, ValueError, "toward_camera"),
+    ],
+)
+def test_what_is_no_surface_is_refused(changes, error, words):
+    given = {"vertices": BALL, "faces": FACES, "normals": BALL, "toward_camera": VIEW} | changes
+    with pytest.raises(error, match=words):
+        light_transfer(**given)

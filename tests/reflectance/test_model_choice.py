@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from build_reflectance_model import PEOPLE, packed
+from build.reflectance_model import PEOPLE, packed
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance import VertexReflectance
@@ -25,6 +25,10 @@ def people(count, noise):
 
 def test_directions_that_people_share_are_kept_and_noise_is_not():
     assert held_out_components(people(40, noise=1.0), VERTICES) == 5
+
+
+def test_people_who_are_all_alike_need_no_direction():
+    assert held_out_components(people(1, noise=1.0) * 10, VERTICES) == 0
 
 
 def test_few_people_do_not_show_how_many():

@@ -1,9 +1,11 @@
 """The model against a plain SVD, with gaps, without lobes, of few samples, and on disk."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.npz import assert_comes_back, cut, rewritten
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance import MorphableReflectanceModel, VertexReflectance
@@ -26,9 +28,12 @@ def faces(count, vertices=60, rank=None, seed=0, known=None):
     ]
 
 
+learned = MorphableReflectanceModel.from_samples
+
+
 def test_directions_are_those_of_a_singular_value_decomposition():
     samples = faces(7)
-    model = MorphableReflectanceModel.from_samples(samples)
+    model = learned(samples)
     x = np.stack([s.diffuse_linear.ravel() for s in samples])
     _, values, rows = np.linalg.svd(x - x.mean(0), full_matrices=False)
     assert model.components == 6
@@ -46,7 +51,7 @@ def albedo_off(model, sample):
 
 def test_coefficients_of_the_samples_have_unit_variance():
     samples = faces(9)
-    model = MorphableReflectanceModel.from_samples(samples)
+    model = learned(samples)
     scores = np.stack([model.project(s).coefficients for s in samples])
     np.testing.assert_allclose(np.cov(scores.T), np.eye(8), atol=1e-10)
     np.testing.assert_allclose(scores.mean(0), 0, atol=1e-10)
@@ -54,7 +59,7 @@ def test_coefficients_of_the_samples_have_unit_variance():
 
 def test_samples_come_back_with_their_weights():
     samples = faces(6)
-    model = MorphableReflectanceModel.from_samples(samples)
+    model = learned(samples)
     for sample in samples:
         found = model.project(sample)
         np.testing.assert_allclose(found.reflectance.diffuse_linear, sample.diffuse_linear, atol=1e-12)
@@ -62,14 +67,8 @@ def test_samples_come_back_with_their_weights():
         assert found.clipped_share == 0
 
 
-def test_shares_sum_to_one_wherever_the_model_is_evaluated():
-    model = MorphableReflectanceModel.from_samples(faces(5))
-    np.testing.assert_allclose(model.mean[:, 4:].sum(1), 1, rtol=1e-12)
-    np.testing.assert_allclose(model.basis[..., 4:].sum(2), 0, atol=1e-14)
-
-
 def test_noise_free_samples_of_a_low_rank_need_no_more_directions():
-    model = MorphableReflectanceModel.from_samples(faces(12, rank=3))
+    model = learned(faces(12, rank=3))
     assert model.components == 3
     unseen = faces(12, rank=3)[5]
     assert albedo_off(model, unseen) < 1e-10
@@ -77,24 +76,24 @@ def test_noise_free_samples_of_a_low_rank_need_no_more_directions():
 
 def test_fewer_components_are_the_first_ones():
     samples = faces(8)
-    full, cut = (MorphableReflectanceModel.from_samples(samples, components=n) for n in (None, 3))
+    full, cut = (learned(samples, components=n) for n in (None, 3))
     np.testing.assert_allclose(cut.diffuse.basis, full.diffuse.basis[:3], rtol=0, atol=1e-14)
     assert cut.explained.sum() < full.explained.sum()
 
 
 def test_one_sample_is_a_mean_and_two_have_one_direction():
     samples = faces(2)
-    one = MorphableReflectanceModel.from_samples(samples[:1])
+    one = learned(samples[:1])
     assert one.components == 0
     np.testing.assert_allclose(one.sample(3).reflectance.weights, samples[0].weights, rtol=1e-12)
     assert albedo_off(one, samples[1]) > 0
-    two = MorphableReflectanceModel.from_samples(samples)
+    two = learned(samples)
     assert two.components == 1
     assert max(albedo_off(two, s) for s in samples) < 1e-12
 
 
 def test_identical_samples_have_no_direction():
-    model = MorphableReflectanceModel.from_samples(faces(1) * 5)
+    model = learned(faces(1) * 5)
     assert model.components == 0
     assert model.total_variance == pytest.approx(0, abs=1e-25)
 
@@ -104,7 +103,7 @@ def test_gaps_neither_move_the_mean_nor_pass_for_numbers():
     known[:2, 10] = False  # known to four of six
     known[:4, 11] = False  # known to two of six
     samples = faces(6, known=known)
-    model = MorphableReflectanceModel.from_samples(samples)
+    model = learned(samples)
     assert np.flatnonzero(~model.known).tolist() == [11]
     assert model.support[[9, 10, 11]].tolist() == [6, 4, 2]
     mean = np.mean([s.diffuse_linear[10] for s in samples[2:]], axis=0)
@@ -117,7 +116,7 @@ def test_gaps_neither_move_the_mean_nor_pass_for_numbers():
 
 def test_a_reflectance_with_gaps_is_projected_from_what_it_knows():
     samples = faces(10, rank=3)
-    model = MorphableReflectanceModel.from_samples(samples)
+    model = learned(samples)
     known = np.arange(60) < 20
     part = VertexReflectance(samples[3].diffuse_linear, samples[3].weights, known)
     found = model.project(part).reflectance
@@ -131,13 +130,13 @@ def test_faces_without_lobes_and_black_channels_stay_so():
     diffuse = rng.uniform(0.2, 0.6, (5, 30, 3))
     diffuse[:, :, 2] = 0
     dull = [VertexReflectance(c, np.zeros((30, 3)), np.ones(30, bool)) for c in diffuse]
-    model = MorphableReflectanceModel.from_samples(dull)
+    model = learned(dull)
     made = model.sample(1)
     assert (made.reflectance.weights == 0).all()
     assert (made.reflectance.diffuse_linear[:, 2] == 0).all()
     assert made.clipped_share == 0
     all_black = VertexReflectance(np.zeros((30, 3)), np.zeros((30, 3)), np.ones(30, bool))
-    assert MorphableReflectanceModel.from_samples([all_black] * 3).components == 0
+    assert learned([all_black] * 3).components == 0
 
 
 def test_a_lobe_that_one_sample_lacks_is_a_gap_in_its_shares_only():
@@ -145,7 +144,7 @@ def test_a_lobe_that_one_sample_lacks_is_a_gap_in_its_shares_only():
     weights = samples[0].weights.copy()
     weights[7] = 0
     samples[0] = dataclasses.replace(samples[0], weights=weights)
-    model = MorphableReflectanceModel.from_samples(samples)
+    model = learned(samples)
     share = np.mean([s.weights[7] / s.weights[7].sum() for s in samples[1:]], axis=0)
     np.testing.assert_allclose(model.mean[7, 4:], share, rtol=1e-12)
     assert model.mean[7, 3] == pytest.approx(np.mean([s.weights[7].sum() for s in samples]))
@@ -153,7 +152,7 @@ def test_a_lobe_that_one_sample_lacks_is_a_gap_in_its_shares_only():
 
 
 def test_samples_are_reproducible_and_tell_what_was_clipped():
-    model = MorphableReflectanceModel.from_samples(faces(6))
+    model = learned(faces(6))
     np.testing.assert_array_equal(model.sample(5).coefficients, model.sample(5).coefficients)
     assert model.sample(5).clipped_share == 0
     far = model.sample(5, scale=40.0)
@@ -167,23 +166,13 @@ def test_samples_are_reproducible_and_tell_what_was_clipped():
 
 def test_a_model_comes_back_from_its_file(tmp_path):
     known = np.random.default_rng(0).random((5, 60)) > 0.2
-    model = MorphableReflectanceModel.from_samples(faces(5, known=known), components=3)
-    model.save(tmp_path / "a.npz")
-    back = MorphableReflectanceModel.load(tmp_path / "a.npz")
-    for field in dataclasses.fields(model):
-        np.testing.assert_array_equal(getattr(back, field.name), getattr(model, field.name))
-    model.save(tmp_path / "b.npz")
-    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
-
-
-def rewritten(path, **changes):
-    with np.load(path) as file:
-        arrays = {name: file[name] for name in file.files} | changes
-    np.savez(path, **{name: array for name, array in arrays.items() if array is not None})
+    assert_comes_back(learned(faces(5, known=known), components=3), tmp_path)
+    with pytest.raises(ValueError, match="npz"):
+        learned(faces(2)).save(tmp_path / "model.json")
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("spoil", "message"),
     [
         ({"header": np.array('{"format": "something"}')}, "format"),
         ({"header": None}, "cannot be read"),
@@ -191,72 +180,61 @@ def rewritten(path, **changes):
         ({"sum_mean": np.zeros(59)}, "model.npz: all the input array dimensions"),
         ({"known": np.ones(60)}, "known holds float64"),
         ({"deviation": np.ones(7)}, "deviation is"),
+        (cut, r"model\.npz cannot be read"),
+        (Path.unlink, r"model\.npz cannot be read"),
     ],
 )
-def test_files_that_are_no_model_are_refused(tmp_path, changes, message):
+def test_files_that_are_no_model_are_refused(tmp_path, spoil, message):
     path = tmp_path / "model.npz"
-    MorphableReflectanceModel.from_samples(faces(4)).save(path)
-    rewritten(path, **changes)
+    learned(faces(4)).save(path)
+    spoil(path) if callable(spoil) else rewritten(path, **spoil)
     with pytest.raises(ReflectanceError, match=message):
         MorphableReflectanceModel.load(path)
 
 
-def test_damaged_and_missing_files_are_named(tmp_path):
-    path = tmp_path / "model.npz"
-    MorphableReflectanceModel.from_samples(faces(4)).save(path)
-    path.write_bytes(path.read_bytes()[:2000])
-    with pytest.raises(ReflectanceError, match=r"model\.npz cannot be read"):
-        MorphableReflectanceModel.load(path)
-    with pytest.raises(ReflectanceError, match=r"none\.npz cannot be read"):
-        MorphableReflectanceModel.load(tmp_path / "none.npz")
-    with pytest.raises(ValueError, match="npz"):
-        MorphableReflectanceModel.from_samples(faces(2)).save(tmp_path / "model.json")
-
-
-def test_what_cannot_be_learned_from_is_refused():
-    with pytest.raises(ReflectanceError, match="no sample"):
-        MorphableReflectanceModel.from_samples([])
-    with pytest.raises(ReflectanceError, match="sample 1 has 50"):
-        MorphableReflectanceModel.from_samples([*faces(1), *faces(1, vertices=50)])
-    with pytest.raises(ReflectanceError, match="no vertex"):
-        MorphableReflectanceModel.from_samples(faces(3, known=np.zeros((3, 60), bool)))
-    with pytest.raises(ValueError, match="components"):
-        MorphableReflectanceModel.from_samples(faces(3), components=-1)
-    with pytest.raises(ValueError, match="least_support"):
-        MorphableReflectanceModel.from_samples(faces(3), least_support=0)
+@pytest.mark.parametrize(
+    ("samples", "options", "error", "message"),
+    [
+        ([], {}, ReflectanceError, "no sample"),
+        ([*faces(1), *faces(1, vertices=50)], {}, ReflectanceError, "sample 1 has 50"),
+        (faces(3, known=np.zeros((3, 60), bool)), {}, ReflectanceError, "no vertex"),
+        (faces(3), {"components": -1}, ValueError, "components"),
+        (faces(3), {"least_support": 0}, ValueError, "least_support"),
+        (faces(3), {"weights": np.full((3, 60), 2.0)}, ValueError, "weights must be"),
+    ],
+)
+def test_what_cannot_be_learned_from_is_refused(samples, options, error, message):
+    with pytest.raises(error, match=message):
+        learned(samples, **options)
 
 
 def test_what_does_not_fit_the_model_is_refused():
-    model = MorphableReflectanceModel.from_samples(faces(3))
+    model = learned(faces(3))
     with pytest.raises(ValueError, match=r"coefficients is \(1,\), expected \(2,\)"):
         model.reconstruct([0.0])
-    with pytest.raises(ReflectanceError, match="50 vertices"):
-        model.project(faces(1, vertices=50)[0])
-    with pytest.raises(ReflectanceError, match="no vertex"):
-        model.project(faces(1, known=np.zeros((1, 60), bool))[0])
-    with pytest.raises(ValueError, match="prior"):
-        model.project(faces(1)[0], prior=-1)
+    for sample, prior, error, message in (
+        (faces(1, vertices=50)[0], 0, ReflectanceError, "50 vertices"),
+        (faces(1, known=np.zeros((1, 60), bool))[0], 0, ReflectanceError, "no vertex"),
+        (faces(1)[0], -1, ValueError, "prior"),
+    ):
+        with pytest.raises(error, match=message):
+            model.project(sample, prior=prior)
 
 
 def test_vertices_with_little_weight_count_little():
     samples = faces(6)
-    wild = [dataclasses.replace(sample) for sample in samples]
     spoiled = samples[2].diffuse_linear.copy()
     spoiled[:10] = 5.0
-    wild[2] = VertexReflectance(spoiled, samples[2].weights, samples[2].known)
+    wild = [*samples[:2], dataclasses.replace(samples[2], diffuse_linear=spoiled), *samples[3:]]
     weights = np.ones((6, 60))
     weights[2, :10] = 1e-4
-    right = MorphableReflectanceModel.from_samples(samples[:2] + samples[3:])
-    plain, trusting = (
-        MorphableReflectanceModel.from_samples(wild, weights=given) for given in (None, weights)
-    )
+    right = learned(samples[:2] + samples[3:])
+    plain, trusting = (learned(wild, weights=given) for given in (None, weights))
     off = [np.abs(model.diffuse.mean - right.diffuse.mean)[:10].max() for model in (plain, trusting)]
     assert off[1] < 0.01 < 0.5 < off[0]
     assert plain.deviation[0] > 5 * trusting.deviation[0]
-    same = MorphableReflectanceModel.from_samples(samples, weights=np.ones((6, 60)))
-    assert np.array_equal(same.diffuse.mean, MorphableReflectanceModel.from_samples(samples).diffuse.mean)
-    with pytest.raises(ValueError, match="weights must be"):
-        MorphableReflectanceModel.from_samples(samples, weights=2 * weights)
+    same = learned(samples, weights=np.ones((6, 60)))
+    assert np.array_equal(same.diffuse.mean, learned(samples).diffuse.mean)
 
 
 def test_reliability_falls_with_the_interval():

@@ -13,7 +13,10 @@ from scan2albedo.reflectance.vertex_visibility import VertexVisibility
 DIRECTIONS = distant_directions(3000)
 HULL = ConvexHull(DIRECTIONS).simplices
 HULL = np.where((np.linalg.det(DIRECTIONS[HULL]) > 0)[:, None], HULL, HULL[:, ::-1])  # outward
-SHAPE, RADIUS, NEAR, NEAR_RADIUS = (240, 280), 80.0, np.array([30.0, 20.0, 150.0]), 20.0
+SHAPE = (240, 280)
+RADIUS = 80.0
+NEAR = np.array([30.0, 20.0, 150.0])
+NEAR_RADIUS = 20.0
 CAMERA = look_at([0, 0, 600], [0, 0, 0], focal_px=600, shape=SHAPE)
 VERTICES = np.vstack([RADIUS * DIRECTIONS, NEAR + NEAR_RADIUS * DIRECTIONS])
 FACES = np.vstack([HULL, HULL + len(DIRECTIONS)])
@@ -43,8 +46,12 @@ def image():
     return np.where((near < far)[:, None], 0.9, picture).reshape(*SHAPE, 3)
 
 
+def observe(image, camera=CAMERA, vertices=VERTICES, faces=FACES, **options):
+    return observe_photograph(image, camera, vertices, faces, **{"gamma": 1.0, **options})
+
+
 def test_colours_are_those_of_the_surface_and_nothing_hidden_is_seen(image):
-    found = observe_photograph(image, CAMERA, VERTICES, FACES, normals=NORMALS, gamma=1.0)
+    found = observe(image, normals=NORMALS)
     seen = found.seen & HEAD
     assert np.abs(found.observed_linear[seen] - color(NORMALS[seen])).max() < 0.01
     assert np.isnan(found.observed_linear[~found.seen]).all()
@@ -58,7 +65,7 @@ def test_colours_are_those_of_the_surface_and_nothing_hidden_is_seen(image):
 
 def test_without_a_margin_edges_spoil_colours(image, monkeypatch):
     monkeypatch.setattr(VertexVisibility.seen, "__defaults__", (0.0,))
-    found = observe_photograph(image, CAMERA, VERTICES, FACES, normals=NORMALS, gamma=1.0)
+    found = observe(image, normals=NORMALS)
     seen = found.seen & HEAD
     assert np.abs(found.observed_linear[seen] - color(NORMALS[seen])).max() > 0.1
 
@@ -66,14 +73,14 @@ def test_without_a_margin_edges_spoil_colours(image, monkeypatch):
 def test_tone_and_integers(image):
     displayed = image ** (1 / 1.2)
     found = [
-        observe_photograph(picture, CAMERA, VERTICES, FACES)
+        observe(picture, gamma=1.2)
         for picture in (
             displayed,
             np.round(255 * displayed).astype(np.uint8),
             np.round(65535 * displayed).astype(np.uint16),
         )
     ]
-    plain = observe_photograph(image, CAMERA, VERTICES, FACES, gamma=1.0)
+    plain = observe(image)
     for one, tolerance in zip(found, (1e-3, 4e-3, 1e-3), strict=True):
         np.testing.assert_array_equal(one.seen, plain.seen)
         np.testing.assert_allclose(
@@ -87,7 +94,7 @@ def test_only_skin_counts_and_neither_saturated_nor_missing_pixels(image):
     spoilt = image.copy()
     spoilt[:100, :, 1] = 0.99
     spoilt[180:, :, 2] = np.nan
-    found = observe_photograph(spoilt, CAMERA, VERTICES, FACES, mask=mask, gamma=1.0)
+    found = observe(spoilt, mask=mask)
     pixels, _ = project(CAMERA, VERTICES)
     assert found.seen.any()
     assert (pixels[found.seen, 0] >= 120).all()
@@ -96,45 +103,40 @@ def test_only_skin_counts_and_neither_saturated_nor_missing_pixels(image):
 
 
 def test_the_transfer_is_that_of_the_mesh(image):
-    found = observe_photograph(image, CAMERA, VERTICES, FACES, gamma=1.0)
+    found = observe(image)
     normals, view = np.asarray(found.normals), np.asarray(found.toward_camera)
     expected = light_transfer(VERTICES, FACES, normals, view)
     np.testing.assert_array_equal(found.transfer.diffuse, expected.diffuse)
     np.testing.assert_array_equal(found.transfer.specular, expected.specular)
 
 
-def test_pictures_of_32_bit_integers_are_refused(image):
-    with pytest.raises(ReflectanceError, match="int32"):
-        observe_photograph(image.astype(np.int32), CAMERA, VERTICES, FACES, gamma=1.0)
+WALL = np.array([[-900.0, -900, 590], [900, -900, 590], [0, 1500, 590]])
+BEHIND_A_WALL = {
+    "vertices": np.vstack([VERTICES, WALL]),
+    "faces": np.vstack([FACES, len(VERTICES) + np.arange(3)[None]]),
+    "normals": np.vstack([NORMALS, np.zeros((3, 3))]),
+}
+BESIDE = look_at([0, 0, 600], [0, 0, 0], focal_px=600, shape=(240, 3000))
+AWAY = look_at([0, 0, 600], [0, 0, 900], focal_px=600, shape=SHAPE)
 
 
-def test_all_vertices_hidden_or_off_the_mask_or_outside_the_picture(image):
-    wall = np.array([[-900.0, -900, 590], [900, -900, 590], [0, 1500, 590]])
-    vertices, faces = np.vstack([VERTICES, wall]), np.vstack([FACES, len(VERTICES) + np.arange(3)[None]])
-    normals = np.vstack([NORMALS, np.zeros((3, 3))])
-    with pytest.raises(ReflectanceError, match="0 are seen by the camera"):
-        observe_photograph(image, CAMERA, vertices, faces, normals=normals, gamma=1.0)
-    with pytest.raises(ReflectanceError, match="0 on the mask"):
-        observe_photograph(image, CAMERA, VERTICES, FACES, mask=np.zeros(SHAPE, bool), gamma=1.0)
-    beside = look_at([0, 0, 600], [0, 0, 0], focal_px=600, shape=(240, 3000))
-    with pytest.raises(ReflectanceError, match="0 inside the picture"):
-        observe_photograph(image, beside, VERTICES, FACES, gamma=1.0)
-    away = look_at([0, 0, 600], [0, 0, 900], focal_px=600, shape=SHAPE)
-    with pytest.raises(ReflectanceError, match="check camera"):
-        observe_photograph(image, away, VERTICES, FACES, gamma=1.0)
-
-
-def test_shapes_and_options_are_checked(image):
-    with pytest.raises(ValueError, match="mask"):
-        observe_photograph(image, CAMERA, VERTICES, FACES, mask=np.ones(SHAPE))
-    with pytest.raises(ValueError, match="image"):
-        observe_photograph(image[..., 0], CAMERA, VERTICES, FACES)
-    with pytest.raises(ValueError, match="camera"):
-        observe_photograph(image, CAMERA[:, :3], VERTICES, FACES)
-    with pytest.raises(ReflectanceError, match="camera cannot be used"):
-        observe_photograph(image, CAMERA * np.nan, VERTICES, FACES)
-    with pytest.raises(ReflectanceError, match="its vertices have shape"):
-        observe_photograph(image, CAMERA, VERTICES[:, :2], FACES)
-    for name in ("gamma", "saturation"):
-        with pytest.raises(ValueError, match=rf"{name} (is )?0,?"):
-            observe_photograph(image, CAMERA, VERTICES, FACES, **{name: 0})
+@pytest.mark.parametrize(
+    ("changes", "error", "words"),
+    [
+        (BEHIND_A_WALL, ReflectanceError, "0 are seen by the camera"),
+        ({"mask": np.zeros(SHAPE, bool)}, ReflectanceError, "0 on the mask"),
+        ({"camera": BESIDE}, ReflectanceError, "0 inside the picture"),
+        ({"camera": AWAY}, ReflectanceError, "check camera"),
+        ({"image": np.ones((*SHAPE, 3), np.int32)}, ReflectanceError, "int32"),
+        ({"camera": CAMERA * np.nan}, ReflectanceError, "camera cannot be used"),
+        ({"vertices": VERTICES[:, :2]}, ReflectanceError, "its vertices have shape"),
+        ({"mask": np.ones(SHAPE)}, ValueError, "mask"),
+        ({"image": np.ones(SHAPE)}, ValueError, "image"),
+        ({"camera": CAMERA[:, :3]}, ValueError, "camera"),
+        ({"gamma": 0}, ValueError, "gamma is 0"),
+        ({"saturation": 0}, ValueError, "saturation is 0"),
+    ],
+)
+def test_what_shows_no_face_is_refused(image, changes, error, words):
+    with pytest.raises(error, match=words):
+        observe(**({"image": image} | changes))

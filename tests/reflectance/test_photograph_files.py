@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.errors import ReflectanceError, ScanError
+from scan2albedo.io.glb import write_glb
 from scan2albedo.reflectance import read_photograph
 from scan2albedo.runs.reflectance.demo import write_synthetic_photograph
 from scan2albedo.synthetic import Portrait, face_photograph
@@ -31,6 +32,14 @@ def folder(written, tmp_path):
     return tmp_path / "copy"
 
 
+def changed(folder, change):
+    file = folder / "photograph.json"
+    content = json.loads(file.read_text())
+    change(content)
+    file.write_text(json.dumps(content))
+    return file
+
+
 def test_what_is_written_is_read_again(taken, written):
     read = read_photograph(written)
     assert np.array_equal(read.image, taken.image)
@@ -48,14 +57,23 @@ def test_without_a_mesh_landmarks_remain(taken, tmp_path):
 
 
 def test_camera_and_mesh_follow_the_unit(folder, taken):
-    file = folder / "photograph.json"
-    content = json.loads(file.read_text())
-    content["unit"] = "cm"
-    file.write_text(json.dumps(content))
-    read = read_photograph(file)
+    read = read_photograph(changed(folder, lambda content: content.update(unit="cm")))
     assert np.allclose(read.vertices, 10 * taken.vertices, atol=1e-3)
     assert np.allclose(read.camera[:, :3], taken.camera[:, :3] / 10)
     assert np.allclose(read.camera[:, 3], taken.camera[:, 3])
+
+
+def test_the_folder_of_a_processed_scan_stands_for_its_fitted_mesh(folder):
+    uv, grey = np.zeros((4, 2)), np.full((2, 2, 3), 128, np.uint8)
+    (folder / "scan").mkdir()
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    write_glb(folder / "scan" / "fitted.glb", 100 * np.eye(4, 3), faces, uv, grey)
+    found = []
+    for mesh in ("scan", "scan/fitted.glb"):
+        file = changed(folder, lambda content, mesh=mesh: content.update(mesh=mesh))
+        found.append(read_photograph(file).vertices)
+    np.testing.assert_array_equal(*found)
+    np.testing.assert_allclose(np.ptp(found[0], axis=0), 100, rtol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -70,10 +88,7 @@ def test_camera_and_mesh_follow_the_unit(folder, taken):
     ],
 )
 def test_files_that_do_not_fit_are_refused_by_name(folder, change, told):
-    file = folder / "photograph.json"
-    content = json.loads(file.read_text())
-    change(content)
-    file.write_text(json.dumps(content))
+    file = changed(folder, change)
     with pytest.raises(ReflectanceError, match=told) as raised:
         read_photograph(file)
     assert "photograph.json" in str(raised.value)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from benchmarks.reflectance_captures import head_capture, radiance
+from worlds.flash_captures import head_capture, radiance
 
 from scan2albedo.reflectance import VertexReflectance, point_light_lobes, point_light_radiance
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.reflectance_captures import head_capture, of_pairs, samples_of
+from worlds.flash_captures import head_capture, of_pairs, samples_of
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance import ReflectanceFitOptions, relighting_error

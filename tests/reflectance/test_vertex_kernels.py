@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from bench_reflectance import MEAN, PRIOR, design, normal_equations
-from benchmarks.reflectance_captures import head_capture, of_pairs, samples_of
+from bench.flash_captures import MEAN, PRIOR, design, normal_equations
 from scipy.optimize import nnls
+from worlds.flash_captures import head_capture, of_pairs, samples_of
 
 from scan2albedo.reflectance import VertexSamples
 from scan2albedo.reflectance.vertex_kernels import reweigh, solve_bounded, solve_free
@@ -20,16 +20,18 @@ def random_samples(seed, count=60, pairs=12, dark=0.0):
     return VertexSamples(observed, rng.uniform(0.05, 0.3, shape), valid, lobes, np.zeros(pairs, int))
 
 
-def nnls_of(samples, vertex):
-    return nnls(*design(samples, vertex))[0]
-
-
-@pytest.mark.parametrize("dark", [0.0, 0.3, 0.8])
-def test_bounded_estimates_are_those_of_nnls(dark):
-    samples = random_samples(0, dark=dark)
-    estimate = np.empty((60, 6))
+def bounded(samples):
+    """Return estimates (V, 6), and those of scipy."""
+    count = samples.lobes.shape[1]
+    estimate = np.empty((count, 6))
     solve_bounded(normal_equations(samples), MEAN, PRIOR, estimate)
-    expected = np.stack([nnls_of(samples, v) for v in range(60)])
+    return estimate, np.stack([nnls(*design(samples, v))[0] for v in range(count)])
+
+
+@pytest.mark.parametrize("pairs", [1, 2, 5, 12])
+@pytest.mark.parametrize("dark", [0.0, 0.3, 0.8])
+def test_bounded_estimates_are_those_of_nnls(dark, pairs):
+    estimate, expected = bounded(random_samples(0, dark=dark, pairs=pairs))
     np.testing.assert_allclose(estimate, expected, atol=1e-9)
     assert ((estimate == 0) == (expected == 0)).all()
 
@@ -38,29 +40,14 @@ def test_every_set_of_bounds_is_met():
     """The test above means something only if many of the 64 sets occur."""
     sets = set()
     for dark in (0.0, 0.3, 0.8):
-        samples = random_samples(1, count=400, dark=dark)
-        estimate = np.empty((400, 6))
-        solve_bounded(normal_equations(samples), MEAN, PRIOR, estimate)
-        sets |= {tuple(row) for row in estimate == 0}
+        sets |= {tuple(row) for row in bounded(random_samples(1, count=400, dark=dark))[0] == 0}
     assert len(sets) > 40
-
-
-def test_few_pictures_leave_it_to_the_prior():
-    for pairs in (1, 2, 5):
-        samples = random_samples(2, count=20, pairs=pairs)
-        estimate = np.empty((20, 6))
-        solve_bounded(normal_equations(samples), MEAN, PRIOR, estimate)
-        expected = np.stack([nnls_of(samples, v) for v in range(20)])
-        np.testing.assert_allclose(estimate, expected, atol=1e-9)
 
 
 def test_heads_with_black_channels_agree_too():
     capture = of_pairs(head_capture(200, black=0.5), np.arange(0, 99, 4))
-    samples = samples_of(capture, noise=0.03)
-    estimate = np.empty((200, 6))
-    solve_bounded(normal_equations(samples), MEAN, PRIOR, estimate)
+    estimate, expected = bounded(samples_of(capture, noise=0.03))
     assert (estimate[:, :3] == 0).any(1).sum() > 20
-    expected = np.stack([nnls_of(samples, v) for v in range(200)])
     np.testing.assert_allclose(estimate, expected, atol=1e-9)
 
 
@@ -152,9 +139,7 @@ def test_nearly_equal_columns_do_not_keep_bounds_from_settling():
     samples = VertexSamples(
         observed, np.full(observed.shape, 1e-9), np.ones(observed.shape, bool), lobes, np.zeros(8, int)
     )
-    estimate = np.empty((400, 6))
-    solve_bounded(normal_equations(samples), MEAN, PRIOR, estimate)
-    for v in range(400):
+    for v, both in enumerate(zip(*bounded(samples), strict=True)):
         rows, right = design(samples, v)
-        left, least = (np.sum((rows @ one - right) ** 2) for one in (estimate[v], nnls(rows, right)[0]))
+        left, least = (np.sum((rows @ one - right) ** 2) for one in both)
         assert left < 100 * least

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.reflectance_pictures import (
+from worlds.two_balls import (
     BALL,
     BALL_RADIUS,
     EXPOSURE,
@@ -43,15 +43,31 @@ def olat(scene):
 
 
 @pytest.fixture(scope="module")
-def samples(scene, olat):
-    return sample_vertices(olat, scene.rig, scene.vertices, scene.faces, normals=scene.normals)
+def look_up(scene, olat):
+    """`sample_vertices` of the scene, but for what is given."""
+
+    def call(olat=olat, rig=scene.rig, **given):
+        mesh = {"vertices": scene.vertices, "faces": scene.faces, "normals": scene.normals} | given
+        return sample_vertices(olat, rig, **mesh)
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def samples(look_up):
+    return look_up()
+
+
+def places(scene):
+    """Camera and flash of each picture."""
+    return zip(scene.rig.camera_positions, scene.rig.light_positions, strict=True)
 
 
 def truly_seen_and_lit(scene):
     """(J, V) of the large ball's vertices: no ball between them and camera, nor flash."""
-    points, rig = scene.vertices[scene.head], scene.rig
+    points = scene.vertices[scene.head]
     clear = []
-    for camera, light in zip(rig.camera_positions, rig.light_positions, strict=True):
+    for camera, light in places(scene):
         ways = [unit(place - points) for place in (camera, light)]
         facing = [(scene.normals[scene.head] * way).sum(1) for way in ways]
         free = [~np.isfinite(first_hit(points, way, BALL, BALL_RADIUS)) for way in ways]
@@ -68,29 +84,26 @@ def test_nothing_hidden_or_in_shadow_is_sampled(scene, samples):
 
 def test_observations_are_the_radiance_there(scene, samples):
     points, normals, found = scene.vertices[scene.head], scene.normals[scene.head], samples.valid.all(-1)
-    for j in range(len(scene.rig)):
-        expected = radiance_at(points, normals, scene.rig.camera_positions[j], scene.rig.light_positions[j])
+    for j, place in enumerate(places(scene)):
+        expected = radiance_at(points, normals, *place)
         here = found[j, scene.head]
         error = np.abs(samples.observed_linear[j, scene.head][here] - expected[here])
         assert np.median(error) < 2e-4
         assert error.max() < 0.02
 
 
-def test_the_margin_keeps_edges_out(scene, olat, monkeypatch):
+def test_the_margin_keeps_edges_out(scene, look_up, monkeypatch):
     """Without it pixels of the ball before the face, or of what lies behind, mix into vertices beside it."""
     worst = {}
     for margin in (0.0, 1.5):
         monkeypatch.setattr(VertexVisibility.seen, "__defaults__", (margin,))
-        found = sample_vertices(olat, scene.rig, scene.vertices, scene.faces, normals=scene.normals)
-        errors = [
-            np.abs(found.observed_linear[j] - radiance_at(scene.vertices, scene.normals, camera, light))[
+        found = look_up()
+        worst[margin] = max(
+            np.abs(found.observed_linear[j] - radiance_at(scene.vertices, scene.normals, *place))[
                 found.valid[j].all(-1) & scene.head
             ].max()
-            for j, (camera, light) in enumerate(
-                zip(scene.rig.camera_positions, scene.rig.light_positions, strict=True)
-            )
-        ]
-        worst[margin] = max(errors)
+            for j, place in enumerate(places(scene))
+        )
     assert worst[1.5] < 0.5 * worst[0.0]
 
 
@@ -106,33 +119,31 @@ def test_the_large_ball_is_fitted_from_its_pictures(scene, samples):
     assert np.median(np.abs(weights[sure])) < 0.03
 
 
-def test_sampling_is_the_same_far_from_the_origin(scene, olat, samples):
+def test_sampling_is_the_same_far_from_the_origin(scene, look_up, samples):
     shift = np.array([3000.0, -2000, 5000])
     cameras = scene.rig.cameras.copy()
     cameras[:, :, 3] -= cameras[:, :, :3] @ shift
     rig = CaptureRig(cameras, scene.rig.light_positions + shift, scene.rig.light)
-    moved = sample_vertices(olat, rig, scene.vertices + shift, scene.faces, normals=scene.normals)
+    moved = look_up(rig=rig, vertices=scene.vertices + shift)
     assert (moved.valid == samples.valid).mean() > 0.9999
     both = moved.valid & samples.valid
     np.testing.assert_allclose(moved.observed_linear[both], samples.observed_linear[both], atol=1e-6)
 
 
-def test_a_bad_pixel_takes_its_neighbours_channel_only(scene, olat, samples):
+def test_a_bad_pixel_takes_its_neighbours_channel_only(look_up, olat, samples):
     rows, columns = 80, 90
     valid = olat.valid.copy()
     valid[:, rows, columns, 1] = False
-    found = sample_vertices(
-        replace(olat, valid=valid), scene.rig, scene.vertices, scene.faces, normals=scene.normals
-    )
+    found = look_up(replace(olat, valid=valid))
     lost = samples.valid & ~found.valid
     assert 0 < lost.sum() < 300
     assert not lost[..., [0, 2]].any()
     assert (found.observed_linear[lost] == 0).all()
 
 
-def test_sigma_follows_the_weights_of_pixels_where_the_position_is_known(scene, olat, monkeypatch):
+def test_sigma_follows_the_weights_of_pixels_where_the_position_is_known(look_up, olat, monkeypatch):
     monkeypatch.setattr("scan2albedo.reflectance.vertex_samples._POSITION_SIGMA_PX", 0.0)
-    found = sample_vertices(olat, scene.rig, scene.vertices, scene.faces, normals=scene.normals)
+    found = look_up()
     sigma = olat.sigma[olat.valid].astype(float)
     assert (found.sigma[found.valid] <= sigma.max() * (1 + 1e-6)).all()
     assert (found.sigma[found.valid] >= 0.5 * sigma.min()).all()
@@ -155,43 +166,41 @@ def test_sigma_grows_with_the_slope_of_the_picture(monkeypatch):
         assert found.sigma[0, 4] == pytest.approx(np.full(3, np.hypot(spread * slope, 1e-6)), rel=0.3)
 
 
-def test_grazing_views_and_lights_are_left_out(scene, olat, samples, monkeypatch):
+def test_grazing_views_and_lights_are_left_out(scene, look_up, samples, monkeypatch):
     monkeypatch.setattr("scan2albedo.reflectance.vertex_samples.VIEW_COSINE", 0.5)
-    found = sample_vertices(olat, scene.rig, scene.vertices, scene.faces, normals=scene.normals)
+    found = look_up()
     assert not (found.valid & ~samples.valid).any()
-    for j, (camera, light) in enumerate(
-        zip(scene.rig.camera_positions, scene.rig.light_positions, strict=True)
-    ):
+    for j, (camera, light) in enumerate(places(scene)):
         here = found.valid[j].any(-1)
         for place, cosine in ((camera, 0.5), (light, 0.0)):
             assert ((scene.normals * unit(place - scene.vertices)).sum(1)[here] > cosine).all()
 
 
-def test_vertices_outside_the_picture_are_not_seen(scene, olat):
+def test_vertices_outside_the_picture_are_not_seen(scene, look_up):
     cameras = scene.rig.cameras.copy()
     cameras[:, 0] += 1e4 * cameras[:, 2]  # the same view, aimed far to the side
     rig = CaptureRig(cameras, scene.rig.light_positions, scene.rig.light)
-    found = sample_vertices(olat, rig, scene.vertices, scene.faces, normals=scene.normals)
+    found = look_up(rig=rig)
     assert not found.valid.any()
 
 
-def test_normals_of_the_mesh_are_used_when_none_are_given(scene, olat, samples):
-    found = sample_vertices(olat, scene.rig, scene.vertices, scene.faces)
+def test_normals_of_the_mesh_are_used_when_none_are_given(look_up, samples):
+    found = look_up(normals=None)
     both = found.valid.all(-1) & samples.valid.all(-1)
     assert both.sum() > 0.9 * samples.valid.all(-1).sum()
     np.testing.assert_allclose(found.lobes[both], samples.lobes[both], atol=0.2)
 
 
-def test_a_vertex_without_a_normal_is_not_seen(scene, olat):
+def test_a_vertex_without_a_normal_is_not_seen(scene, look_up):
     normals = scene.normals.copy()
     normals[500] = 0
-    found = sample_vertices(olat, scene.rig, scene.vertices, scene.faces, normals=normals)
+    found = look_up(normals=normals)
     assert not found.valid[:, 500].any()
 
 
-def test_pictures_of_the_flash_at_the_head_itself_leave_no_nan(scene, olat):
+def test_pictures_of_the_flash_at_the_head_itself_leave_no_nan(scene, look_up):
     rig = CaptureRig(scene.rig.cameras, np.zeros((20, 3)), scene.rig.light)
-    found = sample_vertices(olat, rig, scene.vertices, scene.faces, normals=scene.normals)
+    found = look_up(rig=rig)
     assert not found.valid[:, scene.head].any()
 
 
@@ -199,34 +208,31 @@ def test_pictures_of_the_flash_at_the_head_itself_leave_no_nan(scene, olat):
     ("change", "error", "message"),
     [
         ({"normals": np.zeros((3, 3))}, ValueError, "normals is"),
-        ({"normals": 2.0}, ReflectanceError, "of length 2"),
         ({"faces": np.zeros((0, 3), int)}, ReflectanceError, "no triangles"),
         ({"faces": np.full((1, 3), 10**6)}, ReflectanceError, "refer to vertices"),
         ({"faces": np.zeros((4,), int)}, ReflectanceError, "its faces have shape"),
+        ({"reference_distance_mm": 0}, ValueError, "reference_distance_mm"),
+        ({"reference_distance_mm": np.nan}, ValueError, "reference_distance_mm"),
+        ({"reference_distance_mm": np.inf}, ValueError, "reference_distance_mm"),
     ],
 )
-def test_meshes_that_do_not_fit_are_refused(scene, olat, change, error, message):
-    given = {"vertices": scene.vertices, "faces": scene.faces, "normals": scene.normals}
-    given |= {name: v * given[name] if isinstance(v, float) else v for name, v in change.items()}
+def test_what_does_not_fit_is_refused(look_up, change, error, message):
     with pytest.raises(error, match=message):
-        sample_vertices(olat, scene.rig, given["vertices"], given["faces"], normals=given["normals"])
+        look_up(**change)
 
 
-def test_another_number_of_cameras_is_refused(scene, olat):
+def test_normals_that_are_not_unit_and_another_number_of_cameras_are_refused(scene, look_up):
+    with pytest.raises(ReflectanceError, match="of length 2"):
+        look_up(normals=2 * scene.normals)
     rig = CaptureRig(scene.rig.cameras[:3], scene.rig.light_positions[:3], scene.rig.light[:3])
     with pytest.raises(ReflectanceError, match="20 pictures but 3 cameras"):
-        sample_vertices(olat, rig, scene.vertices, scene.faces)
+        look_up(rig=rig)
 
 
-def test_a_picture_of_one_pixel_has_no_corner_to_spare(scene, olat):
-    one = replace(
-        olat,
-        linear=olat.linear[:, :1, :1],
-        sigma=olat.sigma[:, :1, :1],
-        valid=olat.valid[:, :1, :1],
-        saturated=olat.saturated[:, :1, :1],
-    )
-    assert not sample_vertices(one, scene.rig, RADIUS * scene.normals, scene.faces).valid.any()
+def test_a_picture_of_one_pixel_has_no_corner_to_spare(scene, look_up, olat):
+    names = ("linear", "sigma", "valid", "saturated")
+    one = replace(olat, **{name: getattr(olat, name)[:, :1, :1] for name in names})
+    assert not look_up(one, vertices=RADIUS * scene.normals).valid.any()
 
 
 @pytest.mark.parametrize(
@@ -250,9 +256,3 @@ def test_samples_that_do_not_fit_are_refused(name, value, message):
     VertexSamples(**good)
     with pytest.raises(ReflectanceError, match=message):
         VertexSamples(**good | {name: value})
-
-
-@pytest.mark.parametrize("wrong", [0, np.nan, np.inf])
-def test_a_reference_distance_outside_its_range_is_refused(scene, olat, wrong):
-    with pytest.raises(ValueError, match="reference_distance_mm"):
-        sample_vertices(olat, scene.rig, scene.vertices, scene.faces, reference_distance_mm=wrong)

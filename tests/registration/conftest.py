@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import trimesh
-from benchmarks.raw_like import raw_like
+from worlds.raw_like import raw_like
 
 from scan2albedo import AnnotatedFaceModel, RawScan
 from scan2albedo.geometry.oriented_points import OrientedPoints, oriented_points

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.stereo_scan import StereoScanner, stereo_scan
+from worlds.stereo import StereoScanner, stereo_scan
 
 from scan2albedo import register
 from scan2albedo.errors import NoFaceError

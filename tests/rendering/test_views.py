@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import trimesh
+from numpy.testing import assert_array_equal
 
 from scan2albedo import RawScan
 from scan2albedo.rendering.pictures import View, heat_colors, render_mesh
@@ -65,8 +66,8 @@ def test_texture_is_upright():
 
 def test_heat_colours_end_where_the_scale_ends_and_mark_missing_values():
     colors = heat_colors([0.0, 1.0, 5.0, np.nan], 0, 1)
-    np.testing.assert_array_equal(colors[1], colors[2])
-    np.testing.assert_array_equal(colors[3], [0.6] * 3)
+    assert_array_equal(colors[1], colors[2])
+    assert_array_equal(colors[3], [0.6] * 3)
 
 
 def test_preview_keeps_hue_and_leaves_room_below_white():

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
+from numpy.testing import assert_array_equal
 from scipy.ndimage import distance_transform_edt
 
 from scan2albedo.eyeglasses import Camera, register_on_face
@@ -88,8 +89,8 @@ def test_labels_are_green_and_outliers_red(frame, views):
     assert "1 outliers" in panel.title
     assert "no mask" in panel.title
     assert panel.dot_colors.shape == (20, 3)
-    np.testing.assert_array_equal(panel.dot_colors[0], to_rgb("crimson"))
-    np.testing.assert_array_equal(panel.dot_colors[1:], [to_rgb("lime")] * 19)
+    assert_array_equal(panel.dot_colors[0], to_rgb("crimson"))
+    assert_array_equal(panel.dot_colors[1:], [to_rgb("lime")] * 19)
     assert (panel.dots >= 0).all()
     assert (panel.dots < panel.picture.shape[0]).all()
 

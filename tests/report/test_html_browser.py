@@ -81,9 +81,14 @@ CASES = {
 def test_the_picture_is_the_librarys(opened, face_folder, case):
     (azimuth, elevation), given, shadows = CASES[case]
     face = load_result(face_folder)
-    lights = list(face.lights) if given is None else [
-        PointLight(math.radians(a), math.radians(e), math.inf if d is None else d, i) for a, e, d, i in given
-    ]  # fmt: skip
+    lights = (
+        list(face.lights)
+        if given is None
+        else [
+            PointLight(math.radians(a), math.radians(e), math.inf if d is None else d, i)
+            for a, e, d, i in given
+        ]
+    )
     camera = default_camera(
         face, (SIZE, SIZE), azimuth_rad=math.radians(azimuth), elevation_rad=math.radians(elevation)
     )
@@ -92,17 +97,22 @@ def test_the_picture_is_the_librarys(opened, face_folder, case):
         camera, shape=(SIZE, SIZE)
     )
     state = {
-        "mode": "relit", "ambient": 1, "exposure": -1, "shadows": shadows,
+        "mode": "relit",
+        "ambient": 1,
+        "exposure": -1,
+        "shadows": shadows,
         "view": {"azimuth": azimuth, "elevation": elevation, "zoom": 1},
         "lights": [
             {
-                "azimuth": math.degrees(light.azimuth_rad), "elevation": math.degrees(light.elevation_rad),
+                "azimuth": math.degrees(light.azimuth_rad),
+                "elevation": math.degrees(light.elevation_rad),
                 "distance": None if math.isinf(light.distance_mm) else light.distance_mm,
-                "intensity": light.intensity, "on": True,
+                "intensity": light.intensity,
+                "on": True,
             }
             for light in lights
         ],
-    }  # fmt: skip
+    }
     drawn = pixels(opened, **state)
     inside = (picture.alpha == 1) & (drawn[..., 3] == 255)
     assert inside.mean() > 0.25

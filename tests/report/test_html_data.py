@@ -6,6 +6,7 @@ import io
 import numpy as np
 import pytest
 import trimesh
+from numpy.testing import assert_array_equal
 from PIL import Image
 
 from scan2albedo.applications.processed_face import FaceMesh
@@ -53,7 +54,7 @@ def test_meshes_survive_16_bits():
     place = numbers(entry["positions"], "<u2", 3) / 65535 * entry["span"] + entry["low"]
     assert np.abs(place - mesh.vertices).max() <= 180 / 65535 / 2 + 1e-9
     kept = topologies[entry["topology"]]
-    np.testing.assert_array_equal(numbers(kept["faces"], "<u2", 3), mesh.faces)
+    assert_array_equal(numbers(kept["faces"], "<u2", 3), mesh.faces)
     assert np.abs(numbers(kept["uv"], "<u2", 2) / 65535 - mesh.uv).max() < 1e-5
     # The same triangles again are kept once.
     assert mesh_entry(mesh, topologies)["topology"] == entry["topology"]
@@ -131,7 +132,7 @@ def test_a_patch_holds_what_differs_alone_also_beyond_the_mask():
         pixels(texture_entry(over, mask, 8, factor=2.0)),
     )
     assert (patch[3, :4, 3] == 255).all()
-    np.testing.assert_array_equal(patch[3, :4, :3], whole[3, :4])
+    assert_array_equal(patch[3, :4, :3], whole[3, :4])
     assert np.count_nonzero(patch[..., 3]) == 4
 
 

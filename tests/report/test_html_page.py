@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import scan2albedo as s2a
 from scan2albedo import report
@@ -154,7 +155,7 @@ def test_coloured_lamps_and_soft_light_are_carried_over(write_scan, tmp_path):
     assert face["lights"][0]["color"] == [1.5, 1.0, 0.5]
     normal = np.array([[0.6, 0.0, 0.8]])
     shown = harmonics(normal, 2) @ np.reshape(face["harmonics"], (9, 3))
-    np.testing.assert_allclose(shown, open_transfer(normal) @ soft.coefficients)
+    assert_allclose(shown, open_transfer(normal) @ soft.coefficients)
     assert "12° #ffd59c" in page.words()
     assert "soft light from around, which the face partly hides" in page.words()
     # At each vertex, with what the surface hides.
@@ -162,7 +163,7 @@ def test_coloured_lamps_and_soft_light_are_carried_over(write_scan, tmp_path):
     assert len(light) == len(base64.b64decode(face["positions"])) // 6
     of_texels = relight(load_result(folder), environment=soft).diffuse
     mean = of_texels[load_result(folder).mask].mean(0)
-    np.testing.assert_allclose(face["soft"]["scale"] * light.mean(0) / 65535, mean, rtol=0.1)
+    assert_allclose(face["soft"]["scale"] * light.mean(0) / 65535, mean, rtol=0.1)
 
 
 def test_folders_without_results_and_damaged_ones_are_refused_with_their_names(write_scan, tmp_path):

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from helpers.meshes import grid
 
 from scan2albedo.core.geometry_image import NO_CAMERA
 from scan2albedo.core.raw_scan import RawScan
@@ -24,14 +25,12 @@ def hill(x, y):
 
 def patch(height, n=41, model_from_scan=None):
     """A square patch z(x, y) of 100 mm with uv = position, in place of a fitted face."""
-    u, v = (side.ravel() for side in np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, n)))
-    x, y = 100 * (u - 0.5), 100 * (v - 0.5)
-    corner = np.arange(n * n).reshape(n, n)[:-1, :-1].reshape(-1, 1)
-    faces = np.concatenate([corner + [0, 1, n + 1], corner + [0, n + 1, n]])
+    flat, faces = grid(n, n)
+    x, y = 100 * (flat[:, :2].T - 0.5)
     return SimpleNamespace(
         vertices=np.column_stack([x, y, height(x, y)]),
         faces=faces,
-        uv=np.column_stack([u, v]),
+        uv=flat[:, :2],
         residual_mm=np.zeros(n * n),
         region=np.zeros(len(faces), np.uint8),
         model_from_scan=model_from_scan,
@@ -54,8 +53,13 @@ def photographed(places=PLACES, height=hill, n=41, noise_px=0.0):
     seen = np.stack([project(camera, flat.vertices)[0] for camera in cameras])
     seen += noise_px * np.random.default_rng(0).standard_normal(seen.shape)
     pixels = seen[taken[:, None], flat.faces]
-    uv = np.stack([(pixels[..., 0] + 0.5 + PIXELS * taken[:, None]) / (PIXELS * len(places)),
-                   1 - (pixels[..., 1] + 0.5) / PIXELS], -1)  # fmt: skip
+    uv = np.stack(
+        [
+            (pixels[..., 0] + 0.5 + PIXELS * taken[:, None]) / (PIXELS * len(places)),
+            1 - (pixels[..., 1] + 0.5) / PIXELS,
+        ],
+        -1,
+    )
     picture = np.full((PIXELS, PIXELS * len(places), 3), 0.4, np.float32)
     return RawScan(flat.vertices, flat.faces, uv=uv, texture_linear=picture), taken
 

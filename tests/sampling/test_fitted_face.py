@@ -4,6 +4,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
+from helpers.meshes import grid
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo import AnnotatedFaceModel, fit, load_scan, register
 from scan2albedo.core.raw_scan import RawScan
@@ -48,18 +50,12 @@ class Patch:
         self.residual_mm = np.zeros(len(self.vertices))
 
 
-def grid_faces(n):
-    index = np.arange(n * n).reshape(n, n)
-    a, b, c, d = (index[s].ravel() for s in (np.s_[:-1, :-1], np.s_[:-1, 1:], np.s_[1:, :-1], np.s_[1:, 1:]))
-    return np.concatenate([np.stack([a, b, d], 1), np.stack([a, d, c], 1)])
-
-
 def patch(height=lambda x, y: 0 * x, n=41, model_from_scan=None):
-    u, v = np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, n))
-    uv = np.stack([u.ravel(), v.ravel()], 1)
+    flat, faces = grid(n, n)
+    uv = flat[:, :2]
     xy = 100 * (uv - 0.5)
     vertices = np.column_stack([xy, height(*xy.T)])
-    return Patch(vertices, grid_faces(n), uv, np.eye(4) if model_from_scan is None else model_from_scan)
+    return Patch(vertices, faces, uv, np.eye(4) if model_from_scan is None else model_from_scan)
 
 
 def textured_scan(fitted, texture, n_noise=0.0):
@@ -71,9 +67,9 @@ def textured_scan(fitted, texture, n_noise=0.0):
 def test_position_follows_the_texel_centres_with_row_0_on_top():
     image = geometry_image(patch(), None, size=50)
     assert image.mask.all()
-    np.testing.assert_allclose(image.position[0, 0], [-49, 49, 0], atol=1e-9)
-    np.testing.assert_allclose(image.position[-1, -1], [49, -49, 0], atol=1e-9)
-    np.testing.assert_allclose(image.normal, np.broadcast_to([0, 0, 1], (50, 50, 3)), atol=1e-12)
+    assert_allclose(image.position[0, 0], [-49, 49, 0], atol=1e-9)
+    assert_allclose(image.position[-1, -1], [49, -49, 0], atol=1e-9)
+    assert_allclose(image.normal, np.broadcast_to([0, 0, 1], (50, 50, 3)), atol=1e-12)
     assert (image.region == 3).all()
     assert image.texture_linear is None
 
@@ -100,8 +96,8 @@ def test_a_linear_texture_is_reproduced_in_any_pose(seed):
     assert image.texture_valid.mean() > 0.99
     truth = np.stack(np.meshgrid((np.arange(64) + 0.5) / 64, 1 - (np.arange(64) + 0.5) / 64), -1)
     inside = np.s_[2:-2, 2:-2]
-    np.testing.assert_allclose(image.texture_linear[inside][..., :2], truth[inside], atol=2e-3)
-    np.testing.assert_allclose(image.texture_linear[..., 2], 0.25, atol=1e-6)
+    assert_allclose(image.texture_linear[inside][..., :2], truth[inside], atol=2e-3)
+    assert_allclose(image.texture_linear[..., 2], 0.25, atol=1e-6)
 
 
 @pytest.mark.parametrize("size", [16, 64])
@@ -214,8 +210,8 @@ def test_vertex_colours_serve_where_there_is_no_texture():
     fitted = patch()
     color = np.column_stack([fitted.uv, np.zeros(len(fitted.uv))]).astype(np.float32)
     image = geometry_image(fitted, RawScan(fitted.vertices, fitted.faces, vertex_color_linear=color), 40)
-    np.testing.assert_allclose(image.texture_linear[0, :, 0], (np.arange(40) + 0.5) / 40, atol=1e-6)
-    np.testing.assert_allclose(image.specular_scale, 0.7)
+    assert_allclose(image.texture_linear[0, :, 0], (np.arange(40) + 0.5) / 40, atol=1e-6)
+    assert_allclose(image.specular_scale, 0.7)
 
 
 def test_colours_that_no_picture_showed_are_taken_from_around():
@@ -228,7 +224,7 @@ def test_colours_that_no_picture_showed_are_taken_from_around():
     assert image.filled[32, 32]
     assert not image.seen[image.filled].any()
     assert image.skin[image.filled].max() == 0
-    np.testing.assert_allclose(image.texture_linear[image.seen | image.filled][:, 0], 0.5, rtol=1e-5)
+    assert_allclose(image.texture_linear[image.seen | image.filled][:, 0], 0.5, rtol=1e-5)
     assert image.figures()["filled"] == image.filled.sum() / image.mask.sum()
     assert geometry_image(given, bare, 64).filled is None
     # Where the scan shows nothing of the face, its colours say nothing.
@@ -244,7 +240,7 @@ def test_of_a_template_only_the_annotated_part_is_the_face(monkeypatch):
     assert geometry_image(given, None, 32).on_face is None
     monkeypatch.setattr(FlatAnnotation, "face_regions", lambda self: np.arange(256) == 4)
     image = geometry_image(given, None, 32)
-    np.testing.assert_array_equal(image.on_face, image.region == 4)
+    assert_array_equal(image.on_face, image.region == 4)
     assert image.face_side == 32 * (image.on_face.sum() / image.mask.sum()) ** 0.5
 
 
@@ -259,7 +255,7 @@ def test_annotated_values_change_gradually_and_regions_stay_crisp():
     image = geometry_image(fitted, None, 100)
     assert set(np.unique(image.region)) == {3, 4}
     row = image.specular_scale[50]
-    np.testing.assert_allclose(row[[5, -5]], [0.7, 0.0], atol=1e-3)
+    assert_allclose(row[[5, -5]], [0.7, 0.0], atol=1e-3)
     assert np.abs(np.diff(row)).max() < 0.2
     assert image.inpaint[50, 5]
     assert not image.inpaint[50, -5]
@@ -298,7 +294,7 @@ def test_a_texture_is_looked_up_as_if_what_was_done_to_it_were_undone():
     ):
         found = moved_colors(wrong, seen, points, up)
         assert set(found) == set(MOVES)
-        np.testing.assert_allclose(found[name], right, atol=2e-3, err_msg=name)
+        assert_allclose(found[name], right, atol=2e-3, err_msg=name)
         assert np.abs(found["as it is"] - right).max() > 1e-2
 
 
@@ -334,6 +330,6 @@ def test_vertex_colours_are_those_of_the_faces_near_the_points():
     scan = RawScan(vertices, np.concatenate([faces, faces + 4]), vertex_color_linear=colors)
     points = np.random.default_rng(0).uniform(1, 8, (40, 3)) * (1, 1, 0)
     found = sample_colors(scan, points, np.tile((0.0, 0, 1), (40, 1)), np.zeros((40, 3, 2)))
-    np.testing.assert_allclose(found.color_linear[:, 0], 0)
-    np.testing.assert_allclose(found.color_linear[:, 1:], points[:, :2] / 9, atol=1e-6)
+    assert_allclose(found.color_linear[:, 0], 0)
+    assert_allclose(found.color_linear[:, 1:], points[:, :2] / 9, atol=1e-6)
     assert found.seen.all()

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 import xatlas
+from numpy.testing import assert_allclose
 
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import GeometryImageError
@@ -16,7 +17,7 @@ def test_a_sphere_is_covered_once_with_true_positions_and_normals():
     inside = image.mask
     assert inside.mean() > 0.3
     radius = np.linalg.norm(image.position[inside], axis=1)
-    np.testing.assert_allclose(radius, 80, atol=0.4)
+    assert_allclose(radius, 80, atol=0.4)
     outward = np.einsum("ij,ij->i", image.normal[inside], image.position[inside] / radius[:, None])
     assert outward.min() > 0.99
 
@@ -37,7 +38,7 @@ def test_a_large_surface_is_simplified_first():
     sphere = trimesh.creation.icosphere(6, 80.0)
     image = geometry_image_of_scan(RawScan(sphere.vertices, sphere.faces), 128)
     assert len(image.occluder[1]) <= 15_000
-    np.testing.assert_allclose(np.linalg.norm(image.position[image.mask], axis=1), 80, atol=0.5)
+    assert_allclose(np.linalg.norm(image.position[image.mask], axis=1), 80, atol=0.5)
 
 
 def test_holes_that_meet_in_a_vertex_do_not_keep_a_surface_from_being_simplified(monkeypatch):
@@ -50,7 +51,7 @@ def test_holes_that_meet_in_a_vertex_do_not_keep_a_surface_from_being_simplified
     monkeypatch.setattr(geometry_images, "MOST_FACES", 600)
     image = geometry_image_of_scan(RawScan(sphere.vertices, faces), 64)
     assert len(image.occluder[1]) <= 600
-    np.testing.assert_allclose(np.linalg.norm(image.position[image.mask], axis=1), 80, atol=2)
+    assert_allclose(np.linalg.norm(image.position[image.mask], axis=1), 80, atol=2)
 
 
 def test_colours_come_along():
@@ -59,7 +60,7 @@ def test_colours_come_along():
     image = geometry_image_of_scan(RawScan(box.vertices, box.faces, vertex_color_linear=color), 128)
     expected = (image.position[image.mask] + box.vertices.mean(0) + 50) / 100
     assert image.texture_valid[image.mask].mean() > 0.95
-    np.testing.assert_allclose(image.texture_linear[image.mask], expected, atol=0.02)
+    assert_allclose(image.texture_linear[image.mask], expected, atol=0.02)
 
 
 def test_too_small_a_size_is_refused():

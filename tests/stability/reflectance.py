@@ -6,9 +6,10 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-from benchmarks.everyday_light import generated_environment
-from benchmarks.reflectance_captures import head_capture, of_pairs, relative_rmse, samples_of
-from benchmarks.reflectance_pictures import build_scene
+from bench.judging import relative_rmse
+from worlds.environments import generated_environment
+from worlds.flash_captures import head_capture, of_pairs, samples_of
+from worlds.two_balls import build_scene
 
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.geometry.pinhole import look_at, project

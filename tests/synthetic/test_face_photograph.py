@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from benchmarks.everyday_light import generated_environment
+from worlds.environments import generated_environment
 
 from scan2albedo.geometry.pinhole import project
 from scan2albedo.lighting.harmonics import project_environment

@@ -3,6 +3,7 @@
 import igl
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 import scan2albedo as s2a
 from scan2albedo.geometry.closest_points import ClosestPointQuery
@@ -39,7 +40,7 @@ def test_the_template_finds_its_way_back_to_its_own_axes_and_unit(own, turned):
     vertices, _, _ = own
     carried = turned.template_of(turned.control_vertices)
     back = transform_points(turned.template_from_model, carried)
-    np.testing.assert_allclose(back, 1000 * vertices @ TURN.T + 5000, atol=1e-3)
+    assert_allclose(back, 1000 * vertices @ TURN.T + 5000, atol=1e-3)
 
 
 def test_landmarks_and_regions_are_carried_over(own, turned):
@@ -120,7 +121,7 @@ def test_the_generic_face_in_metres_and_turned(shared_data, part):
     found = transform_points(model.template_from_model, model.landmarks) * 1000
     error = np.linalg.norm(found - given[data["landmarks68"]] * 1000, axis=1)
     assert error[INNER].mean() < 3
-    np.testing.assert_allclose(
+    assert_allclose(
         transform_points(model.template_from_model, model.template_of(model.control_vertices)),
         given,
         atol=1e-9,

@@ -3,6 +3,7 @@ from functools import partial
 import igl
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.errors import ModelError
@@ -57,26 +58,24 @@ def test_a_dense_template_gets_a_small_control_mesh_whose_limit_surface_follows_
 def test_the_template_comes_back_exactly_at_rest_and_turns_with_the_surface(dense):
     vertices, faces, model = dense
     carried = model.template_of(model.control_vertices)
-    np.testing.assert_allclose(carried, vertices - vertices.mean(0), atol=1e-9)
+    assert_allclose(carried, vertices - vertices.mean(0), atol=1e-9)
     turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
-    np.testing.assert_allclose(
-        model.template_of(model.control_vertices @ turn.T + 5), carried @ turn.T + 5, atol=1e-9
-    )
-    np.testing.assert_array_equal(model.template_faces, faces)
+    assert_allclose(model.template_of(model.control_vertices @ turn.T + 5), carried @ turn.T + 5, atol=1e-9)
+    assert_array_equal(model.template_faces, faces)
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("cm", 0.1), ("m", 0.001)])
 def test_the_unit_is_decided_by_the_size_of_a_head(dense, unit, factor):
     vertices, faces, model = dense
     other = plain_model(factor * vertices, faces, control_size=300)
-    np.testing.assert_allclose(other.control_vertices, model.control_vertices, atol=1e-6)
+    assert_allclose(other.control_vertices, model.control_vertices, atol=1e-6)
 
 
 def test_a_small_template_keeps_its_own_vertices():
     vertices, faces = dome(16)
     model = plain_model(vertices, faces)
     assert len(model.control_vertices) == 256
-    np.testing.assert_array_equal(model.control_faces, faces)
+    assert_array_equal(model.control_faces, faces)
 
 
 def test_eye_holes_are_filled_named_and_loose_parts_carried_along():
@@ -98,7 +97,7 @@ def test_eye_holes_are_filled_named_and_loose_parts_carried_along():
     carried = model.template_of(model.control_vertices)
     assert carried.shape == (count + 3, 3)
     gap = np.linalg.norm(carried[count:] - carried[0] - (eyeball - vertices[0]), axis=1)
-    np.testing.assert_allclose(gap, 0, atol=1e-6)
+    assert_allclose(gap, 0, atol=1e-6)
 
 
 def test_seams_with_doubled_vertices_are_welded():
@@ -111,7 +110,7 @@ def test_seams_with_doubled_vertices_are_welded():
     assert_sound(model)
     carried = model.template_of(model.control_vertices)
     both = np.intersect1d(faces[left], faces[~left])
-    np.testing.assert_allclose(carried[both], carried[both + count], atol=1e-6)
+    assert_allclose(carried[both], carried[both + count], atol=1e-6)
 
 
 def test_an_inside_out_template_is_turned(dense):
@@ -136,7 +135,7 @@ def test_a_given_chart_is_kept_and_a_folded_one_replaced(dense):
     model = plain_model(vertices, faces, uv, control_size=300)
     assert_sound(model)
     expected = 0.1 + 0.8 * (model.control_vertices[:, :2] / [140, 190] + 0.5)
-    np.testing.assert_allclose(model.uv, expected, atol=0.02)
+    assert_allclose(model.uv, expected, atol=0.02)
     folded = np.abs(uv - 0.5) + 0.2
     assert_sound(plain_model(vertices, faces, folded, control_size=300))
 
@@ -158,7 +157,7 @@ def test_landmarks_by_points_and_by_vertices(dense):
     chosen = np.arange(68) * 20 + 101
     by_index = plain_model(vertices, faces, landmarks=chosen, control_size=300)
     by_point = plain_model(0.1 * vertices, faces, landmarks=0.1 * vertices[chosen], control_size=300)
-    np.testing.assert_allclose(by_point.landmarks, by_index.landmarks, atol=1e-6)
+    assert_allclose(by_point.landmarks, by_index.landmarks, atol=1e-6)
     assert np.linalg.norm(by_index.landmarks - (vertices - vertices.mean(0))[chosen], axis=1).mean() < 0.2
 
 
@@ -166,7 +165,7 @@ def test_a_few_faces_that_spoil_the_surface_are_dropped(dense):
     vertices, faces, model = dense
     fin = np.concatenate([faces, [[*faces[1000, :2], 100]]])
     mended = plain_model(vertices, fin, control_size=300)
-    np.testing.assert_array_equal(mended.control_faces, model.control_faces)
+    assert_array_equal(mended.control_faces, model.control_faces)
     assert any(note.startswith("faces dropped at edges") for note in mended.notes)
     pinched = np.where(faces == faces[1000, 0], faces[2000, 0], faces)
     assert_sound(plain_model(vertices, pinched, control_size=300))
@@ -227,9 +226,7 @@ def _torus() -> tuple[np.ndarray, np.ndarray]:
 def test_surface_frames_are_orthonormal_and_finite_on_zero_area():
     corners = np.random.default_rng(0).normal(size=(20, 3, 3))
     frames = surface_frames(corners)
-    np.testing.assert_allclose(
-        np.einsum("nij,nik->njk", frames, frames), np.tile(np.eye(3), (20, 1, 1)), atol=1e-12
-    )
+    assert_allclose(np.einsum("nij,nik->njk", frames, frames), np.tile(np.eye(3), (20, 1, 1)), atol=1e-12)
     assert np.isfinite(surface_frames(np.zeros((1, 3, 3)))).all()
 
 
@@ -240,7 +237,7 @@ def test_the_468_vertex_mask(shared_data):
     assert len(model.control_vertices) == 468
     assert_sound(model)
     carried = model.template_of(model.control_vertices)
-    np.testing.assert_allclose(carried, 10 * (vertices - vertices.mean(0)), atol=1e-6)
+    assert_allclose(carried, 10 * (vertices - vertices.mean(0)), atol=1e-6)
     assert 140 < np.ptp(model.control_vertices[:, 1]) < 200
 
 

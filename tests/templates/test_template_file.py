@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.errors import ModelError
@@ -26,8 +27,8 @@ def test_order_and_chart_are_the_files(obj):
     made, default = AnnotatedFaceModel.from_file(obj), AnnotatedFaceModel.default()
     assert made.name == "mine"
     assert len(made.template_points.face) == len(default.control_vertices) + 1
-    np.testing.assert_array_equal(made.template_faces, default.control_faces)
-    np.testing.assert_allclose(made.template_uv, default.uv[default.control_faces], atol=1e-12)
+    assert_array_equal(made.template_faces, default.control_faces)
+    assert_allclose(made.template_uv, default.uv[default.control_faces], atol=1e-12)
     assert np.abs(made.uv - default.uv).mean() < 0.01
     coarse = AnnotatedFaceModel.from_file(obj, control_size=300)
     assert 200 < len(coarse.control_vertices) < 400
@@ -41,12 +42,12 @@ def test_a_vertex_with_two_texture_coordinates_has_none():
     def given(corners):
         return DenseTemplate(vertices, faces, corners, None, None, "mine")
 
-    np.testing.assert_array_equal(vertex_uv(given(uv[faces]))[:4], uv)
-    np.testing.assert_array_equal(corner_uv(given(uv[faces]))[0], uv[faces])
+    assert_array_equal(vertex_uv(given(uv[faces]))[:4], uv)
+    assert_array_equal(corner_uv(given(uv[faces]))[0], uv[faces])
     seam = uv[faces]
     seam[1, 0] = [0.5, 0.5]
     assert vertex_uv(given(seam)) is None
-    np.testing.assert_array_equal(corner_uv(given(seam))[0], seam)
+    assert_array_equal(corner_uv(given(seam))[0], seam)
     gaps = given(np.full((2, 3, 2), np.nan))
     assert vertex_uv(gaps) is None
     beyond, flat = given(seam - 2), given(0 * seam)

@@ -20,7 +20,7 @@ pytestmark = [
 
 
 def test_a_scan_becomes_an_object_with_its_material_and_lights(tmp_path):
-    from benchmarks.scan_files import write_obj
+    from worlds.files import write_obj
 
     scan, _ = raw_scan(0, scanner=Scanner(size=128, picture_size=500, spacing_mm=3.0))
     write_obj(scan, tmp_path / "person.obj")

@@ -9,16 +9,42 @@ import pytest
 
 PRINTED = """\
 head        RMSE | said
-d_dome       3.8 | 0.92
-d_sun       12.0 | 0.50
 worst       12.0 | 0.92
 """
 SOURCE = figures.Source(
-    "python tools/nothing.py",
+    "python tools/nothing.py", "none", lines={"worst": "worst "}, figures={"rmse": "{worst[0]} %"}
+)
+BENCH = figures.Source(
+    "python tools/bench traced/skin",
     "none",
-    lines={"worst": "worst "},
-    figures={"rmse": "{worst[0]} %"},
-    tables={"table": figures.Table(r"d_\w+ ", {"scene": "{0}", "said": "{2}"}, {"d_dome": "a dome"})},
+    figures={"rmse": "{traced/skin[all][ours][worst][RMSE %]:.1f} %"},
+    tables={
+        "table": figures.Table(
+            "traced/skin",
+            {"scene": "{case}", "error": "{ours[RMSE %]:.1f}", "peer": "{SH[RMSE %]:.1f}"},
+            {"d_dome": "a dome"},
+            means={"all": "mean"},
+        )
+    },
+)
+ROW = {"group": "", "method": "ours", "failed": False}
+WRITTEN = json.dumps(
+    {
+        "traced/skin": {
+            "rows": [
+                {**ROW, "case": "d_dome", "values": {"RMSE %": 3.84}},
+                {**ROW, "case": "d_dome", "method": "SH", "values": {"RMSE %": 5.0}},
+                {**ROW, "case": "d_sun", "values": {"RMSE %": 12.0}},
+                {**ROW, "case": "d_off", "failed": True, "values": {}},
+            ],
+            "summary": {
+                "all": {
+                    "ours": {"mean": {"RMSE %": 7.92}, "worst": {"RMSE %": 12.0}},
+                    "SH": {"mean": {"RMSE %": 5.0}},
+                }
+            },
+        }
+    }
 )
 
 
@@ -35,19 +61,37 @@ def test_no_line_of_a_paragraph_begins_with_a_comment():
 
 
 def test_figures_are_read_from_what_a_command_prints():
-    values = figures.read_from(SOURCE, PRINTED)
+    assert figures.read_from(SOURCE, PRINTED) == {"rmse": "12.0 %"}
+
+
+def test_figures_are_read_from_what_a_bench_writes():
+    values = figures.read_from(BENCH, WRITTEN)
     assert values["rmse"] == "12.0 %"
-    assert values["table"] == ["| scene | said |", "|---|---|", "| a dome | 0.92 |", "| `d_sun` | 0.50 |"]
+    assert values["table"] == [
+        "| scene | error | peer |",
+        "|---|---|---|",
+        "| a dome | 3.8 | 5.0 |",
+        "| `d_sun` | 12.0 | - |",
+        "| mean | 7.9 | 5.0 |",
+    ]
 
 
-@pytest.mark.parametrize("lack", [{"lines": {"worst": "mean "}}, {"figures": {"rmse": "{worst[9]}"}}])
-def test_what_is_not_printed_is_not_recorded(lack):
-    with pytest.raises(ValueError, match=r"mean|worst\[9\]"):
-        figures.read_from(replace(SOURCE, **lack), PRINTED)
+@pytest.mark.parametrize(
+    ("source", "printed", "lack"),
+    [
+        (SOURCE, PRINTED, {"lines": {"worst": "mean "}}),
+        (SOURCE, PRINTED, {"figures": {"rmse": "{worst[9]}"}}),
+        (BENCH, WRITTEN, {"figures": {"rmse": "{traced/skin[all][ours][worst][gone]}"}}),
+        (BENCH, "{}", {"figures": {}}),
+    ],
+)
+def test_what_is_not_printed_is_not_recorded(source, printed, lack):
+    with pytest.raises(ValueError, match=r"mean|worst|no bench"):
+        figures.read_from(replace(source, **lack), printed)
 
 
 def test_a_page_gets_the_recorded_figures_and_keeps_the_rest():
-    values = figures.read_from(SOURCE, PRINTED)
+    values = figures.read_from(BENCH, WRITTEN)
     record = {"skin": {"date": "2026-01-02", "commit": "abc", "values": values}}
     page = "It errs by <!--=skin.rmse-->9 %<!--/--> (<!--=skin.measured--><!--/-->).\n\n"
     page += "<!--=skin.table--><!--/-->"
@@ -55,7 +99,10 @@ def test_a_page_gets_the_recorded_figures_and_keeps_the_rest():
     assert text.startswith(
         "It errs by <!--=skin.rmse-->12.0 %<!--/--> (<!--=skin.measured-->2026-01-02, commit abc<!"
     )
-    assert "-->\n\n| scene | said |\n|---|---|\n| a dome | 0.92 |\n| `d_sun` | 0.50 |\n\n<!--" in text
+    assert (
+        "-->\n\n| scene | error | peer |\n|---|---|---|\n| a dome | 3.8 | 5.0 |\n| `d_sun` | 12.0 | - |\n"
+        in text
+    )
     assert figures.rewritten(text, record) == text
     with pytest.raises(ValueError, match=r"skin\.half.*--run skin"):
         figures.rewritten("<!--=skin.half--><!--/-->", record)

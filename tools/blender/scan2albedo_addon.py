@@ -32,8 +32,10 @@ bl_info = {
 }
 
 EXTENSIONS = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off")
-USUAL_ALBEDO, PERCENTILE = 0.55, 90.0
+USUAL_ALBEDO = 0.55
 """The albedo's scale is unknown: so bright becomes its brightest skin."""
+PERCENTILE = 90.0
+"""Of the albedo, which counts as its brightest skin."""
 LIGHT_NODE = "light of the scan"
 METRES_PER_MM = 1e-3
 AXES = Matrix(((1, 0, 0, 0), (0, 0, -1, 0), (0, 1, 0, 0), (0, 0, 0, 1)))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.lenses import rims
@@ -115,12 +115,11 @@ def lens_mesh(
     counterclockwise, or along `normal`. EyeglassesError when the fan would fold, as the rim does not go
     around the centre once; ValueError when an array has the wrong shape or is not finite.
     """
-    middle, outline = np.asarray(center, np.float64), np.asarray(rim, np.float64)
-    if middle.shape != (3,) or outline.ndim != 2 or outline.shape[1] != 3 or len(outline) < 3:
-        raise ValueError(f"center and rim must be (3,) and (R, 3), got {middle.shape}, {outline.shape}")
+    middle = checked_array(center, (3,), "center", finite=ValueError)
+    outline = checked_array(rim, ("R", 3), "rim", finite=ValueError)
+    if len(outline) < 3:
+        raise ValueError(f"a rim needs three points or more, got {len(outline)}")
     vertices = np.concatenate([middle[None], outline])
-    if not np.isfinite(vertices).all():
-        raise ValueError("center and rim must be finite")
     numbers = np.arange(1, len(vertices))
     faces = np.stack([np.zeros_like(numbers), numbers, np.roll(numbers, -1)], 1)
     # Taken around the centre: far from the origin the cross products would lose their digits.

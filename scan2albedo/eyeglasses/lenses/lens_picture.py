@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
+from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import checked_keypoints
 from scan2albedo.eyeglasses.lenses import inserted_lenses as inserted
-from scan2albedo.eyeglasses.lenses.optics import LensMaterial, checked_array
+from scan2albedo.eyeglasses.lenses.optics import LensMaterial
 from scan2albedo.eyeglasses.lenses.scene_colors import LitScene, PhotographedScene, SceneColors
 from scan2albedo.eyeglasses.lenses.scenes import LensScene, Surface
 from scan2albedo.geometry import pinhole
@@ -117,8 +118,11 @@ def insert_lenses(
     not bounce otherwise. 256 lights are 1 % rms off 8,192 directions, 64 are 2.5 %; cost grows with them.
     """
     matrix = pinhole.normalized_cameras(np.asarray(camera, np.float64)[None])[0]
-    photograph = None if picture_linear is None else checked_image("picture_linear", picture_linear)
-    around = None if environment_linear is None else checked_image("environment_linear", environment_linear)
+    images: list[FloatArray | None] = [None, None]
+    for k, (name, image) in enumerate((("picture", picture_linear), ("environment", environment_linear))):
+        if image is not None:
+            images[k] = checked_array(image, ("H", "W", 3), f"{name}_linear", finite=EyeglassesError)
+    photograph, around = images
     if (shape is None) == (photograph is None):
         raise ValueError("give either shape, to draw the scene, or picture_linear, a photograph of it")
     height, width = photograph.shape[:2] if photograph is not None else shape or (0, 0)
@@ -134,24 +138,14 @@ def insert_lenses(
         raise ValueError(f"lenses must be one material or (left, right), got {len(materials)}")
     middles: list[FloatArray | None] = [None, None]
     if lens_centers is not None:
-        middles = list(checked_array("lens_centers", lens_centers, (2, 3)))
+        middles = list(checked_array(lens_centers, (2, 3), "lens_centers", finite=EyeglassesError))
     given = np.asarray(frame.vertices), np.asarray(frame.faces), marks
     sides = [(side, material) for side, material in enumerate(materials) if material is not None]
     seat: dict[str, Any] = {"seat_mm": _SEAT_MM, "rim_masks": rim_masks}
     placed = tuple(inserted.insert_lens(*given, k, own, center=middles[k], **seat) for k, own in sides)
     bare, glass_notes = inserted.without_glass(frame, placed, marks)
     scene, notes = LensScene(bare, surfaces), list(glass_notes)
-    # The rows and columns of the pixels that may see a lens, with one to spare around them.
-    size = np.array([width, height], np.float64)
-    low, high = np.zeros(2), np.zeros(2)
-    if placed:
-        pixels, depth = pinhole.project(matrix, np.concatenate([lens.vertices for lens in placed]))
-        if (depth > 0).all():
-            low, high = np.floor(pixels.min(0)) - 1, np.ceil(pixels.max(0)) + 2
-        elif (depth > 0).any():
-            high = size
-    (left, top), (right, bottom) = np.clip([low, high], 0, size).astype(int).tolist()
-    region = slice(top, bottom), slice(left, right)
+    region = _lens_region(matrix, placed, (height, width))
     colors: SceneColors
     if photograph is not None:
         # Outside the lenses a photograph stays as it is.
@@ -170,18 +164,7 @@ def insert_lenses(
     for whole, values in zip(wholes, (made.shaded, made.bare, made.unknown, made.lens), strict=True):
         whole[window] = values.reshape(whole[window].shape)
     for lens in placed:
-        if lens.rim.gaps != "none":
-            source = "its key points" if lens.rim.gaps == "subdivided" else "the rim on both sides"
-            share = f"{int((~lens.rim.measured).sum())} of {len(lens.rim.points)} points"
-            notes.append(f"the {lens.name}: {share} of its rim come from {source}")
-        if lens.rim.deviation is not None:
-            off = np.sqrt((lens.rim.deviation**2).mean())
-            notes.append(f"the {lens.name}: masks refine its outline, to {off:.2f} mm (standard deviation)")
-        elif len(rim_masks):
-            said = "no mask shows half of its outline and agrees with the rim, which stays"
-            notes.append(f"the {lens.name}: {said}")
-        if not (seen == lens.side).any():
-            notes.append(f"the {lens.name}: no pixel sees it")
+        notes += _lens_notes(lens, len(rim_masks) > 0, bool((seen == lens.side).any()))
     if made.glancing:
         notes.append(f"{made.glancing} rays run along a lens and pass it as if it were not there")
     if lost := int(unknown.sum()):
@@ -193,11 +176,38 @@ def insert_lenses(
     return LensPicture(image, without, seen, unknown, placed, tuple(notes))
 
 
-def checked_image(name: str, values: ArrayLike) -> FloatArray:
-    """Return a finite image (H, W, 3). Raises EyeglassesError if not finite, ValueError for its shape."""
-    if np.ndim(values) != 3 or np.shape(values)[2] != 3 or np.size(values) == 0:
-        raise ValueError(f"{name} must have shape (H, W, 3), got {np.shape(values)}")
-    return checked_array(name, values, np.shape(values))
+def _lens_region(
+    camera: FloatArray, lenses: Sequence[inserted.InsertedLens], shape: tuple[int, int]
+) -> Window:
+    """Return rows and columns of the pixels that may see a lens, with one to spare around them."""
+    size = np.array(shape[::-1], np.float64)
+    low, high = np.zeros(2), np.zeros(2)
+    if lenses:
+        pixels, depth = pinhole.project(camera, np.concatenate([lens.vertices for lens in lenses]))
+        if (depth > 0).all():
+            low, high = np.floor(pixels.min(0)) - 1, np.ceil(pixels.max(0)) + 2
+        elif (depth > 0).any():
+            high = size
+    (left, top), (right, bottom) = np.clip([low, high], 0, size).astype(int).tolist()
+    return slice(top, bottom), slice(left, right)
+
+
+def _lens_notes(lens: inserted.InsertedLens, masked: bool, seen: bool) -> list[str]:
+    """Return where a lens's rim comes from, what masks that could refine it did, and if it is not seen."""
+    notes, rim = [], lens.rim
+    if rim.gaps != "none":
+        source = "its key points" if rim.gaps == "subdivided" else "the rim on both sides"
+        notes.append(
+            f"{int((~rim.measured).sum())} of {len(rim.points)} points of its rim come from {source}"
+        )
+    if rim.deviation is not None:
+        off = np.sqrt((rim.deviation**2).mean())
+        notes.append(f"masks refine its outline, to {off:.2f} mm (standard deviation)")
+    elif masked:
+        notes.append("no mask shows half of its outline and agrees with the rim, which stays")
+    if not seen:
+        notes.append("no pixel sees it")
+    return [f"the {lens.name}: {note}" for note in notes]
 
 
 @dataclass(frozen=True)

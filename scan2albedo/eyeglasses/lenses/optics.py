@@ -6,22 +6,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, checked_array
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.geometry.mesh import normalized
 
 _GRAZING = 1e-9
 """Sine of the angle to the lens plane below which a camera or a ray counts as lying in it."""
-
-
-def checked_array(name: str, values: ArrayLike, *shapes: tuple[int, ...]) -> FloatArray:
-    """Return finite values of one of the shapes; ValueError for another, EyeglassesError if not finite."""
-    array = np.asarray(values, np.float64)
-    if array.shape not in shapes:
-        raise ValueError(f"{name} must have shape {' or '.join(map(str, shapes))}, got {array.shape}")
-    if not np.isfinite(array).all():
-        raise EyeglassesError(f"{name} holds numbers that are not finite; repair it, or leave it out")
-    return array
 
 
 @dataclass(frozen=True)
@@ -69,10 +59,11 @@ def refract(lens: ThinLens, camera: ArrayLike, points: ArrayLike) -> RefractedRa
     >>> rays.directions.round(9) + 0.0
     array([[ 0.,  0., -1.]])
     """
-    center = checked_array("the lens's center", lens.center, (3,))
-    normal = checked_array("the lens's normal", lens.normal, (3,))
-    through = checked_array("points", points, (*np.shape(points)[:1], 3))
-    origins = checked_array("camera", camera, (3,), through.shape)
+    finite = EyeglassesError
+    center = checked_array(lens.center, (3,), "the lens's center", finite=finite)
+    normal = checked_array(lens.normal, (3,), "the lens's normal", finite=finite)
+    through = checked_array(points, ("N", 3), "points", finite=finite)
+    origins = checked_array(camera, (..., 3), "camera", finite=finite)
     if not np.isfinite(lens.dioptres):
         raise EyeglassesError(f"the lens has {lens.dioptres} dioptres, not finite; plane glass has 0")
     if not normal.any():
@@ -134,7 +125,7 @@ class LensMaterial:
     """`paint` adds the tint as a matte colour (the paper's); `filter` multiplies what is behind by it."""
 
     def __post_init__(self) -> None:
-        tint = checked_array("tint_linear", self.tint_linear, (3,))
+        tint = checked_array(self.tint_linear, (3,), "tint_linear", finite=EyeglassesError)
         if not ((tint >= 0).all() and np.isfinite(self.dioptres)):
             raise EyeglassesError(f"a lens needs finite dioptres and a tint of 0 or more, got {self}")
         if self.tinting == "filter" and tint.max() > 1:

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import checked_mesh, checked_points
-from scan2albedo.eyeglasses.lenses.optics import checked_array
 from scan2albedo.eyeglasses.on_face.objective import BIAS_PX, ROBUST, VOTE
 from scan2albedo.eyeglasses.on_face.outline import REACH_PX, MaskDistance, search_edges
 from scan2albedo.geometry.closest_points import ClosestPointQuery
@@ -46,9 +45,10 @@ _STEP = 0.05
 """Lens radii between neighbouring hits that part two surfaces, such as the outer wall seen in a cut tube."""
 _PULL = 0.25
 """Part of an edge's length within which a vertex draws its middle: farther off is another piece of frame."""
-_OPEN, _BEND = 0.12, 0.02
-"""Lens radii that an edge which no ray met is off in all (3 mm: a rim's width), and by which a control
-point's error differs from its neighbours' mean."""
+_OPEN = 0.12
+"""Lens radii that an edge which no ray met is off in all (3 mm: a rim's width)."""
+_BEND = 0.02
+"""Lens radii by which a control point's error differs from its neighbours' mean."""
 
 
 @dataclass(frozen=True)
@@ -209,13 +209,13 @@ def find_lens_rim(
     ((128, 3), 'none')
     """
     xyz, index = checked_mesh(vertices, faces, "the frame")
-    middle = checked_array("center", center, (3,))
+    middle = checked_array(center, (3,), "center", finite=EyeglassesError)
     marks = None if rim_points is None else checked_points("rim_points", rim_points)
     if normal is None:
         if marks is None:
             raise EyeglassesError("a lens plane needs rim_points, three or more around the lens, or a normal")
         normal = fit_normal(marks, xyz)
-    plane = LensPlane.at(middle, checked_array("normal", normal, (3,)))
+    plane = LensPlane.at(middle, checked_array(normal, (3,), "normal", finite=EyeglassesError))
     angles = np.linspace(-np.pi, np.pi, _POINTS, endpoint=False)
     lens_radius = None if marks is None else float(plane.profile(marks)[0].mean())
     # A domed lens would stop the rays before they reach the rim.
@@ -372,12 +372,13 @@ def refine_lens_rim(
     -----
     Li et al. (supplement, section S4) subdivide between key points; most of ours are on the rim's outside.
     """
-    plane, count = LensPlane.at(rim.center, rim.normal), len(rim.points)
+    plane = LensPlane.at(rim.center, rim.normal)
     angles, profile = plane.angles(rim.points), plane.profile(rim.points)
     # A quarter as many control points: their curve follows rims of all shapes to 0.05 mm rms.
-    basis = one = np.eye(count // 4)
+    basis = np.eye(len(rim.points) // 4)
+    count = len(basis)
     for _ in range(2):
-        basis = np.stack([basis, four_point_middles(basis)], 1).reshape(-1, len(one))
+        basis = np.stack([basis, four_point_middles(basis)], 1).reshape(-1, count)
     smooth, outline = basis @ np.linalg.pinv(basis), profile
     # What rays met errs by three times what the curve cannot follow of it.
     noise = 3 * np.sqrt(((profile - profile @ smooth.T) ** 2).mean(1))
@@ -385,56 +386,36 @@ def refine_lens_rim(
         # What rays met may be other pieces of the frame: the gaps' shape shall not hang on it.
         marks = checked_points("rim_points", rim_points)
         outline = subdivide_rim(marks, plane, marks, angles)
-    first, wide = outline @ smooth.T, _OPEN * float(outline[0].mean())
-    # Errors of radii and heights, shift and turn of T, b. A place is known to a quarter of a rim's width.
-    ends = np.cumsum(sizes := np.array([len(one), len(one), 3, 3, len(masks)]))
-    radii, heights, shift, turn, widths = map(slice, ends - sizes, ends)
-    scale = np.repeat([1, 1, wide / 4, _OPEN / 4, BIAS_PX], sizes)
-    prior, bend = np.diag(scale**-2.0), one - (np.roll(one, 1, 0) + np.roll(one, -1, 0)) / 2
-    stiff = bend.T @ bend * (_OPEN / _BEND / wide) ** 2 + (len(one) * wide) ** -2.0
-    prior[radii, radii] = prior[heights, heights] = stiff
-    # Points of the curve by the unknowns, and how far they may be off beforehand.
-    start, across = plane.points(angles, first), plane.directions(angles)
-    moves = np.zeros((count, 3, len(prior)))
-    moves[..., radii] = across[:, :, None] * basis[:, None]
-    moves[..., heights] = plane.normal[:, None] * basis[:, None]
-    moves[..., shift] = np.eye(3)
-    moves[..., turn] = np.cross(np.eye(3), (start - plane.center)[:, None]).transpose(0, 2, 1)
-    open_mm = np.sqrt(np.einsum("np,pq,nq->n", basis, np.linalg.inv(stiff), basis))
-    met, state = np.flatnonzero(rim.measured), np.zeros(len(prior))
+    first = outline @ smooth.T
+    wide = _OPEN * float(outline[0].mean())
+    curve = _rim_curve(plane, angles, first, basis, wide, len(masks))
+    parts = curve.radii, curve.heights
+    met, state = np.flatnonzero(rim.measured), np.zeros(len(curve.prior))
     matrices = normalized_cameras(np.reshape([np.asarray(camera) for camera, _ in masks], (-1, 3, 4)))
     covered = [np.asarray(mask) != 0 for _, mask in masks]
     fields = [MaskDistance.of(mask) if mask.any() and not mask.all() else None for mask in covered]
+    off_px = np.full(len(masks), np.nan)
     for _ in range(12):
-        off_px, precision, pull = np.full(len(masks), np.nan), prior.copy(), np.zeros(len(prior))
-        for part, off, deviation in zip((radii, heights), (profile - first)[:, met], noise, strict=True):
+        precision, pull = curve.prior.copy(), np.zeros(len(state))
+        for part, off, deviation in zip(parts, (profile - first)[:, met], noise, strict=True):
             # Rays between two control points err alike.
-            weight = len(one) / count / deviation**2
+            weight = count / len(basis) / deviation**2
             weight /= 1 + ((off - basis[met] @ state[part]) / (ROBUST * deviation)) ** 2
             precision[part, part] += (basis[met] * weight[:, None]).T @ basis[met]
             pull[part] += basis[met].T @ (weight * off)
-        for column, matrix, field in zip(range(widths.start, len(prior)), matrices, fields, strict=True):
-            pixels, slopes, front = projected(matrix[None], start + moves @ state)
-            if field is None or not front.all():
+        for number, (matrix, field) in enumerate(zip(matrices, fields, strict=True)):
+            edge = None
+            if field is not None:
+                edge = _find_edge(curve, state, curve.widths.start + number, matrix, field, deviation_px)
+            if edge is None:
+                off_px[number] = np.nan
                 continue
-            along = np.roll(pixels, -1, 0) - np.roll(pixels, 1, 0)
-            inward = normalized(np.stack([-along[:, 1], along[:, 0]], 1))
-            toward = projected(matrix[None], plane.center[None])[0] - pixels
-            inward *= np.sign((toward * inward).sum(1, keepdims=True))
-            rows = np.einsum("ni,nij,njp->np", inward, slopes, moves)
-            reach = 3 * np.hypot(open_mm * np.linalg.norm(rows[:, shift], axis=1), deviation_px)
-            found = search_edges(field, pixels, inward, np.minimum(reach, REACH_PX))
-            if (kept := np.isfinite(found)).mean() < 0.5:
-                continue
-            rows[:, column] = 1.0
             # A few hits may be of other pieces of the frame.
-            told = kept & rim.measured if (kept & rim.measured).sum() >= len(one) else kept
-            off_px[column - widths.start] = np.median(np.abs(found - state[column])[told])
-            rows, found = rows[kept], (found - state[column])[kept]
-            weight = np.minimum(VOTE * np.linalg.norm(along[kept], axis=1) / 2, 1.0) / deviation_px**2
-            weight /= 1 + (found / (ROBUST * deviation_px)) ** 2
-            precision += (rows * weight[:, None]).T @ rows
-            pull += rows.T @ (weight * (found + rows @ state))
+            trusted = rim.measured[edge.point]
+            off = np.abs(edge.off_px)
+            off_px[number] = np.median(off[trusted] if trusted.sum() >= count else off)
+            precision += (edge.rows * edge.weight[:, None]).T @ edge.rows
+            pull += edge.rows.T @ (edge.weight * (edge.off_px + edge.rows @ state))
         state = np.asarray(np.linalg.solve(precision, pull), np.float64)
     if np.isnan(off_px).all():
         return rim
@@ -442,6 +423,93 @@ def refine_lens_rim(
         others = [view for number, view in enumerate(masks) if number != worst]
         return refine_lens_rim(rim, others, rim_points=rim_points, deviation_px=deviation_px)
     covariance = np.linalg.inv(precision)
-    points = plane.points(angles, first + np.stack([basis @ state[part] for part in (radii, heights)]))
-    variance = sum(np.einsum("np,pq,nq->n", basis, covariance[p, p], basis) for p in (radii, heights))
+    points = plane.points(angles, first + np.stack([basis @ state[part] for part in parts]))
+    variance = sum(np.einsum("np,pq,nq->n", basis, covariance[p, p], basis) for p in parts)
     return replace(rim, points=points, deviation=np.sqrt(variance))
+
+
+@dataclass(frozen=True)
+class _RimCurve:
+    """Points of a closed curve, start + moves @ u, by P unknowns u with the precision `prior` (P, P).
+
+    `radii`, `heights`, `shift` and `widths` are their places in u: errors of control points, shift of the
+    frame, then after its turn by how much each mask is too wide. Each point of the curve (R,) may be
+    `open_mm` off beforehand.
+    """
+
+    center: FloatArray
+    start: FloatArray
+    moves: FloatArray
+    prior: FloatArray
+    open_mm: FloatArray
+    radii: slice
+    heights: slice
+    shift: slice
+    widths: slice
+
+
+def _rim_curve(
+    plane: LensPlane,
+    angles: FloatArray,
+    profile: FloatArray,
+    basis: FloatArray,
+    wide: float,
+    mask_count: int,
+) -> _RimCurve:
+    """Return the curve of a `profile` (2, R) known to `wide`, whose control points have a basis (R, N)."""
+    count = basis.shape[1]
+    ends = np.cumsum(sizes := np.array([count, count, 3, 3, mask_count]))
+    radii, heights, shift, turn, widths = map(slice, ends - sizes, ends)
+    # A place is known to a quarter of a rim's width.
+    prior = np.diag(np.repeat([1, 1, wide / 4, _OPEN / 4, BIAS_PX], sizes) ** -2.0)
+    one = np.eye(count)
+    bend = one - (np.roll(one, 1, 0) + np.roll(one, -1, 0)) / 2
+    stiff = bend.T @ bend * (_OPEN / _BEND / wide) ** 2 + (count * wide) ** -2.0
+    prior[radii, radii] = prior[heights, heights] = stiff
+    start = plane.points(angles, profile)
+    moves = np.zeros((len(basis), 3, len(prior)))
+    moves[..., radii] = plane.directions(angles)[:, :, None] * basis[:, None]
+    moves[..., heights] = plane.normal[:, None] * basis[:, None]
+    moves[..., shift] = np.eye(3)
+    moves[..., turn] = np.cross(np.eye(3), (start - plane.center)[:, None]).transpose(0, 2, 1)
+    open_mm = np.sqrt(np.einsum("np,pq,nq->n", basis, np.linalg.inv(stiff), basis))
+    return _RimCurve(plane.center, start, moves, prior, open_mm, radii, heights, shift, widths)
+
+
+@dataclass(frozen=True)
+class _FoundEdge:
+    """Where a mask ends near n points of the curve: `off_px` (n,) inward, by `rows` (n, P), with weights."""
+
+    point: IntArray
+    off_px: FloatArray
+    rows: FloatArray
+    weight: FloatArray
+
+
+def _find_edge(
+    curve: _RimCurve,
+    state: FloatArray,
+    column: int,
+    camera: FloatArray,
+    field: MaskDistance,
+    deviation_px: float,
+) -> _FoundEdge | None:
+    """Return the edge in a mask whose width is unknown number `column`; None where half of it is missing."""
+    pixels, slopes, front = projected(camera[None], curve.start + curve.moves @ state)
+    if not front.all():
+        return None
+    along = np.roll(pixels, -1, 0) - np.roll(pixels, 1, 0)
+    inward = normalized(np.stack([-along[:, 1], along[:, 0]], 1))
+    toward = projected(camera[None], curve.center[None])[0] - pixels
+    inward *= np.sign((toward * inward).sum(1, keepdims=True))
+    rows = np.einsum("ni,nij,njp->np", inward, slopes, curve.moves)
+    reach = 3 * np.hypot(curve.open_mm * np.linalg.norm(rows[:, curve.shift], axis=1), deviation_px)
+    found = search_edges(field, pixels, inward, np.minimum(reach, REACH_PX))
+    kept = np.isfinite(found)
+    if kept.mean() < 0.5:
+        return None
+    rows[:, column] = 1.0
+    off = (found - state[column])[kept]
+    weight = np.minimum(VOTE * np.linalg.norm(along[kept], axis=1) / 2, 1.0) / deviation_px**2
+    weight /= 1 + (off / (ROBUST * deviation_px)) ** 2
+    return _FoundEdge(np.flatnonzero(kept), off, rows[kept], weight)

@@ -22,7 +22,7 @@ from scan2albedo.lighting.shadow_map import ShadowMap
 from scan2albedo.rendering.scene_light import SceneLight, each_lamp
 
 _MIXED = -2
-"""Label of pixels on a fringe, which may hold some of two surfaces."""
+"""Label of pixels on a fringe, a pixel wide, which may hold some of two surfaces."""
 _AWAY = -1
 """Label of the background; others are numbers of surfaces, the frame's is 0."""
 _LEAST_SHARE = 0.2
@@ -182,7 +182,7 @@ class PhotographedScene:
     """A linear photograph (H, W, 3) as the source of colours: points are looked up where the camera saw them.
 
     Points that were not seen take the colour of the nearest one of their surface among the pixels of
-    `region`, or their albedo where there is none. Nothing is taken from `fringe_px` pixels on fringes.
+    `region`, or their albedo where there is none. Nothing is taken from fringes.
     """
 
     def __init__(
@@ -192,12 +192,11 @@ class PhotographedScene:
         camera: FloatArray,
         *,
         region: tuple[slice, slice],
-        fringe_px: int = 1,
         environment: FloatArray | None = None,
     ) -> None:
         self._scene, self._picture, self._camera = scene, picture, camera
         self._center = camera_centers(camera[None])[0]
-        self._fringe_px, self._region, self._environment = fringe_px, region, environment
+        self._region, self._environment = region, environment
         self._known: dict[int, tuple[cKDTree, FloatArray]] = {}
 
     def look(self, straight: SceneRays, bent: SceneRays, mirrored: Sequence[SceneRays]) -> list[RayColors]:
@@ -266,10 +265,9 @@ class PhotographedScene:
         shape = self._picture.shape[:2]
         face = self._scene.rays(self._center, pixel_directions(self._camera, pixel_grid(shape))).hits.face
         label = np.where(face >= 0, self._scene.surface_of_face[face], _AWAY).reshape(shape)
-        if self._fringe_px:
-            frame, away = label == 0, label == _AWAY
-            for kind, others in ((frame, ~frame), (~away, away)):
-                label[binary_dilation(kind, np.ones((3, 3)), iterations=self._fringe_px) & others] = _MIXED
+        frame, away = label == 0, label == _AWAY
+        for kind, others in ((frame, ~frame), (~away, away)):
+            label[binary_dilation(kind, np.ones((3, 3))) & others] = _MIXED
         return label
 
     def _sample(self, pixels: FloatArray, labels: IntArray) -> tuple[FloatArray, BoolArray]:

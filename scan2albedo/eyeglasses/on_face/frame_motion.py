@@ -23,8 +23,12 @@ _STRETCH = 0.001
 """Part of its length by which a bone is usually stretched."""
 _SCALE = 0.01
 """Part by which the whole frame is usually too large or too small, as a mesh that somebody measured."""
-_RIM_TURN_RAD, _BRIDGE_TURN_RAD, _TEMPLE_TURN_RAD = 0.005, 0.02, 0.03
-"""How much neighbouring key points are usually turned against each other: of rims, bridge, and temples."""
+_RIM_TURN_RAD = 0.005
+"""How much neighbouring key points of a rim are usually turned against each other."""
+_BRIDGE_TURN_RAD = 0.02
+"""The same of the bridge's key points."""
+_TEMPLE_TURN_RAD = 0.03
+"""The same of a temple's key points."""
 _RIGID_MM = 1e-3
 """Deviation of the rigid part of the shifts, which the frame's own motion stands for."""
 _BRIDGE = np.array(["bridge" in n for n in KEY_POINT_NAMES])

@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core import Plan, PlanStep, Trace
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, checked_keypoints, checked_mesh, checked_weights
 from scan2albedo.eyeglasses.mean_keypoints import require_posable, usual_size_factor
@@ -151,17 +151,15 @@ def checked_inputs(
     weights = None
     if parts[3] is not None:
         weights = checked_weights("the glasses' weights", parts[3], len(vertices))
-        if not np.isfinite(weights).all() or np.abs(weights.sum(1) - 1).max(initial=0.0) > 1e-6:
-            raise EyeglassesError("the glasses' weights must be finite, each row of sum 1; solve them again")
+        if np.abs(weights.sum(1) - 1).max(initial=0.0) > 1e-6:
+            raise EyeglassesError("the glasses' weights must have rows of sum 1; solve them again")
         if weights[:, ~np.isfinite(keypoints).all(1)].any():
             raise EyeglassesError("the glasses' weights give a share to key points that the frame lacks")
-    labels, matrices = np.asarray(keypoints_2d, np.float64), normalized_cameras(cameras)
+    matrices = normalized_cameras(cameras)
     count = len(matrices)
-    if labels.shape != (count, len(KEY_POINT_NAMES), 2) or count == 0:
-        raise ValueError(
-            f"keypoints_2d must have shape (C, {len(KEY_POINT_NAMES)}, 2) for C cameras of shape (C, 3, 4), "
-            f"got {labels.shape} and {matrices.shape}"
-        )
+    if count == 0:
+        raise ValueError("there is no camera; give one or more")
+    labels = checked_array(keypoints_2d, (count, len(KEY_POINT_NAMES), 2), "keypoints_2d")
     given_masks: list[Any] = [None] * count if masks is None else list(masks)  # type: ignore[arg-type]
     for name, listed in (("masks", given_masks), ("shapes", shapes), ("pictures", pictures)):
         if listed is not None and len(listed) != count:
@@ -169,42 +167,17 @@ def checked_inputs(
     unit = 1 / usual_size_factor(keypoints)
     matrices = normalized_cameras(matrices * np.array([unit, unit, unit, 1.0]))
     views, checked, shown, plan = [], [], [], []
-    for number, (camera, marks, given) in enumerate(zip(matrices, labels, given_masks, strict=True)):
-        mask = None if given is None else np.asarray(given) != 0
+    for number, (camera, marks, mask) in enumerate(zip(matrices, labels, given_masks, strict=True)):
         shape = None if shapes is None else (int(shapes[number][0]), int(shapes[number][1]))
-        distance = None
-        labelled = np.isfinite(marks).all(1)
-        found = marks[labelled]
-        if (np.abs(found) > 1e6).any():
-            raise EyeglassesError(f"labels of view {number} reach {np.abs(found).max():.3g}: expected pixels")
-        picture = None if pictures is None or pictures[number] is None else np.asarray(pictures[number])
-        if picture is not None:
-            if picture.ndim != 3 or picture.shape[2] != 3 or shape not in (None, picture.shape[:2]):
-                raise ValueError(f"picture {number} has shape {picture.shape}, expected (H, W, 3) of {shape}")
-            if not np.isfinite(picture).all():
-                raise EyeglassesError(f"picture {number} holds numbers that are not finite")
-            shape = picture.shape[:2]
-        if mask is not None:
-            if mask.ndim != 2 or min(mask.shape) < 2:
-                raise ValueError(f"mask {number} must have shape (H, W), of 2 pixels or more: {mask.shape}")
-            outside = ((found < -0.5) | (found > np.array(mask.shape[::-1]) - 0.5)).any(1)
-            if len(found) and outside.mean() > 0.5:
-                raise EyeglassesError(
-                    f"{int(outside.sum())} of {len(found)} labels of view {number} lie outside its mask of "
-                    f"{mask.shape[1]} x {mask.shape[0]} pixels: give masks of the labelled pictures' size"
-                )
-            if shape not in (None, mask.shape):
-                raise ValueError(f"mask {number} has shape {mask.shape}, expected its picture's {shape}")
-            shape = mask.shape
-            if mask.any() and not mask.all():
-                distance = MaskDistance.of(mask)
-            else:
-                what = "covers all of its picture" if mask.any() else "is empty"
-                reason = f"the mask of view {number} {what}: it does not count"
-                plan.append(PlanStep("glasses.mask", False, reason))
-        views.append(ObservedView(camera, np.where(labelled[:, None], marks, np.nan), distance, shape))
-        shown.append(picture)
-        checked.append(mask)
+        picture = None if pictures is None else pictures[number]
+        view = _checked_view(number, camera, marks, mask, shape, picture)
+        views.append(view.observed)
+        checked.append(view.mask)
+        shown.append(view.picture)
+        if view.mask is not None and view.observed.distance is None:
+            what = "covers all of its picture" if view.mask.any() else "is empty"
+            reason = f"the mask of view {number} {what}: it does not count"
+            plan.append(PlanStep("glasses.mask", False, reason))
     skull = None
     if head is not None:
         points, index = (head.vertices, head.faces) if hasattr(head, "vertices") else head
@@ -212,12 +185,56 @@ def checked_inputs(
         skull = points / unit, index
     pose = None
     if start is not None:
-        pose = np.array(start, np.float64)
-        if pose.shape != (4, 4):
-            raise ValueError(f"start must have shape (4, 4), got {pose.shape}")
+        pose = np.array(checked_array(start, (4, 4), "start"))
         if not is_rigid(pose):
             raise EyeglassesError("start must be a rigid world_from_glasses: a rotation and a translation")
         pose[:3, 3] /= unit
     frame = vertices / unit, faces, keypoints / unit, weights
     seen = tuple(views), tuple(checked), tuple(shown)
     return RegistrationInputs(*frame, *seen, skull, pose, unit, tuple(plan))
+
+
+class _CheckedView(NamedTuple):
+    observed: ObservedView
+    mask: BoolArray | None
+    picture: NDArray[Any] | None
+
+
+def _checked_view(
+    number: int,
+    camera: FloatArray,
+    labels: FloatArray,
+    mask: ArrayLike | None,
+    shape: tuple[int, int] | None,
+    picture: ArrayLike | None,
+) -> _CheckedView:
+    """Return one view with its labels (20, 2), mask, size and picture; raises as `register_on_face`."""
+    labelled = np.isfinite(labels).all(1)
+    found = labels[labelled]
+    if (np.abs(found) > 1e6).any():
+        raise EyeglassesError(f"labels of view {number} reach {np.abs(found).max():.3g}: expected pixels")
+    image = None if picture is None else np.asarray(picture)
+    if image is not None:
+        if image.shape != (*(shape or image.shape[:2]), 3):
+            raise ValueError(f"picture {number} has shape {image.shape}, expected (H, W, 3) of {shape}")
+        if not np.isfinite(image).all():
+            raise EyeglassesError(f"picture {number} holds numbers that are not finite")
+        shape = image.shape[:2]
+    distance = None
+    covered = None if mask is None else np.asarray(mask) != 0
+    if covered is not None:
+        if covered.ndim != 2 or min(covered.shape) < 2:
+            raise ValueError(f"mask {number} must have shape (H, W), of 2 pixels or more: {covered.shape}")
+        outside = ((found < -0.5) | (found > np.array(covered.shape[::-1]) - 0.5)).any(1)
+        if len(found) and outside.mean() > 0.5:
+            raise EyeglassesError(
+                f"{int(outside.sum())} of {len(found)} labels of view {number} lie outside its mask of "
+                f"{covered.shape[1]} x {covered.shape[0]} pixels: give masks of the labelled pictures' size"
+            )
+        if shape not in (None, covered.shape):
+            raise ValueError(f"mask {number} has shape {covered.shape}, expected its picture's {shape}")
+        shape = covered.shape
+        if covered.any() and not covered.all():
+            distance = MaskDistance.of(covered)
+    observed = ObservedView(camera, np.where(labelled[:, None], labels, np.nan), distance, shape)
+    return _CheckedView(observed, covered, image)

@@ -196,7 +196,8 @@ class RegistrationObjective:
             mine = np.flatnonzero(samples.view == number)
             if not len(mine):
                 continue
-            bias, along = 0.0, 1 / noise[mine]
+            bias = 0.0
+            along = 1 / noise[mine]
             for _ in range(_REWEIGHTINGS):
                 weight = VOTE * _huber_weights(residual[mine] - bias * along)
                 tight = float(weight @ along**2) + 1 / BIAS_PX**2
@@ -224,7 +225,8 @@ class _Sums:
 
     def __init__(self, motion: moving.FrameMotion, rigid: bool) -> None:
         size = moving.RIGID + (0 if rigid else motion.keypoints.size)
-        self.cost, self.gradient, self.matrix = 0.0, np.zeros(size), np.zeros((size, size))
+        self.cost = 0.0
+        self.gradient, self.matrix = np.zeros(size), np.zeros((size, size))
         self.motion, self.rows = motion, partial(motion.rows, rigid=rigid)
 
     def add(self, rows: FloatArray, values: FloatArray, votes: FloatArray) -> None:

@@ -253,70 +253,89 @@ class OutlineSampler:
 
         `deviation_mm` (K,) says how well the key points are known so far: an uncertain one reaches far.
         """
-        points = self.mesh.points
-        vertices = motion.positions(points)
-        # View, places at rest, weights, edges, outward.
-        none = np.zeros(0, np.int64), np.zeros((0, 3)), points.weights[:0], *np.zeros((2, 0, 2)), np.zeros(0)
-        parts: list[tuple[NDArray[Any], ...]] = [none]
+        vertices = motion.positions(self.mesh.points)
+        parts = [self._sample_view(number, vertices, deviation_mm) for number in range(len(self.views))]
+        rest = np.concatenate([part.points.rest for part in parts])
+        weights = np.concatenate([part.points.weights for part in parts])
+        names = ("view", "edges", "outward", "noise_px", "share")
+        joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+        return OutlineSamples(points=SkinnedPoints(rest, weights), **joined)
+
+    def _sample_view(self, number: int, vertices: FloatArray, deviation_mm: FloatArray) -> OutlineSamples:
+        """Return the samples of one view, their `share` (1, K), of a frame whose vertices are at (V, 3)."""
+        view, points = self.views[number], self.mesh.points
         count = points.weights.shape[1]
-        share = np.full((len(self.views), count), np.nan)
-        for number, (view, faces) in enumerate(zip(self.views, self.shown, strict=True)):
-            if not view.outlined or view.shape is None:
-                continue
-            camera, behind = view.camera, BEHIND[points.weights.argmax(1)]
-            seen = seen_samples(vertices, faces, camera, view.shape)
-            shown = seen
-            which, outward = trace_outline(seen)
-            seen = seen.chosen(which)
-            foremost = seen.corners[:, 0]
-            px_per_mm = np.sqrt(abs(np.linalg.det(camera[:, :3]))) / project(camera, vertices)[1][foremost]
-            reach = 3 * points.weights[foremost] @ deviation_mm * px_per_mm
-            reach = np.minimum(5.0 + reach, REACH_PX)
-            place = np.stack(np.divmod(seen.index, view.shape[1])[::-1], 1).astype(np.float64)
-            # Points nearer to the picture's border than to the observed outline may have it outside.
-            border = np.minimum(place, [view.shape[1] - 1, view.shape[0] - 1] - place).min(1)
-            limit = np.minimum(reach, border + 0.5)
-            way, noise = np.zeros((2, len(place)))
-            if view.distance is not None:
-                way = search_edges(view.distance, place, outward, limit)
-                kept = np.flatnonzero(np.isfinite(way))
-            elif view.colors is not None:
-                # Skin is around the front, hair around the temples: the same colour says another thing.
-                shown = shown.chosen(~hidden_by(self.head, camera, shown.interpolated(vertices)))
-                frame, chance = np.zeros(view.shape, bool), np.zeros(len(place))
-                frame.flat[shown.index] = True
-                for side in (False, True):
-                    mine, part = np.flatnonzero(behind[foremost] == side), np.zeros(view.shape, bool)
-                    part.flat[shown.index[behind[shown.corners[:, 0]] == side]] = True
-                    if len(mine) and part.any():
-                        odds = color_odds(view.colors, frame, part)
-                        given = frame, place[mine], outward[mine], limit[mine]
-                        way[mine], noise[mine], chance[mine] = search_colors(odds, *given)
-                kept = np.flatnonzero(chance > 0.5)
-            edges = place + way[:, None] * outward
-            # Points that the head hides, or a ray four pixels beside them.
-            owner = owner_of = points.weights.argmax(1)[foremost]
-            if self.head is not None and len(place):
-                world = seen.interpolated(vertices)
-                hidden = hidden_by(self.head, camera, world)
-                center = camera_centers(camera[None])[0]
-                far = np.linalg.norm(world - center, axis=1)[:, None]
-                for step in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-                    ray = pixel_directions(camera, place + 4.0 * np.array(step))
-                    hidden |= hidden_by(self.head, camera, center + far * ray)
-                kept = kept[~hidden[kept]]
-                owner = owner[~hidden]
-            of_each = [np.bincount(which, minlength=count) for which in (owner_of[kept], owner)]
-            with np.errstate(invalid="ignore"):
-                share[number] = of_each[0] / of_each[1]
-            if view.distance is None:
-                # A stretch of the frame is there or hidden: what is found of a hidden one is something else.
-                kept = kept[share[number, owner_of[kept]] > 0.5]
-            rest, weights = (seen.chosen(kept).interpolated(a) for a in (points.rest, points.weights))
-            parts.append((np.full(len(kept), number), rest, weights, edges[kept], outward[kept], noise[kept]))
-        columns = zip(*parts, strict=True)
-        number_of, rest, weights, edges, outward, noise = (np.concatenate(part) for part in columns)
-        return OutlineSamples(number_of, SkinnedPoints(rest, weights), edges, outward, noise, share)
+        if not view.outlined or view.shape is None:
+            nothing, nowhere = np.zeros(0), np.zeros((0, 2))
+            unknown = np.full((1, count), np.nan)
+            return OutlineSamples(nothing.astype(int), points[:0], nowhere, nowhere, nothing, unknown)
+        camera = view.camera
+        shown = seen_samples(vertices, self.shown[number], camera, view.shape)
+        which, outward = trace_outline(shown)
+        seen = shown.chosen(which)
+        foremost = seen.corners[:, 0]
+        owner = points.weights.argmax(1)[foremost]
+        px_per_mm = np.sqrt(abs(np.linalg.det(camera[:, :3]))) / project(camera, vertices)[1][foremost]
+        reach = np.minimum(5.0 + 3 * points.weights[foremost] @ deviation_mm * px_per_mm, REACH_PX)
+        place = np.stack(np.divmod(seen.index, view.shape[1])[::-1], 1).astype(np.float64)
+        # Points nearer to the picture's border than to the observed outline may have it outside.
+        border = np.minimum(place, [view.shape[1] - 1, view.shape[0] - 1] - place).min(1)
+        limit = np.minimum(reach, border + 0.5)
+        if view.distance is not None:
+            way, noise = search_edges(view.distance, place, outward, limit), np.zeros(len(place))
+            kept = np.flatnonzero(np.isfinite(way))
+        else:
+            shown = shown.chosen(~hidden_by(self.head, camera, shown.interpolated(vertices)))
+            way, noise, chance = self._search_picture(view, shown, owner, place, outward, limit)
+            kept = np.flatnonzero(chance > 0.5)
+        edges = place + way[:, None] * outward
+        hidden = self._beside_head(camera, seen.interpolated(vertices), place)
+        kept = kept[~hidden[kept]]
+        found, visible = (np.bincount(which, minlength=count) for which in (owner[kept], owner[~hidden]))
+        with np.errstate(invalid="ignore"):
+            share = found / visible
+        if view.distance is None:
+            # A stretch of the frame is there or hidden: what is found of a hidden one is something else.
+            kept = kept[share[owner[kept]] > 0.5]
+        chosen = seen.chosen(kept)
+        at_rest = SkinnedPoints(chosen.interpolated(points.rest), chosen.interpolated(points.weights))
+        of_view = np.full(len(kept), number)
+        return OutlineSamples(of_view, at_rest, edges[kept], outward[kept], noise[kept], share[None])
+
+    def _search_picture(
+        self,
+        view: ObservedView,
+        shown: SeenSamples,
+        owner: IntArray,
+        pixels: FloatArray,
+        outward: FloatArray,
+        reach_px: FloatArray,
+    ) -> FloatArray:
+        """Return (3, N) as `search_colors` for outline pixels whose nearest key points are `owner` (N,)."""
+        assert view.shape is not None
+        assert view.colors is not None
+        frame, found = np.zeros(view.shape, bool), np.zeros((3, len(pixels)))
+        frame.flat[shown.index] = True
+        behind = BEHIND[self.mesh.points.weights.argmax(1)][shown.corners[:, 0]]
+        # Skin is around the front, hair around the temples: the same colour says another thing.
+        for side in (False, True):
+            mine, part = np.flatnonzero(BEHIND[owner] == side), np.zeros(view.shape, bool)
+            part.flat[shown.index[behind == side]] = True
+            if len(mine) and part.any():
+                odds = color_odds(view.colors, frame, part)
+                found[:, mine] = search_colors(odds, frame, pixels[mine], outward[mine], reach_px[mine])
+        return found
+
+    def _beside_head(self, camera: FloatArray, points: FloatArray, pixels: FloatArray) -> BoolArray:
+        """Return (N,) True for points that the head hides, or a ray four pixels beside them."""
+        hidden = hidden_by(self.head, camera, points)
+        if self.head is not None and len(points):
+            center = camera_centers(camera[None])[0]
+            far = np.linalg.norm(points - center, axis=1)[:, None]
+            for step in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+                ray = pixel_directions(camera, pixels + 4.0 * np.array(step))
+                hidden |= hidden_by(self.head, camera, center + far * ray)
+        return hidden
 
     def mask(self, motion: FrameMotion, number: int) -> tuple[BoolArray, IntArray]:
         """Return (H, W) True where a view should show the frame, the head in front, and a vertex there."""

@@ -245,6 +245,19 @@ class _Registration:
         self.meter.merge(child)
         return found
 
+    def _show_lenses(self, state: FrameState) -> None:
+        """Take lenses out of the outline, or put them in, as each view's mask shows them."""
+        motion, views = self.objective.motion(state), self.given.views
+        masks = [m if v.distance is not None else None for v, m in zip(views, self.given.masks, strict=True)]
+        for number, view in enumerate(views):
+            if view.colors is not None:
+                masks[number] = outline.color_odds(view.colors, self.sampler.mask(motion, number)[0]) > 0
+        cameras = [view.camera for view in views]
+        sampler = self.sampler
+        mesh, shown, steps = fit_lenses_to_masks(sampler.mesh, motion, cameras, masks, sampler.head)
+        self.steps += steps
+        self.sampler = outline.OutlineSampler(mesh, views, sampler.head, shown)
+
     def _match_outlines(self, before: FrameEstimate) -> FrameEstimate:
         if self.given.labelled and any(picture is not None for picture in self.given.pictures):
             self._look_at_pictures(before.state)
@@ -254,20 +267,12 @@ class _Registration:
         if self.meter.exhausted:
             self._note("outlines", False, "the budget has ended")
             return replace(before, converged=False)
-        # Lenses are taken out of the outline, or put in, as each view's mask shows them.
+        self._show_lenses(before.state)
         views = self.given.views
-        motion, cameras = self.objective.motion(before.state), [view.camera for view in views]
-        masks = [m if v.distance is not None else None for v, m in zip(views, self.given.masks, strict=True)]
-        for number, view in enumerate(views):
-            if view.colors is not None:
-                masks[number] = outline.color_odds(view.colors, self.sampler.mask(motion, number)[0]) > 0
-        given = self.sampler.mesh, motion, cameras, masks, self.sampler.head
-        mesh, shown, steps = fit_lenses_to_masks(*given)
-        self.steps += steps
-        self.sampler = outline.OutlineSampler(mesh, views, self.sampler.head, shown)
         found, first, settled = before, np.nan, False
         moves: list[float] = []
         known = self.given.known
+        motion = self.objective.motion(before.state)
         # What labels leave open: outlines that have found a wrong place would call it certain.
         deviation_mm = mark_deviations(self.given, motion, before.at)
         if not self.given.labelled and any(view.colors is not None for view in views):

@@ -1,6 +1,6 @@
 """How well the pictures fix a frame, where they contradict it, and the result in the caller's unit."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
@@ -10,18 +10,33 @@ from scipy.special import erfinv, log_ndtr
 from scan2albedo.core import Meter, Plan, PlanStep
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
-from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion
-from scan2albedo.eyeglasses.on_face.inputs import OBSERVED_MM, RegisteredEyeglasses, RegistrationInputs
+from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
+from scan2albedo.eyeglasses.on_face.inputs import (
+    OBSERVED_MM,
+    FaceRegistrationOptions,
+    RegisteredEyeglasses,
+    RegistrationInputs,
+)
 from scan2albedo.eyeglasses.on_face.objective import FrameEstimate, Linearization, RegistrationObjective
-from scan2albedo.eyeglasses.on_face.outline import ObservedView, OutlineSampler, color_odds, hidden_by
+from scan2albedo.eyeglasses.on_face.outline import (
+    ObservedView,
+    OutlineSampler,
+    OutlineSamples,
+    color_odds,
+    hidden_by,
+)
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import camera_centers, project, projected
 
-_MODEL_MM, _MODEL_BENT = 0.06, 0.21
-"""What key points and weights cannot follow: at rest, and where they shift by 1 mm; it grows as the root."""
-_ONE_VIEW, _ONE_VIEW_RESTED = 2.0, 1.4
-"""Errors over stated deviations, measured on 26 wearers seen from one place, free and resting on the nose."""
+_MODEL_MM = 0.06
+"""What key points and weights cannot follow of a frame at rest."""
+_MODEL_BENT = 0.21
+"""mm that they cannot follow where key points shift by 1 mm; it grows as the root."""
+_ONE_VIEW = 2.0
+"""Errors over stated deviations of frames seen from one place, measured on 26 wearers."""
+_ONE_VIEW_RESTED = 1.4
+"""The same of frames that rest on the nose."""
 _APART = 0.02
 """Distance of cameras, as a part of that to the frame, from which they count as two places."""
 _ANYWHERE_MM = 1e6
@@ -47,130 +62,237 @@ def report(
     motion = objective.motion(state)
     # Behind the frame's own points there may be those of lenses that only masks show.
     points = sampler.mesh.points[: len(given.vertices)]
-    marks = motion.marks
-    vertices, keypoints = motion.positions(points), motion.positions(marks)
+    vertices, keypoints = motion.positions(points), motion.positions(motion.marks)
     samples = sampler.sample(motion, mark_deviations(given, motion, found.at))
-    rigid = not options.bend
-    at = objective.linearize(state, samples, rigid=rigid)
-    # Deviations from the Gauss-Newton matrix, labels and outlines weighted by the noise that they show.
-    labels = at.labels_px[np.isfinite(at.labels_px)]
-    outline = np.abs(at.outline_px)
-    label_px, outline_px = options.label_noise_px, options.outline_noise_px
-    if len(labels) > 4:
-        # Over the medians of a distance in the plane (Rayleigh) and of an error, at a deviation of 1.
-        label_px = max(_LEAST_NOISE_PX, float(np.median(labels) / np.sqrt(2 * np.log(2))))
-    if len(outline) > 4:
-        outline_px = max(_LEAST_NOISE_PX, float(np.median(outline) / (np.sqrt(2) * erfinv(0.5))))
-    shown = replace(options, label_noise_px=label_px, outline_noise_px=outline_px)
-    weighted = RegistrationObjective(objective.keypoints, objective.views, shown, objective.contact)
-    root = _root(weighted.linearize(state, samples, rigid=rigid).matrix)
+    at = objective.linearize(state, samples, rigid=not options.bend)
+    shown = _noise_shown(options, at)
+    known_to = _certainty(given, objective, shown, motion, points, samples)
     visible = np.stack([_visible(sampler, view, vertices) for view in given.views])
     marks_visible = np.stack([_visible(sampler, view, keypoints) for view in given.views]) & given.known
-    covariances = motion.covariances(marks, root)
-    # Pictures from one place leave more open than the matrix says.
-    inflation = 1.0
-    if used := [v for v in given.views if v.outlined or np.isfinite(v.labels).all(1).any()]:
-        centers = camera_centers(np.stack([view.camera for view in used]))
-        away = np.linalg.norm(keypoints[given.known].mean(0) - centers[0])
-        if np.linalg.norm(centers - centers[0], axis=1).max() <= _APART * away:
-            inflation = _ONE_VIEW if objective.contact is None else _ONE_VIEW_RESTED
-    stated = []
-    for p, c in ((points, motion.covariances(points, root)), (marks, covariances)):
-        # Frames bend otherwise than their key points say.
-        bend_mm = p.weights @ np.linalg.norm(state.shifts, axis=1)
-        unmodelled = np.hypot(_MODEL_MM, _MODEL_BENT * np.sqrt(np.maximum(bend_mm, 0.0)))
-        distance = np.sqrt(np.maximum(np.trace(c, axis1=1, axis2=2), 0.0))
-        stated.append(np.hypot(inflation * distance, unmodelled))
-    deviation, mark_deviation = stated
-    depth = inflation * _depth_deviation(given.views, keypoints, covariances, marks_visible)
+    depth = known_to.inflation * _depth_deviation(given.views, keypoints, known_to.covariances, marks_visible)
     # With more than a third of the labels off, which are the right ones is a guess.
     errors = at.labels_px[~np.isnan(at.labels_px)]
     misfit = float((errors > 3 * options.label_noise_px).mean()) if len(errors) else 0.0
     trusted = bend_found and misfit <= 1 / 3
+    fit = _fit_to_masks(given, sampler, motion, samples, at, shown.outline_noise_px)
+    # More pixels than 25 are a patch as wide as a temple.
+    wrong = (fit.differing > 25) & given.known
+    sought = marks_visible & (known_to.keypoints <= OBSERVED_MM)
+    proposed = _propose(given, sampler, motion, samples, known_to, sought, shown.outline_noise_px)
+    apart = 0.0
+    if given.head is not None:
+        apart = float(ClosestPointQuery(*given.head).query(keypoints[given.known]).distance.min())
+    names = ", ".join(name for name, bad in zip(KEY_POINT_NAMES, wrong, strict=True) if bad)
+    nothing = "nothing counts as observed"
+    doubts = (
+        (depth > OBSERVED_MM, "depth", "the views do not see depth", f"{depth:.1f} mm standard deviation"),
+        (
+            misfit > 1 / 3,
+            "misfit",
+            f"the labels do not fit this frame in these cameras: {nothing}",
+            f"{misfit:.0%} of the labels are off",
+        ),
+        (not bend_found, "unfinished", f"the budget ended before the bend was found: {nothing}", ""),
+        (
+            not found.converged,
+            "unconverged",
+            "not converged: the plan says which step, and a longer budget may end it",
+            "",
+        ),
+        (
+            apart > WORN_MM,
+            "head",
+            f"the head is {apart:.0f} mm or more from the frame: are head and cameras in one frame?",
+            "",
+        ),
+        (
+            given.head is not None and not marks_visible.any(),
+            "head",
+            "the head hides all of the frame: is it in the cameras' frame and unit?",
+            "",
+        ),
+        (wrong.any(), "contradicted", "masks show them elsewhere or not at all", names),
+    )
+    rows = proposed.steps + [
+        PlanStep.doubt(f"glasses.{name}", *said) for holds, name, *said in doubts if holds
+    ]
+    hidden = given.known & ~marks_visible.any(0)
+    uncertain = given.known & ~hidden & (known_to.keypoints > OBSERVED_MM)
+    for lost, why in ((hidden, "hidden in all views"), (uncertain, "seen, but not well enough")):
+        if lost.any():
+            worst = f"up to {known_to.keypoints[lost].max():.1f} mm standard deviation"
+            reason = f"{int(lost.sum())} key points are {why}"
+            rows.append(PlanStep("glasses.unobserved", False, reason, worst))
+    world, transforms = motion.world_from_frame.copy(), motion.transforms.copy()
+    world[:3, 3] *= unit
+    transforms[:, :3, 3] *= unit
+    known = np.where(given.known, 1.0, np.nan)
+    near = known_to.vertices <= OBSERVED_MM
+    return RegisteredEyeglasses(
+        vertices=unit * vertices,
+        faces=given.faces,
+        weights=points.weights,
+        keypoints=unit * keypoints * known[:, None],
+        world_from_glasses=world,
+        handle_transforms=transforms,
+        bend=unit * state.shifts,
+        visible=visible,
+        deviation=unit * known_to.vertices,
+        observed=trusted & visible.any(0) & near & ~wrong[points.weights.argmax(1)],
+        keypoint_deviation=unit * known_to.keypoints * known,
+        keypoints_observed=trusted & sought.any(0) & ~wrong,
+        depth_deviation=unit * depth,
+        depth_observed=bool(trusted and depth <= OBSERVED_MM and known_to.inflation < _ONE_VIEW),
+        label_errors_px=at.labels_px,
+        inliers=at.labels_px <= 3 * options.label_noise_px,
+        outline_rms_px=fit.outline_rms_px,
+        iou=fit.iou,
+        proposed_labels=proposed.labels,
+        proposed_deviation_px=proposed.deviation_px,
+        proposed_masks=tuple(proposed.masks),
+        converged=found.converged,
+        iterations=meter.evaluations,
+        plan=plan + rows,
+        trace=meter.trace,
+    )
+
+
+def _noise_shown(options: FaceRegistrationOptions, at: Linearization) -> FaceRegistrationOptions:
+    """Return the options with the noise that labels and outlines show, where there are enough of them."""
+    labels, outline = at.labels_px[np.isfinite(at.labels_px)], np.abs(at.outline_px)
+    shown = {}
+    if len(labels) > 4:
+        # Over the medians of a distance in the plane (Rayleigh) and of an error, at a deviation of 1.
+        shown["label_noise_px"] = max(_LEAST_NOISE_PX, float(np.median(labels) / np.sqrt(2 * np.log(2))))
+    if len(outline) > 4:
+        shown["outline_noise_px"] = max(
+            _LEAST_NOISE_PX, float(np.median(outline) / (np.sqrt(2) * erfinv(0.5)))
+        )
+    return replace(options, **shown)
+
+
+@dataclass(frozen=True)
+class _Certainty:
+    """How well the pictures fix a frame.
+
+    `vertices` (V,) and `keypoints` (20,) are their deviations in mm. `covariances` (20, 3, 3) of the key
+    points are those of the Gauss-Newton matrix alone, before the `inflation` of pictures from one place.
+    """
+
+    vertices: FloatArray
+    keypoints: FloatArray
+    covariances: FloatArray
+    inflation: float
+
+
+def _certainty(
+    given: RegistrationInputs,
+    objective: RegistrationObjective,
+    shown: FaceRegistrationOptions,
+    motion: FrameMotion,
+    points: SkinnedPoints,
+    samples: OutlineSamples,
+) -> _Certainty:
+    """Return deviations from the Gauss-Newton matrix, labels and outlines weighted by the noise `shown`."""
+    weighted = RegistrationObjective(objective.keypoints, objective.views, shown, objective.contact)
+    root = _root(weighted.linearize(motion.state, samples, rigid=not shown.bend).matrix)
+    # Pictures from one place leave more open than the matrix says.
+    inflation = 1.0
+    used = [view for view in given.views if view.outlined or np.isfinite(view.labels).all(1).any()]
+    if used:
+        centers = camera_centers(np.stack([view.camera for view in used]))
+        away = np.linalg.norm(motion.positions(motion.marks)[given.known].mean(0) - centers[0])
+        if np.linalg.norm(centers - centers[0], axis=1).max() <= _APART * away:
+            inflation = _ONE_VIEW if objective.contact is None else _ONE_VIEW_RESTED
+    covariances, stated = motion.covariances(motion.marks, root), []
+    for p, c in ((points, motion.covariances(points, root)), (motion.marks, covariances)):
+        # Frames bend otherwise than their key points say.
+        bend_mm = p.weights @ np.linalg.norm(motion.state.shifts, axis=1)
+        unmodelled = np.hypot(_MODEL_MM, _MODEL_BENT * np.sqrt(np.maximum(bend_mm, 0.0)))
+        distance = np.sqrt(np.maximum(np.trace(c, axis1=1, axis2=2), 0.0))
+        stated.append(np.hypot(inflation * distance, unmodelled))
+    return _Certainty(*stated, covariances, inflation)
+
+
+@dataclass(frozen=True)
+class _MaskFit:
+    """Outlines' distances (C,), intersections over unions (C,), and differing pixels by key point (20,)."""
+
+    outline_rms_px: FloatArray
+    iou: FloatArray
+    differing: FloatArray
+
+
+def _fit_to_masks(
+    given: RegistrationInputs,
+    sampler: OutlineSampler,
+    motion: FrameMotion,
+    samples: OutlineSamples,
+    at: Linearization,
+    noise_px: float,
+) -> _MaskFit:
     count = len(given.views)
-    outline_rms, iou, differing = np.full(count, np.nan), np.full(count, np.nan), np.zeros(len(keypoints))
+    outline_rms, iou, differing = (
+        np.full(count, np.nan),
+        np.full(count, np.nan),
+        np.zeros(len(given.keypoints)),
+    )
     for number, (view, mask) in enumerate(zip(given.views, given.masks, strict=True)):
         seen = at.outline_px[samples.view == number]
         if len(seen):
             outline_rms[number] = np.sqrt(np.mean(seen**2))
         if mask is not None and view.distance is not None:
-            iou[number], here = compare_masks(sampler, motion, number, mask, outline_px)
+            iou[number], here = compare_masks(sampler, motion, number, mask, noise_px)
             differing = np.maximum(differing, here)
-    # More pixels than 25 are a patch as wide as a temple.
-    wrong = (differing > 25) & given.known
-    # What pictures show: the key points whose surroundings were found there, and the frame's pixels.
-    proposed, proposed_px = (np.full((count, len(keypoints), *size), np.nan) for size in ((2,), ()))
-    masks: list[BoolArray | None] = [None] * count
-    scale = mark_deviation**2 / np.maximum(np.trace(covariances, axis1=1, axis2=2), 1e-12)
-    proposals = []
+    return _MaskFit(outline_rms, iou, differing)
+
+
+@dataclass(frozen=True)
+class _Proposals:
+    """What pictures show: `labels` (C, 20, 2), their deviations (C, 20), masks (H, W), and plan steps."""
+
+    labels: FloatArray
+    deviation_px: FloatArray
+    masks: list[BoolArray | None]
+    steps: list[PlanStep]
+
+
+def _propose(
+    given: RegistrationInputs,
+    sampler: OutlineSampler,
+    motion: FrameMotion,
+    samples: OutlineSamples,
+    known_to: _Certainty,
+    sought: BoolArray,
+    noise_px: float,
+) -> _Proposals:
+    """Return the `sought` (C, 20) key points that pictures show, and the frame's pixels in them."""
+    keypoints, covariances = motion.positions(motion.marks), known_to.covariances
+    found = _Proposals(
+        np.full((*sought.shape, 2), np.nan), np.full(sought.shape, np.nan), [None] * len(sought), []
+    )
+    scale = known_to.keypoints**2 / np.maximum(np.trace(covariances, axis1=1, axis2=2), 1e-12)
     for number, view in enumerate(given.views):
         if view.colors is None:
             continue
         pixels, slopes, _ = projected(view.camera[None], keypoints)
         spread = np.einsum("kij,kjl,kml->kim", slopes, covariances, slopes)
         spread *= scale[:, None, None]
-        sought = marks_visible[number] & np.isnan(view.labels).any(1) & (mark_deviation <= OBSERVED_MM)
+        here = sought[number] & np.isnan(view.labels).any(1)
         with np.errstate(invalid="ignore"):
-            sought &= samples.share[number] > 0.5
-        proposed[number, sought] = pixels[sought]
-        proposed_px[number, sought] = np.sqrt(scale * np.trace(spread, axis1=1, axis2=2) / 2)[sought]
-        sure = [f"{KEY_POINT_NAMES[k]} {proposed_px[number, k]:.1f}" for k in np.flatnonzero(sought)]
+            here &= samples.share[number] > 0.5
+        deviation_px = np.sqrt(scale * np.trace(spread, axis1=1, axis2=2) / 2)
+        found.labels[number, here] = pixels[here]
+        found.deviation_px[number, here] = deviation_px[here]
+        sure = [f"{KEY_POINT_NAMES[k]} {deviation_px[k]:.1f}" for k in np.flatnonzero(here)]
         reason = f"{len(sure) or 'no'} key points of view {number} are proposed from its picture"
         evidence = f"standard deviations in px: {', '.join(sure)}" if sure else ""
-        proposals.append(PlanStep("glasses.proposed", bool(sure), reason, evidence))
+        found.steps.append(PlanStep("glasses.proposed", bool(sure), reason, evidence))
         # Bayes: of a pixel's distance from the outline, as sure as the outline is, and of its colour.
         frame, _ = sampler.mask(motion, number)
-        inward = (distance_transform_edt(frame) - distance_transform_edt(~frame)) / outline_px
-        masks[number] = log_ndtr(inward) - log_ndtr(-inward) + color_odds(view.colors, frame) > 0
-    rows = []
-    if depth > OBSERVED_MM:
-        rows.append(("depth", "the views do not see depth", f"{depth:.1f} mm standard deviation"))
-    if misfit > 1 / 3:
-        reason = "the labels do not fit this frame in these cameras: nothing counts as observed"
-        rows.append(("misfit", reason, f"{misfit:.0%} of the labels are off"))
-    if not bend_found:
-        reason = "the budget ended before the bend was found: nothing counts as observed"
-        rows.append(("unfinished", reason, ""))
-    if not found.converged:
-        reason = "not converged: the plan says which step, and a longer budget may end it"
-        rows.append(("unconverged", reason, ""))
-    if given.head is not None:
-        apart = float(ClosestPointQuery(*given.head).query(keypoints[given.known]).distance.min())
-        if apart > WORN_MM:
-            reason = f"the head is {apart:.0f} mm or more from the frame: are head and cameras in one frame?"
-            rows.append(("head", reason, ""))
-        if not marks_visible.any():
-            reason = "the head hides all of the frame: is it in the cameras' frame and unit?"
-            rows.append(("head", reason, ""))
-    if wrong.any():
-        names = ", ".join(name for name, bad in zip(KEY_POINT_NAMES, wrong, strict=True) if bad)
-        rows.append(("contradicted", "masks show them elsewhere or not at all", names))
-    said = proposals + [PlanStep.doubt(f"glasses.{row[0]}", *row[1:]) for row in rows]
-    hidden = given.known & ~marks_visible.any(0)
-    uncertain = given.known & ~hidden & (mark_deviation > OBSERVED_MM)
-    for lost, why in ((hidden, "hidden in all views"), (uncertain, "seen, but not well enough")):
-        if lost.any():
-            worst = f"up to {mark_deviation[lost].max():.1f} mm standard deviation"
-            reason = f"{int(lost.sum())} key points are {why}"
-            said.append(PlanStep("glasses.unobserved", False, reason, worst))
-    world, transforms = motion.world_from_frame.copy(), motion.transforms.copy()
-    world[:3, 3] *= unit
-    transforms[:, :3, 3] *= unit
-    known = np.where(given.known, 1.0, np.nan)
-    return RegisteredEyeglasses(
-        vertices=unit * vertices, faces=given.faces, weights=points.weights,
-        keypoints=unit * keypoints * known[:, None], world_from_glasses=world, handle_transforms=transforms,
-        bend=unit * state.shifts, visible=visible, deviation=unit * deviation,
-        observed=trusted & visible.any(0) & (deviation <= OBSERVED_MM) & ~wrong[points.weights.argmax(1)],
-        keypoint_deviation=unit * mark_deviation * known,
-        keypoints_observed=trusted & marks_visible.any(0) & (mark_deviation <= OBSERVED_MM) & ~wrong,
-        depth_deviation=unit * depth,
-        depth_observed=bool(trusted and depth <= OBSERVED_MM and inflation < _ONE_VIEW),
-        label_errors_px=at.labels_px, inliers=at.labels_px <= 3 * options.label_noise_px,
-        outline_rms_px=outline_rms, iou=iou, proposed_labels=proposed, proposed_deviation_px=proposed_px,
-        proposed_masks=tuple(masks), converged=found.converged, iterations=meter.evaluations,
-        plan=plan + said, trace=meter.trace,
-    )  # fmt: skip
+        inward = (distance_transform_edt(frame) - distance_transform_edt(~frame)) / noise_px
+        found.masks[number] = log_ndtr(inward) - log_ndtr(-inward) + color_odds(view.colors, frame) > 0
+    return found
 
 
 def _root(matrix: FloatArray) -> FloatArray:

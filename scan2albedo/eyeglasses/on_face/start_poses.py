@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from scipy.special import xlogy
 
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
 from scan2albedo.errors import EyeglassesError, needs_extra
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR
 from scan2albedo.eyeglasses.mean_keypoints import BEHIND, is_posable, own_axes
@@ -95,10 +95,6 @@ def place_in_pictures(
     fans = [rim[[[0, 1, 2], [0, 2, 3], [0, 3, 4]]] + len(mesh.points.rest) for _, rim, *_ in openings]
     filled = np.concatenate([rims, *fans])
     best: tuple[float, FrameState, FloatArray] | None = None
-
-    def entropy(n: FloatArray) -> FloatArray:
-        return np.asarray((xlogy(n, n).sum(1) - xlogy(n.sum(1), n.sum(1))).sum(0))
-
     used = [view for view in views if view.colors is not None]
     for state in states:
         motion = FrameMotion(keypoints, state)
@@ -107,30 +103,7 @@ def place_in_pictures(
         for faces in (rims, filled) if openings else (rims,):
             gain = np.zeros(len(shifts))
             for view in used:
-                assert view.colors is not None
-                moved = np.concatenate([middle[None], middle + shifts])
-                pixels, slopes, ahead = projected(view.camera[None], moved)
-                # A cell of about a millimetre.
-                step = max(1, round(float(np.linalg.norm(slopes[0], axis=0).max())))
-                coarse = np.diag([1 / step, 1 / step, 1.0]) @ view.camera
-                colors = view.colors[::step, ::step]
-                seen = seen_samples(vertices, faces, coarse, colors.shape)
-                seen = seen.chosen(~hidden_by(head, coarse, seen.interpolated(vertices)))
-                if not ahead.all() or len(seen.index) == 0:
-                    continue
-                frame = np.zeros(colors.shape, bool)
-                frame.flat[seen.index] = True
-                around = binary_dilation(frame, iterations=8) & ~frame
-                way = np.round((pixels[1:] - pixels[0]) / step).astype(int)
-                size = tuple(next_fast_len(n + 2 * int(np.abs(way).max()), real=True) for n in colors.shape)
-                masks = [np.conj(rfft2(where.astype(float), size)) for where in (frame, around)]
-                counts = np.zeros((2, colors.max() + 1, len(shifts)))
-                for k in range(counts.shape[1]):
-                    spectrum = rfft2((colors == k).astype(float), size)
-                    for count, mask in zip(counts, masks, strict=True):
-                        count[k] = np.maximum(irfft2(spectrum * mask, size)[way[:, 1], way[:, 0]], 0.0)
-                # A cell is several pixels wide, whose colours are alike over the rim's width.
-                gain += VOTE * (entropy(counts) - entropy(counts.sum(0)[None]))
+                gain += _color_gain(view, vertices, faces, head, middle, shifts)
             score = gain - prior
             top = float(score.max())
             chance = np.exp(score - top)
@@ -142,6 +115,44 @@ def place_in_pictures(
                 best = evidence, replace(state, origin=state.origin + mean), known
     assert best is not None
     return best[1], best[2][:3], best[2][3]
+
+
+def _color_gain(
+    view: ObservedView,
+    vertices: FloatArray,
+    faces: IntArray,
+    head: RayCaster | None,
+    middle: FloatArray,
+    shifts: FloatArray,
+) -> FloatArray:
+    """Return L (T,) of one view for `shifts` (T, 3) of a frame whose `middle` (3,) goes with it."""
+    assert view.colors is not None
+    pixels, slopes, ahead = projected(view.camera[None], np.concatenate([middle[None], middle + shifts]))
+    # A cell of about a millimetre.
+    step = max(1, round(float(np.linalg.norm(slopes[0], axis=0).max())))
+    coarse = np.diag([1 / step, 1 / step, 1.0]) @ view.camera
+    colors = view.colors[::step, ::step]
+    seen = seen_samples(vertices, faces, coarse, colors.shape)
+    seen = seen.chosen(~hidden_by(head, coarse, seen.interpolated(vertices)))
+    if not ahead.all() or len(seen.index) == 0:
+        return np.zeros(len(shifts))
+    frame = np.zeros(colors.shape, bool)
+    frame.flat[seen.index] = True
+    around = binary_dilation(frame, iterations=8) & ~frame
+    way = np.round((pixels[1:] - pixels[0]) / step).astype(int)
+    size = tuple(next_fast_len(n + 2 * int(np.abs(way).max()), real=True) for n in colors.shape)
+    masks = [np.conj(rfft2(where.astype(float), size)) for where in (frame, around)]
+    counts = np.zeros((2, colors.max() + 1, len(shifts)))
+    for k in range(counts.shape[1]):
+        spectrum = rfft2((colors == k).astype(float), size)
+        for count, mask in zip(counts, masks, strict=True):
+            count[k] = np.maximum(irfft2(spectrum * mask, size)[way[:, 1], way[:, 0]], 0.0)
+
+    def entropy(n: FloatArray) -> FloatArray:
+        return np.asarray((xlogy(n, n).sum(1) - xlogy(n.sum(1), n.sum(1))).sum(0))
+
+    # A cell is several pixels wide, whose colours are alike over the rim's width.
+    return VOTE * (entropy(counts) - entropy(counts.sum(0)[None]))
 
 
 def starting_poses(
@@ -273,11 +284,8 @@ def triangulate(labels_2d: ArrayLike, cameras: ArrayLike, *, noise_px: float = 2
     >>> found.points.round(6).tolist()
     [[1.0, 2.0, 10.0]]
     """
-    labels, matrices = np.asarray(labels_2d, np.float64), normalized_cameras(cameras)
-    if labels.ndim != 3 or labels.shape[2] != 2:
-        raise ValueError(f"labels_2d must have shape (C, K, 2), got {labels.shape}")
-    if len(matrices) != len(labels):
-        raise ValueError(f"cameras must have shape ({len(labels)}, 3, 4), got {matrices.shape}")
+    labels = checked_array(labels_2d, ("C", "K", 2), "labels_2d")
+    matrices = checked_array(normalized_cameras(cameras), (len(labels), 3, 4), "cameras")
     if not noise_px > 0:
         raise ValueError(f"noise_px must be > 0, got {noise_px}")
     points = np.full((labels.shape[1], 3), np.nan)

@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -28,9 +28,15 @@ FIGURES = (
 )
 """Columns of the table and distributions, where the batch has them."""
 _SHOWN_ELSEWHERE = {
-    "source", "input_sha256", "options_sha256", "worker", "finished_at", "plan_ran", "plan_skipped",
+    "source",
+    "input_sha256",
+    "options_sha256",
+    "worker",
+    "finished_at",
+    "plan_ran",
+    "plan_skipped",
     "notes",
-}  # fmt: skip
+}
 _BATCH_PREFIXES = ("metrics_", "seconds_", "path_")
 _EXTREMES = {
     "Slowest": "seconds",
@@ -197,30 +203,51 @@ def batch_section(
         folder = rows[k].folder
         return "" if folder is None or not folder.is_dir() else relative_link(folder, page)
 
-    # Figures that any scan has, then the user's own columns in their order.
+    columns, table = _columns(rows, done), []
+    for k in shown:
+        row, cells = rows[k], []
+        for name in columns:
+            # What is shown of a column, and what it is sorted by.
+            value, number = row.values.get(name), row.number(name)
+            text = "" if value is None else value_text(name if name in FIGURES else "", value)
+            cells.append({"text": text, "key": text if number is None else repr(number)})
+        table.append(
+            {"name": row.name, "status": row.status, "reason": row.reason, "link": link(k), "cells": cells}
+        )
+    charts = [histogram(column, [row.number(column) for row in done]) for column in FIGURES]
+    return {
+        "counts": {state: counts[state] for state in states if counts[state] or state == DONE},
+        "total": len(rows),
+        "facts": _facts(rows, len(done)),
+        "reasons": reasons[:_LONGEST_LIST],
+        "more_reasons": max(len(reasons) - _LONGEST_LIST, 0),
+        "columns": list(columns.values()),
+        "rows": table,
+        "rows_left_out": len(rows) - len(shown),
+        "histograms": [chart for chart in charts if chart is not None],
+        "extremes": _extremes(rows, link),
+    }
+
+
+def _columns(rows: Sequence[ScanRow], done: Sequence[ScanRow]) -> dict[str, dict[str, Any]]:
+    """Return the table's columns by name: figures that any scan has, then the user's own in their order."""
     names = list(dict.fromkeys(name for row in rows for name in row.values))
     left_out = {*FIGURES, *_SHOWN_ELSEWHERE}
     if len({row.values.get("model") for row in done}) == 1:
         left_out.add("model")
     own = [name for name in names if name not in left_out and not name.startswith(_BATCH_PREFIXES)]
     figures = [name for name in FIGURES if any(row.number(name) is not None for row in rows)]
-    columns = []
+    columns = {}
     for name in (*figures, *own):
         known = [row for row in rows if row.values.get(name) is not None]
         numeric = bool(known) and all(row.number(name) is not None for row in known)
         unit = unit_of(name) if name in figures else ""
-        columns.append({"name": name, "label": label_of(name), "unit": unit, "numeric": numeric})
-    table = []
-    for k in shown:
-        row, cells = rows[k], []
-        for name in (*figures, *own):
-            # What is shown of a column, and what it is sorted by.
-            value, number = row.values.get(name), row.number(name)
-            text = "" if value is None else value_text(name if name in FIGURES else "", value)
-            cells.append({"text": text, "key": text if number is None else repr(number)})
-        status, reason = row.status, row.reason
-        table.append({"name": row.name, "status": status, "reason": reason, "link": link(k), "cells": cells})
-    # The slowest and worst scans: (name, value with unit, link).
+        columns[name] = {"name": name, "label": label_of(name), "unit": unit, "numeric": numeric}
+    return columns
+
+
+def _extremes(rows: Sequence[ScanRow], link: Callable[[int], str]) -> list[dict[str, Any]]:
+    """Return the slowest and worst scans: (name, value with unit, link)."""
     extremes = []
     for title, column in _EXTREMES.items():
         there = [k for k, row in enumerate(rows) if row.status == DONE and row.number(column) is not None]
@@ -232,8 +259,11 @@ def batch_section(
             first.append((rows[k].name, text, link(k)))
         if first:
             extremes.append({"title": title, "rows": first})
-    charts = [histogram(column, [row.number(column) for row in done]) for column in FIGURES]
-    # (label, value) of the figures of the whole batch.
+    return extremes
+
+
+def _facts(rows: Sequence[ScanRow], done: int) -> list[tuple[str, str]]:
+    """Return (label, value) of the figures of the whole batch, of which so many scans are done."""
     seconds, cpu, memory = (
         [number for row in rows if (number := row.number(column)) is not None]
         for column in ("seconds", "cpu_seconds", "peak_memory_mb")
@@ -255,21 +285,10 @@ def batch_section(
             spans.append((end - took, end))
     if spans and done and (span := max(end for _, end in spans) - min(start for start, _ in spans)):
         facts.append(("from first start to last end", seconds_text(span)))
-        facts.append(("throughput", f"{number_text(3600 * len(done) / span)} scans/h"))
+        facts.append(("throughput", f"{number_text(3600 * done / span)} scans/h"))
     workers = {row.values["worker"] for row in rows if row.values.get("worker") is not None}
     if workers:
         facts.append(("workers", str(len(workers))))
     if memory:
         facts.append(("greatest memory", f"{number_text(max(memory))} MB"))
-    return {
-        "counts": {state: counts[state] for state in states if counts[state] or state == DONE},
-        "total": len(rows),
-        "facts": facts,
-        "reasons": reasons[:_LONGEST_LIST],
-        "more_reasons": max(len(reasons) - _LONGEST_LIST, 0),
-        "columns": columns,
-        "rows": table,
-        "rows_left_out": len(rows) - len(shown),
-        "histograms": [chart for chart in charts if chart is not None],
-        "extremes": extremes,
-    }
+    return facts

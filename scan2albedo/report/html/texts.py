@@ -4,8 +4,15 @@ import math
 from typing import Any
 
 _UNITS = {
-    "mm": "mm", "mm2": "mm²", "deg": "°", "rad": "rad", "mb": "MB", "s": "s", "seconds": "s", "pct": "%",
-}  # fmt: skip
+    "mm": "mm",
+    "mm2": "mm²",
+    "deg": "°",
+    "rad": "rad",
+    "mb": "MB",
+    "s": "s",
+    "seconds": "s",
+    "pct": "%",
+}
 _SHARES = {"coverage", "seen", "confidence", "albedo_deviation", "intensity_deviation"}
 """Last parts of names whose values are parts of 1, shown in per cent."""
 _NAMES = {

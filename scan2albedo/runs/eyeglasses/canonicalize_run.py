@@ -155,14 +155,18 @@ def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, dict[str
             }
             mesh, keypoints = frame.files["mesh"], frame.files.get("keypoints")
             Staging(folder, _FRAME_FILES).write_record(
-                name=frame.name, input=InputRecord.of(frame.scan, Path(mesh.file), mesh.sha256),
-                keypoints_file=keypoints and keypoints.file, keypoints_sha256=keypoints and keypoints.sha256,
+                name=frame.name,
+                input=InputRecord.of(frame.scan, Path(mesh.file), mesh.sha256),
+                keypoints_file=keypoints and keypoints.file,
+                keypoints_sha256=keypoints and keypoints.sha256,
                 **{name: getattr(frame, name) for name in ("mm_per_unit", "missing_key_points")},
                 **{name: getattr(canonical, name) for name in ("scale", "converged")},
                 canonical_from_frame=plain_json(canonical.canonical_from_frame),
-                mode="unbend" if canonical.unbent else "mean", plan=canonical.plan.steps,
-                metrics=figures[frame.name], notes=frame.scan.notes,
-            )  # fmt: skip
+                mode="unbend" if canonical.unbent else "mean",
+                plan=canonical.plan.steps,
+                metrics=figures[frame.name],
+                notes=frame.scan.notes,
+            )
         write_keypoints(staging.folder / "mean_keypoints.json", result.mean_keypoints, unit="mm")
         staging.trace(result.trace)
         drawn = [(frame.name, frame.scan.vertices, canonical) for frame, canonical in both]

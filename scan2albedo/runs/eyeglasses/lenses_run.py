@@ -16,7 +16,7 @@ from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import Camera, LensPictureOptions, Surface
 from scan2albedo.eyeglasses.keypoints import checked_keypoints
 from scan2albedo.eyeglasses.lenses.inserted_lenses import SIDES, without_glass
-from scan2albedo.eyeglasses.lenses.lens_picture import Lenses, checked_image
+from scan2albedo.eyeglasses.lenses.lens_picture import Lenses
 from scan2albedo.eyeglasses.lenses.scenes import WHITE_SHOWN, soft_environment, white_exposure
 from scan2albedo.eyeglasses.mean_keypoints import own_axes
 from scan2albedo.geometry.closest_points import ClosestPointQuery
@@ -188,7 +188,7 @@ def render_lenses(
         axes = own_axes(marks)
         if environment_linear is None:
             kind, environment_linear = "built-in", soft_environment(axes)
-        exposure = white_exposure(checked_image("environment_linear", environment_linear), axes[2])
+        exposure = white_exposure(np.asarray(environment_linear, np.float64), axes[2])
     views = []
     for camera, photograph in zip(cameras, photographs, strict=True):
         begun = time.perf_counter()

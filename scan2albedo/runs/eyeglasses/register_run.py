@@ -157,11 +157,18 @@ def register_frame(
     names = " with ".join(given.files[part].file for part in ("mesh", "labels") if part in given.files)
     with errors_of(names, EyeglassesError):
         result = eyeglasses.register_on_face(
-            (frame.scan.vertices, frame.scan.faces, frame.keypoints, frame.weights), given.labels,
-            given.masks, np.stack([camera.matrix for camera in given.cameras]), spend, head=given.head,
-            start=given.start, shapes=[camera.shape for camera in given.cameras], pictures=given.pictures,
-            options=eyeglasses.FaceRegistrationOptions(bend=bend), on_progress=on_progress,
-        )  # fmt: skip
+            (frame.scan.vertices, frame.scan.faces, frame.keypoints, frame.weights),
+            given.labels,
+            given.masks,
+            np.stack([camera.matrix for camera in given.cameras]),
+            spend,
+            head=given.head,
+            start=given.start,
+            shapes=[camera.shape for camera in given.cameras],
+            pictures=given.pictures,
+            options=eyeglasses.FaceRegistrationOptions(bend=bend),
+            on_progress=on_progress,
+        )
     options = {"bend": bend, "budget_s": spend.seconds, "budget_evaluations": spend.evaluations}
     return PlacedFrame(given, result, options, time.perf_counter() - begun)
 

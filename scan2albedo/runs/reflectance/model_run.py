@@ -133,7 +133,7 @@ def synthetic_model(count: int, *, components: int | None = None) -> FaceModels:
 
 
 def default_model() -> FaceModels:
-    """Return `synthetic_model(200)`, rounded, from what tools/build_reflectance_model.py makes."""
+    """Return `synthetic_model(200)`, rounded, from what tools/build/reflectance_model.py makes."""
     advice = "install the package anew"
     arrays = read_npz(DEFAULT_MODEL_FILE, what="reflectance model", advice=advice, error=ReflectanceError)
 

@@ -63,7 +63,8 @@ def test_a_scene_does_what_the_reference_says():
     rays = scene.rays(origin, directions)
     on = scene.surface_of_face[rays.hits.face] == 1
     colors = LitScene(scene, lenses, DistantLights(toward, light), None).seen(rays)
-    normal, expected_bare, expected, ways = np.array([0, 0, 1.0]), 0.0, 0.0, set()
+    normal, ways = np.array([0, 0, 1.0]), set()
+    expected_bare = expected = np.zeros(3)
     for k in range(30):
         n_l, n_v, l_v = toward[k] @ normal, -directions @ normal, -directions @ toward[k]
         if n_l <= 0:
@@ -123,7 +124,8 @@ def test_rays_past_everything_see_the_background_and_mirrors_the_environment():
 
 
 def test_the_environment_lies_where_its_axes_say():
-    height, width = 180, 360
+    height = 180
+    width = 360
     row, column = np.meshgrid(np.arange(height) + 0.5, np.arange(width) + 0.5, indexing="ij")
     azimuth, polar = (column / width - 0.5) * 2 * np.pi, row / height * np.pi
     sphere = np.stack([np.sin(polar) * np.sin(azimuth), np.cos(polar), np.sin(polar) * np.cos(azimuth)], -1)
@@ -165,23 +167,24 @@ def test_normals_are_smooth_where_the_winding_is_one():
         assert ((scene.normals(rays) * radial).sum(1) > 0.9999).all()
 
 
-def test_what_is_no_surface_is_refused():
-    triangle = np.eye(3)
-    with pytest.raises(EyeglassesError, match="no faces"):
-        Surface(triangle, np.zeros((0, 3), int))
-    with pytest.raises(EyeglassesError, match="not finite"):
-        Surface(np.full((3, 3), np.nan), [[0, 1, 2]])
-    with pytest.raises(EyeglassesError, match="albedo_linear"):
-        Surface(triangle, [[0, 1, 2]], albedo_linear=[np.nan, 0, 0])
-    with pytest.raises(ValueError, match="0 to 3 of 3"):
-        Surface(triangle, [[0, 1, 3]])
-    with pytest.raises(ValueError, match="integers"):
-        Surface(triangle, [[0.0, 1, 2]])
-    with pytest.raises(ValueError, match="vertices must"):
-        Surface(np.zeros((3, 2)), [[0, 1, 2]])
-    with pytest.raises(ValueError, match="albedo_linear must"):
-        Surface(triangle, [[0, 1, 2]], albedo_linear=np.zeros((4, 3)))
-    with pytest.raises(ValueError, match="needs uv"):
-        Surface(triangle, [[0, 1, 2]], texture_linear=np.ones((2, 2, 3)))
-    with pytest.raises(ValueError, match="uv must"):
-        Surface(triangle, [[0, 1, 2]], uv=np.zeros((2, 2)), texture_linear=np.ones((2, 2, 3)))
+TRIANGLE = {"vertices": np.eye(3), "faces": [[0, 1, 2]]}
+PICTURE = np.ones((2, 2, 3))
+
+
+@pytest.mark.parametrize(
+    ("changes", "kind", "words"),
+    [
+        ({"faces": np.zeros((0, 3), int)}, EyeglassesError, "no faces"),
+        ({"vertices": np.full((3, 3), np.nan)}, EyeglassesError, "NaN"),
+        ({"albedo_linear": [np.nan, 0, 0]}, EyeglassesError, "albedo_linear"),
+        ({"faces": [[0, 1, 3]]}, ValueError, "0 to 3 of 3"),
+        ({"faces": [[0.0, 1, 2]]}, ValueError, "expected int"),
+        ({"vertices": np.zeros((3, 2))}, ValueError, r"vertices is \(3, 2\)"),
+        ({"albedo_linear": np.zeros((4, 3))}, ValueError, "albedo_linear must"),
+        ({"texture_linear": PICTURE}, ValueError, "needs uv"),
+        ({"uv": np.zeros((2, 2)), "texture_linear": PICTURE}, ValueError, "uv must"),
+    ],
+)
+def test_what_is_no_surface_is_refused(changes, kind, words):
+    with pytest.raises(kind, match=words):
+        Surface(**{**TRIANGLE, **changes})

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.eyeglasses import outline_distances
 
 from scan2albedo.eyeglasses import find_lens_rim, refine_lens_rim
 from scan2albedo.geometry.pinhole import look_at, pixel_directions, pixel_grid
@@ -16,13 +17,6 @@ CAMERAS = [
     look_at(CENTER + 600 * np.array([np.sin(a), 0.13, np.cos(a)]), CENTER, focal_px=1800, shape=(SIZE, SIZE))
     for a in (-0.6, 0.0, 0.6)
 ]
-
-
-def distances(points, outline):
-    along = np.roll(outline, -1, 0) - outline
-    t = np.einsum("psk,sk->ps", points[:, None] - outline, along) / (along**2).sum(1)
-    foot = outline + np.clip(t, 0, 1)[..., None] * along
-    return np.linalg.norm(points[:, None] - foot, axis=2).min(1)
 
 
 @pytest.fixture(scope="module")
@@ -59,10 +53,10 @@ DAMAGE = {
 def test_masks_show_the_edge_that_the_mesh_lacks(masks, damage, bar_mm):
     rim = found(faces_of_rim(DAMAGE[damage]))
     refined = refine_lens_rim(rim, masks, rim_points=MARKS)
-    before, after = (np.sqrt((distances(r.points, TRUTH) ** 2).mean()) for r in (rim, refined))
+    before, after = (np.sqrt((outline_distances(r.points, TRUTH) ** 2).mean()) for r in (rim, refined))
     assert rim.gaps == "subdivided"
     assert after <= min(bar_mm, 0.7 * before)
-    off = distances(refined.points, TRUTH)
+    off = outline_distances(refined.points, TRUTH)
     assert (off <= 2 * refined.deviation).mean() >= 0.9
     if damage != "all":
         assert refined.deviation[rim.measured].mean() < 0.7 * refined.deviation[~rim.measured].mean()
@@ -71,7 +65,7 @@ def test_masks_show_the_edge_that_the_mesh_lacks(masks, damage, bar_mm):
 def test_a_whole_rim_stays_where_it_was_measured(masks):
     rim = found(np.ones(len(GLASSES.faces), bool))
     refined = refine_lens_rim(rim, masks, rim_points=MARKS)
-    assert distances(refined.points, TRUTH).max() <= 0.2
+    assert outline_distances(refined.points, TRUTH).max() <= 0.2
 
 
 def test_pictures_that_say_nothing_change_nothing(masks):
@@ -92,7 +86,7 @@ def test_masks_of_other_views_are_left_out(masks):
     exchanged = [(camera, mask) for (camera, _), (_, mask) in zip(masks, masks[::-1], strict=True)]
     for views in (exchanged, [masks[0], masks[1], (masks[2][0], masks[0][1])]):
         refined = refine_lens_rim(rim, views, rim_points=MARKS)
-        assert np.sqrt((distances(refined.points, TRUTH) ** 2).mean()) < 0.3
+        assert np.sqrt((outline_distances(refined.points, TRUTH) ** 2).mean()) < 0.3
 
 
 def test_the_unit_does_not_matter_and_surer_masks_leave_less_open(masks):

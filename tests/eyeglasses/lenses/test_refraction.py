@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.eyeglasses import angle_deg, conjugate_directions
 
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.lenses.optics import ThinLens, refract
@@ -10,49 +11,25 @@ from scan2albedo.geometry.rigid import random_rotation
 FLAT = ThinLens(np.zeros(3), np.array([0.0, 0, 1]), 0.0)
 
 
-def angle_deg(a, b):
-    """Angles between rows; exact for small ones, where arccos is not."""
-    a, b = (v / np.linalg.norm(v, axis=1)[:, None] for v in (a, b))
-    return np.rad2deg(2 * np.arcsin(np.clip(np.linalg.norm(a - b, axis=1) / 2, 0, 1)))
-
-
-def gaussian_directions(camera, points, dioptres):
-    """Rays to the conjugate image by 1/u + 1/v = 1/f, lens at the origin, axis z."""
-    u = camera[2]
-    v = 1 / (dioptres / 1000 - 1 / u)
-    image = -camera * v / u  # the chief ray is straight
-    return np.sign(v) * (image - points)
-
-
-def drawn_directions(camera, points, dioptres):
-    """The textbook drawing: the image is where the chief ray meets the one parallel to the axis."""
-    f = 1000 / dioptres
-    bent_at, toward = np.array([camera[0], camera[1], 0]), np.array([0, 0, -f])
-    ray = np.sign(f) * (toward - bent_at)
-    system = np.stack([-camera, -ray], 1)
-    s, _ = np.linalg.lstsq(system, bent_at, rcond=None)[0]
-    image = -camera * s
-    return -np.sign(image[2]) * (image - points)
-
-
 def lens_points(rng, count=200):
     return np.column_stack([rng.uniform(-28, 28, (count, 2)), np.zeros(count)])
 
 
-@pytest.mark.parametrize("construction", [gaussian_directions, drawn_directions])
-def test_rays_meet_the_conjugate_image(construction):
-    rng = np.random.default_rng(0)
-    points, worst = lens_points(rng), 0.0
+def test_rays_meet_the_conjugate_image():
+    points, worst = lens_points(np.random.default_rng(0)), []
     for dioptres in (-8, -4, -2, -0.25, 0.25, 1, 2.1, 4, 8):
         for camera in ([30.0, -60, 600], [-200, 90, 350], [5, 3, 1500], [1, 1, 40]):
             lens = ThinLens(np.zeros(3), [0, 0, 1], dioptres)
             got = refract(lens, camera, points).directions
-            worst = max(worst, angle_deg(got, construction(np.array(camera), points, dioptres)).max())
-    assert worst <= 1e-5
+            image = conjugate_directions(np.array(camera), points, np.zeros(3), np.eye(3)[2], dioptres)
+            worst.append(angle_deg(got, image).max())
+    assert max(worst) <= 1e-5
 
 
 def test_paraxial_rays_agree_with_snells_law_at_two_spheres():
-    dioptres, index, points = 5.0, 1.5, np.array([[0.2, 0.1, 0], [-0.3, 0.2, 0], [0.0, 0.4, 0]])
+    dioptres = 5.0
+    index = 1.5
+    points = np.array([[0.2, 0.1, 0], [-0.3, 0.2, 0], [0.0, 0.4, 0]])
     radius = 2 * (index - 1) * 1000 / dioptres
     camera = np.array([0, 0, 600.0])
     d = (points - camera) / np.linalg.norm(points - camera, axis=1)[:, None]
@@ -69,7 +46,8 @@ def test_paraxial_rays_agree_with_snells_law_at_two_spheres():
 
 @pytest.mark.parametrize(("dioptres", "expected"), [(-8, 0.814), (0, 1.0), (8, 1.296)])
 def test_magnification_of_a_plane_behind_the_lens(dioptres, expected):
-    camera, behind = np.array([0, 0, 600.0]), 30.0
+    camera = np.array([0, 0, 600.0])
+    behind = 30.0
     points = np.array([[15.0, 0, 0], [0, -9, 0], [12, 12, 0]])
     seen = []
     for d in (0, dioptres):
@@ -103,17 +81,6 @@ def test_plane_glass_leaves_rays_alone_and_the_collimated_ones_are_parallel():
     assert angle_deg(parallel, np.tile(-camera, (len(points), 1))).max() < 1e-12
 
 
-def test_powers_of_lenses_in_contact_add():
-    points, camera = lens_points(np.random.default_rng(3)), np.array([20.0, 50, 420])
-    for first, second in ((3.0, -5.0), (8, 8), (-8, -8), (6.5, -6.5)):
-        rays = refract(ThinLens(np.zeros(3), [0, 0, 1], first), camera, points)
-        again = refract(
-            ThinLens(np.zeros(3), [0, 0, 1], second), rays.origins - 300 * rays.directions, rays.origins
-        )
-        once = refract(ThinLens(np.zeros(3), [0, 0, 1], first + second), camera, points)
-        assert angle_deg(again.directions, once.directions).max() < 1e-10
-
-
 def test_a_moved_scene_gives_moved_rays_and_either_normal_will_do():
     rng = np.random.default_rng(4)
     points, camera = lens_points(rng), np.array([30.0, -20, 600])
@@ -137,15 +104,14 @@ def test_any_point_on_a_ray_names_it():
 
 
 def test_what_no_lens_can_do_is_said():
-    points = lens_points(np.random.default_rng(6), 4)
-    with pytest.raises(EyeglassesError, match="camera lies in the lens plane"):
-        refract(FLAT, [0.0, 0, 0], points)
-    with pytest.raises(EyeglassesError, match=r"1 of 2 rays .* never reach"):
-        refract(FLAT, [0.0, 0, 600], [[0, 0, 0], [0, 0, 700.0]])
-    with pytest.raises(EyeglassesError, match="never reach"):
-        refract(FLAT, [0.0, 0, 600], [[10, 0, 600.0]])
-    with pytest.raises(EyeglassesError, match="points holds"):
-        refract(FLAT, [0.0, 0, 600], [[np.nan, 0, 0]])
-    with pytest.raises(ValueError, match="camera must have shape"):
-        refract(FLAT, [[0.0, 0, 600]], points)
+    above = [0.0, 0, 600]
+    for camera, points, kind, words in (
+        ([0.0, 0, 0], [[1.0, 2, 0]], EyeglassesError, "camera lies in the lens plane"),
+        (above, [[0, 0, 0], [0, 0, 700.0]], EyeglassesError, "1 of 2 rays .* never reach"),
+        (above, [[10, 0, 600.0]], EyeglassesError, "never reach"),
+        (above, [[np.nan, 0, 0]], EyeglassesError, "points: 1 values are NaN"),
+        ([above] * 3, [[1.0, 2, 0]] * 2, ValueError, "shape"),
+    ):
+        with pytest.raises(kind, match=words):
+            refract(FLAT, camera, points)
     assert refract(FLAT, [0.0, 0, 600], np.zeros((0, 3))).directions.shape == (0, 3)

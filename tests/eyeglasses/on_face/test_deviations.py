@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from benchmarks.eyeglasses_deviations import misses
-from benchmarks.eyeglasses_scenes import Errors, khronos, photographed, synthetic, without_lenses
+from bench.eyeglasses.deviations import misses
+from bench.eyeglasses.scenes import Errors, khronos, photographed, synthetic, without_lenses
 
 from scan2albedo.eyeglasses import FaceRegistrationOptions, register_on_face
 from scan2albedo.eyeglasses.on_face.frame_motion import SkinnedPoints
@@ -93,7 +93,7 @@ def test_stated_deviations_hold_on_bends_of_another_kind(masked):
 def test_stated_deviations_hold_on_real_sunglasses(shared_data):
     # Masks two pixels too narrow would not show its wires at all. Deviations are somewhat small here.
     errors = Errors(bias_px=0.4)
-    check_coverage(without_lenses(khronos(shared_data)), range(2000, 2003), errors, True, most=1.7)
+    check_coverage(without_lenses(khronos()), range(2000, 2003), errors, True, most=1.7)
 
 
 def check_coverage(frame, seeds, errors, masked, most=1.4):

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from benchmarks.eyeglasses_glass import EVEN
-from benchmarks.eyeglasses_scenes import khronos, photographed, synthetic, without_lenses
+from bench.eyeglasses.scenes import EVEN, khronos, photographed, synthetic, without_lenses
 
 from scan2albedo.eyeglasses import register_on_face
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, FrameState, SkinnedPoints
@@ -47,7 +46,7 @@ def test_a_synthetic_frame():
 
 @pytest.mark.slow
 def test_real_sunglasses(shared_data):
-    check_all_four(khronos(shared_data), 1024, 0.6)
+    check_all_four(khronos(), 1024, 0.6)
 
 
 def shown_frame(mesh, masks, eyes=((0.0, 0.0, 600.0),)):

@@ -1,27 +1,17 @@
 """Frames found in pictures: edges by colour, the frame put on a head, what is proposed, and what is not."""
 
-from functools import cache
-
 import numpy as np
 import pytest
+from helpers.wearers import rest_frame, small_wearer
 from scipy.ndimage import gaussian_filter
 
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses import bounded_biharmonic_weights, register_on_face
+from scan2albedo.eyeglasses import register_on_face
 from scan2albedo.eyeglasses.on_face.outline import color_odds, grouped_colors, search_colors
-from scan2albedo.synthetic import wearer
 
 
-@cache
 def person():
-    return wearer(1, picture_size=384, focal_px=675, label_noise_px=0.0, mask_noise_px=0.0)
-
-
-@cache
-def glasses():
-    worn = person().glasses
-    mesh = worn.rest_vertices, worn.faces
-    return (*mesh, worn.rest_keypoints, bounded_biharmonic_weights(*mesh, worn.rest_keypoints, 3.0))
+    return small_wearer(1, 384)
 
 
 def pictures(shown=True):
@@ -39,7 +29,7 @@ def register(labels=None, **given):
     worn = person()
     marks = np.full_like(worn.labels, np.nan) if labels is None else labels
     given = {"head": (worn.head_vertices, worn.head_faces), "shapes": [(384, 384)] * 3, **given}
-    return register_on_face(glasses(), marks, None, worn.cameras, **given)
+    return register_on_face(rest_frame(1), marks, None, worn.cameras, **given)
 
 
 def front_error_mm(found):
@@ -91,7 +81,7 @@ def test_labels_and_masks_that_somebody_made_go_first():
     worn = person()
     found = register(worn.labels, pictures=pictures())
     assert not (np.isfinite(found.proposed_labels) & np.isfinite(worn.labels)).any()
-    both = register_on_face(glasses(), worn.labels, worn.masks, worn.cameras, pictures=pictures())
+    both = register_on_face(rest_frame(1), worn.labels, worn.masks, worn.cameras, pictures=pictures())
     assert both.proposed_masks == (None, None, None)
 
 

@@ -4,13 +4,13 @@ from functools import cache
 
 import numpy as np
 import pytest
+from helpers.wearers import rest_frame
 
 from scan2albedo.core import Budget
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import (
     KEY_POINT_NAMES,
     FaceRegistrationOptions,
-    bounded_biharmonic_weights,
     register_on_face,
     skin,
 )
@@ -24,53 +24,37 @@ SMALL = {"picture_size": 512, "focal_px": 900, "label_noise_px": 0.5, "mask_nois
 """Half the pixels for the tests that are not about figures."""
 
 
-def person(seed, pictures=None):
-    return _person(seed, tuple((pictures or {}).items()))
-
-
 @cache
-def _person(seed, pictures):
-    return wearer(seed, **dict(pictures))
+def person(seed, **pictures):
+    return wearer(seed, **pictures)
 
 
-@cache
-def glasses_of(seed):
-    glasses = person(seed, SMALL).glasses
-    mesh = glasses.rest_vertices, glasses.faces
-    return (
-        *mesh,
-        glasses.rest_keypoints,
-        bounded_biharmonic_weights(*mesh, glasses.rest_keypoints),
-    )
-
-
-def register(seed, pictures=None, /, **changes):
+def register(seed, pictures, /, **changes):
     """Register a person's own glasses, with some arguments in place of the person's."""
-    if changes:
-        return _register(seed, pictures, **changes)
-    return _plainly(seed, tuple((pictures or {}).items()))
-
-
-@cache
-def _plainly(seed, pictures):
-    return _register(seed, dict(pictures))
-
-
-def _register(seed, pictures, **changes):
-    worn = person(seed, pictures)
+    worn = person(seed, **pictures)
     given = {
         "keypoints_2d": worn.labels,
         "masks": worn.masks,
         "cameras": worn.cameras,
         "head": (worn.head_vertices, worn.head_faces),
-        **changes,
     }
-    return register_on_face(glasses_of(seed), **given)
+    return register_on_face(rest_frame(seed), **{**given, **changes})
+
+
+@cache
+def plain(seed, **pictures):
+    """Register a person's own glasses once."""
+    return register(seed, pictures)
 
 
 def error_mm(found, worn, where):
     """Root mean square distance of the chosen vertices from the truth."""
     return float(np.sqrt((np.linalg.norm(found.vertices - worn.vertices, axis=1)[where] ** 2).mean()))
+
+
+def views_of(worn, which):
+    """Labels, masks and cameras of some views."""
+    return {"keypoints_2d": worn.labels[which], "masks": worn.masks[which], "cameras": worn.cameras[which]}
 
 
 CASES = {
@@ -94,7 +78,7 @@ QUICK = ("one pixel", "three gross outliers a view")
 @pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_three_views_place_a_bent_frame(name, seed):
     options, bar = CASES[name]
-    worn, found = person(seed, options), register(seed, options)
+    worn, found = person(seed, **options), plain(seed, **options)
     assert error_mm(found, worn, worn.seen) <= bar
     assert error_mm(found, worn, found.observed) <= bar
     assert found.depth_observed
@@ -106,17 +90,8 @@ def test_three_views_place_a_bent_frame(name, seed):
 
 
 @pytest.mark.slow
-def test_labels_match_within_a_pixel_where_they_are_exact():
-    options = {"label_noise_px": 0, "mask_noise_px": 0}
-    found = register(1, options)
-    assert np.sqrt(np.nanmean(found.label_errors_px**2)) <= 1.0
-    assert np.nanmax(found.outline_rms_px) <= 0.5
-    assert found.iou.min() > 0.97
-
-
-@pytest.mark.slow
 def test_outliers_are_named():
-    worn, found = person(1, {"outliers": 3}), register(1, {"outliers": 3})
+    worn, found = person(1, outliers=3), plain(1, outliers=3)
     off = np.linalg.norm(worn.labels - projected(worn), axis=2)
     labelled = np.isfinite(off)
     np.testing.assert_array_equal(found.inliers[labelled & (off > 12)], False)
@@ -129,7 +104,7 @@ def projected(worn):
 
 
 def test_the_result_fits_together():
-    worn, found = person(1, SMALL), register(1, SMALL)
+    worn, found = person(1, **SMALL), plain(1, **SMALL)
     rest = worn.glasses.rest_vertices
     np.testing.assert_allclose(skin(rest, found.weights, found.handle_transforms), found.vertices, atol=1e-9)
     rigid = found.world_from_glasses
@@ -159,8 +134,11 @@ def test_the_same_input_gives_the_same_bits():
 
 
 def test_a_budget_ends_it_with_the_best_so_far():
-    worn = person(1, SMALL)
+    worn = person(1, **SMALL)
     errors = []
+    short = register(1, SMALL, budget=Budget(evaluations=1))
+    assert not short.observed.any()
+    assert any(step.stage == "glasses.unfinished" for step in short.plan)
     for evaluations in (1, 14, 200):
         found = register(1, SMALL, budget=Budget(evaluations=evaluations))
         errors.append(error_mm(found, worn, worn.seen))
@@ -173,8 +151,8 @@ def test_a_budget_ends_it_with_the_best_so_far():
 
 @pytest.mark.parametrize("unit", [1e-3, 1e3], ids=["metres", "micrometres"])
 def test_units_do_not_matter(unit):
-    worn, expected = person(1, SMALL), register(1, SMALL)
-    vertices, faces, keypoints, weights = glasses_of(1)
+    worn, expected = person(1, **SMALL), plain(1, **SMALL)
+    vertices, faces, keypoints, weights = rest_frame(1)
     found = register_on_face(
         (unit * vertices, faces, unit * keypoints, weights),
         worn.labels,
@@ -198,7 +176,7 @@ def test_units_do_not_matter(unit):
 
 
 def test_where_the_world_lies_does_not_matter():
-    worn, expected = person(1, SMALL), register(1, SMALL)
+    worn, expected = person(1, **SMALL), plain(1, **SMALL)
     move = np.eye(4)
     move[:3, :3] = random_rotation(np.random.default_rng(5))
     move[:3, 3] = [300.0, -200, 900]
@@ -209,18 +187,12 @@ def test_where_the_world_lies_does_not_matter():
     np.testing.assert_allclose(back, expected.vertices, atol=0.05)
 
 
-def test_scale_and_sign_of_cameras_do_not_matter():
-    worn, expected = person(1, SMALL), register(1, SMALL)
-    scaled = worn.cameras * np.array([3.0, -0.01, 700])[:, None, None]
-    np.testing.assert_allclose(register(1, SMALL, cameras=scaled).vertices, expected.vertices, atol=0.06)
-
-
 @pytest.mark.parametrize(("seed", "view"), [(1, 0), (1, 1), pytest.param(3, 0, marks=pytest.mark.slow)])
 def test_one_view_says_that_it_does_not_see_depth(seed, view, monkeypatch):
     monkeypatch.setattr(HeadContact, "__bool__", lambda self: False)
     worn = person(seed)
-    one = {"keypoints_2d": worn.labels[[view]], "masks": worn.masks[[view]], "cameras": worn.cameras[[view]]}
-    found = register(seed, **one)
+    one = views_of(worn, [view])
+    found = register(seed, {}, **one)
     assert not found.depth_observed
     assert found.unobserved[0] == "depth"
     assert found.depth_deviation > 1
@@ -237,10 +209,10 @@ def test_one_view_rests_the_frame_on_the_nose(monkeypatch):
     errors, deviations = np.zeros((2, 2)), np.zeros((2, 2))
     for row, seed in enumerate((1, 3)):
         worn = person(seed)
-        one = {"keypoints_2d": worn.labels[[1]], "masks": worn.masks[[1]], "cameras": worn.cameras[[1]]}
+        one = views_of(worn, [1])
         for column, contact in enumerate((True, False)):
             monkeypatch.setattr(HeadContact, "__bool__", lambda self, on=contact: on)
-            found = register(seed, **one)
+            found = register(seed, {}, **one)
             assert found.plan.ran("glasses.contact") == contact
             errors[row, column] = np.linalg.norm((found.keypoints - worn.keypoints).mean(0))
             deviations[row, column] = found.depth_deviation
@@ -254,7 +226,7 @@ def test_no_label_at_all_but_a_start_goes_by_the_outlines():
     start = worn.world_from_glasses.copy()
     start[:3, :3] = start[:3, :3] @ rotation_from_vector([0.03, 0.05, 0.02])
     start[:3, 3] += [3, -2, 4]
-    found = register(3, keypoints_2d=np.full_like(worn.labels, np.nan), start=start)
+    found = register(3, {}, keypoints_2d=np.full_like(worn.labels, np.nan), start=start)
     front = worn.glasses.rest_vertices[:, 2] > -25
     assert error_mm(found, worn, front) < 0.35
     assert not found.plan.ran("glasses.key_points")
@@ -271,7 +243,7 @@ def test_masks_that_show_a_temple_elsewhere_contradict_it(monkeypatch):
     labels = worn.labels.copy()
     labels[:, temple] = np.nan
     monkeypatch.setattr(outline, "REACH_PX", 6.0)
-    found = register(1, keypoints_2d=labels)
+    found = register(1, {}, keypoints_2d=labels)
     errors = np.linalg.norm(found.keypoints - worn.keypoints, axis=1)
     assert errors[temple[2]] > 3
     assert "left_temple_tip" in found.unobserved
@@ -285,7 +257,11 @@ def test_a_frame_that_leaves_the_picture_is_unobserved_there():
     labels = worn.labels + shift[:2, 2]
     labels[(labels < 0).any(2)] = np.nan
     found = register(
-        1, keypoints_2d=labels, cameras=shift @ worn.cameras, masks=[mask[60:, 330:] for mask in worn.masks]
+        1,
+        {},
+        keypoints_2d=labels,
+        cameras=shift @ worn.cameras,
+        masks=[mask[60:, 330:] for mask in worn.masks],
     )
     assert 0.5 < found.observed.mean() < 0.95
     assert error_mm(found, worn, found.observed) <= 0.35
@@ -293,24 +269,19 @@ def test_a_frame_that_leaves_the_picture_is_unobserved_there():
     assert "left_temple_tip" not in found.unobserved
 
 
-def test_an_empty_mask_does_not_count():
+@pytest.mark.parametrize(("value", "words"), [(False, "is empty"), (True, "covers all")])
+def test_a_mask_without_an_edge_does_not_count(value, words):
     worn = person(1)
-    masks = [worn.masks[0], np.zeros_like(worn.masks[1]), worn.masks[2]]
-    found = register(1, masks=masks)
+    masks = [worn.masks[0], np.full_like(worn.masks[1], value), worn.masks[2]]
+    found = register(1, {}, masks=masks)
     assert np.isnan(found.iou[1])
     assert np.isnan(found.outline_rms_px[1])
-    assert any("mask of view 1 is empty" in step.reason for step in found.plan)
+    assert any(f"mask of view 1 {words}" in step.reason for step in found.plan)
     assert error_mm(found, worn, worn.seen) <= 0.35
 
 
-def test_a_full_mask_does_not_count():
-    worn = person(1, SMALL)
-    found = register(1, SMALL, masks=[worn.masks[0], np.ones_like(worn.masks[1]), worn.masks[2]])
-    assert any("mask of view 1 covers all" in step.reason for step in found.plan)
-
-
 def test_without_masks_the_labels_decide():
-    worn, found = person(1), register(1, masks=None)
+    worn, found = person(1), register(1, {}, masks=None)
     assert not found.plan.ran("glasses.outlines")
     assert np.isnan(found.iou).all()
     assert error_mm(found, worn, worn.seen) <= 0.6
@@ -319,7 +290,7 @@ def test_without_masks_the_labels_decide():
 @pytest.mark.slow
 def test_temples_that_hair_hides_are_reported():
     options = {"hair": True}
-    worn, found = person(3, options), register(3, options)
+    worn, found = person(3, **options), plain(3, **options)
     hidden = worn.hidden.all(0)
     assert hidden.mean() > 0.05
     marks = worn.glasses.keypoint_vertices
@@ -330,7 +301,7 @@ def test_temples_that_hair_hides_are_reported():
 
 def test_a_rigid_frame_stays_as_it_is():
     found = register(1, SMALL, options=FaceRegistrationOptions(bend=False))
-    vertices = person(1, SMALL).glasses.rest_vertices
+    vertices = person(1, **SMALL).glasses.rest_vertices
     moved = vertices @ found.world_from_glasses[:3, :3].T + found.world_from_glasses[:3, 3]
     np.testing.assert_allclose(found.vertices, moved, atol=1e-9)
     np.testing.assert_array_equal(found.bend, 0)
@@ -338,8 +309,8 @@ def test_a_rigid_frame_stays_as_it_is():
 
 def test_a_frame_without_temples_needs_no_temples():
     """Key points that the frame lacks take no part."""
-    worn = person(1, SMALL)
-    vertices, faces, keypoints, weights = glasses_of(1)
+    worn = person(1, **SMALL)
+    vertices, faces, keypoints, weights = rest_frame(1)
     lacking = np.array(["temple" in name or "ear" in name for name in KEY_POINT_NAMES])
     kept = ~lacking[weights.argmax(1)]
     number = np.cumsum(kept) - 1
@@ -362,7 +333,7 @@ def test_a_frame_without_temples_needs_no_temples():
 
 @pytest.mark.slow
 def test_weights_are_solved_where_there_are_none():
-    worn = person(1, SMALL)
+    worn = person(1, **SMALL)
     glasses = worn.glasses
     found = register_on_face(
         (glasses.rest_vertices, glasses.faces, glasses.rest_keypoints),
@@ -372,11 +343,11 @@ def test_weights_are_solved_where_there_are_none():
         head=(worn.head_vertices, worn.head_faces),
     )
     assert found.plan.ran("glasses.weights")
-    np.testing.assert_allclose(found.vertices, register(1, SMALL).vertices, atol=0.05)
+    np.testing.assert_allclose(found.vertices, plain(1, **SMALL).vertices, atol=0.05)
 
 
 def test_a_far_start_does_no_harm():
-    worn, expected = person(1, SMALL), register(1, SMALL)
+    worn, expected = person(1, **SMALL), plain(1, **SMALL)
     far = worn.world_from_glasses.copy()
     far[:3, :3] = far[:3, :3] @ rotation_from_vector([0, np.deg2rad(60), 0])
     far[:3, 3] += [0, 0, 150]
@@ -384,7 +355,7 @@ def test_a_far_start_does_no_harm():
 
 
 BAD = {
-    "labels of another shape": ({"keypoints_2d": np.zeros((3, 19, 2))}, ValueError, r"\(C, 20, 2\)"),
+    "labels of another shape": ({"keypoints_2d": np.zeros((3, 19, 2))}, ValueError, r"expected \(3, 20, 2\)"),
     "a camera too few": ({"cameras": np.zeros((2, 3, 4))}, ValueError, "singular"),
     "a mask too few": ({"masks": [np.zeros((4, 4))]}, ValueError, "one entry for each of 3"),
     "a mask with colours": (
@@ -413,7 +384,7 @@ def test_bad_input_is_refused(name):
     [
         (
             lambda g: (np.where(np.arange(len(g[0]))[:, None] == 7, np.nan, g[0]), *g[1:]),
-            r"the glasses: vertices\[7\] is not finite",
+            r"the glasses: vertices: .* first at \[7, 0\]",
         ),
         (lambda g: (*g[:2], np.full((20, 3), np.nan), g[3]), "the glasses: 0 key points"),
         (lambda g: (*g[:3], 2 * g[3]), "sum 1"),
@@ -421,14 +392,14 @@ def test_bad_input_is_refused(name):
     ],
 )
 def test_bad_glasses_are_refused(spoil, message):
-    worn = person(1, SMALL)
+    worn = person(1, **SMALL)
     with pytest.raises(EyeglassesError, match=message):
-        register_on_face(spoil(glasses_of(1)), worn.labels, worn.masks, worn.cameras)
+        register_on_face(spoil(rest_frame(1)), worn.labels, worn.masks, worn.cameras)
 
 
 def test_labels_in_one_spot_do_not_spoil_the_other_views():
     """(0, 0) is how some labellers say that they do not know."""
-    worn = person(1, SMALL)
+    worn = person(1, **SMALL)
     labels = worn.labels.copy()
     labels[0] = 0
     found = register(1, SMALL, keypoints_2d=labels)
@@ -452,15 +423,15 @@ MIRRORED = {
 @pytest.mark.parametrize("name", MIRRORED)
 @pytest.mark.parametrize("masked", [False, True])
 def test_left_and_right_exchanged_is_an_error(name, masked):
-    worn = person(1, SMALL)
-    labels, frame = MIRRORED[name](worn, glasses_of(1))
+    worn = person(1, **SMALL)
+    labels, frame = MIRRORED[name](worn, rest_frame(1))
     with pytest.raises(EyeglassesError, match="left and right"):
         register_on_face(frame, labels, worn.masks if masked else None, worn.cameras)
 
 
 @pytest.mark.slow
 def test_labels_that_do_not_fit_leave_nothing_observed():
-    worn = person(1, SMALL)
+    worn = person(1, **SMALL)
     for labels in (worn.labels[[2, 1, 0]], worn.labels[..., ::-1]):
         found = register(1, SMALL, keypoints_2d=labels)
         assert not found.observed.any()
@@ -470,35 +441,21 @@ def test_labels_that_do_not_fit_leave_nothing_observed():
 
 def test_masks_that_disagree_with_good_labels_are_left_aside():
     worn = person(1)
-    found = register(1, masks=[~mask for mask in worn.masks])
+    found = register(1, {}, masks=[~mask for mask in worn.masks])
     assert any(step.stage == "glasses.masks" and "disagree" in step.reason for step in found.plan)
-    np.testing.assert_array_equal(found.vertices, register(1, masks=None).vertices)
+    np.testing.assert_array_equal(found.vertices, register(1, {}, masks=None).vertices)
     assert np.isnan(found.iou).all()
-
-
-def test_a_budget_too_small_for_the_bend_leaves_nothing_observed():
-    found = register(1, SMALL, budget=Budget(evaluations=1))
-    assert not found.observed.any()
-    assert any(step.stage == "glasses.unfinished" for step in found.plan)
 
 
 def test_a_head_turned_inside_out_is_turned_back():
     worn = person(1)
-    one = {"keypoints_2d": worn.labels[[1]], "masks": worn.masks[[1]], "cameras": worn.cameras[[1]]}
+    one = views_of(worn, [1])
     inside_out = (worn.head_vertices, worn.head_faces[:, ::-1])
     np.testing.assert_allclose(
-        register(1, **one, head=inside_out).vertices, register(1, **one).vertices, atol=0.05
+        register(1, {}, **one, head=inside_out).vertices, register(1, {}, **one).vertices, atol=0.05
     )
 
 
 def test_three_pictures_from_one_place_see_no_depth():
-    worn, same = person(1, SMALL), [1, 1, 1]
-    found = register(
-        1,
-        SMALL,
-        keypoints_2d=worn.labels[same],
-        masks=worn.masks[same],
-        cameras=worn.cameras[same],
-        head=None,
-    )
+    found = register(1, SMALL, **views_of(person(1, **SMALL), [1, 1, 1]), head=None)
     assert not found.depth_observed

@@ -94,7 +94,7 @@ def test_views_from_one_place_see_no_depth():
 
 def test_misuse_is_a_value_error():
     cameras = ring_of_cameras(2)
-    with pytest.raises(ValueError, match=r"cameras must have shape \(3, 3, 4\)"):
+    with pytest.raises(ValueError, match=r"cameras is .* expected \(3, 3, 4\)"):
         triangulate(np.zeros((3, 20, 2)), cameras)
     with pytest.raises(ValueError, match="labels_2d"):
         triangulate(np.zeros((20, 2)), cameras)

@@ -6,10 +6,8 @@ from functools import partial
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from helpers.cli import invoke
 
-from scan2albedo.cli import glasses as glasses_cli
-from scan2albedo.cli.commands import app
 from scan2albedo.eyeglasses import read_registered
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.pinhole import camera_centers
@@ -39,9 +37,8 @@ def report(tmp_path_factory):
         return reports[0]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(glasses_cli.common, "stop_cleanly_on_interrupt", lambda out: None)
         patch.setattr(glasses_demo, "run_glasses_demo", keeping)
-        answer = CliRunner().invoke(app, ["glasses", "demo", "-o", str(out), "--seed", "1", "--json"])
+        answer = invoke("glasses", "demo", "-o", out, "--seed", 1, "--json")
     return out, answer, reports[0]
 
 

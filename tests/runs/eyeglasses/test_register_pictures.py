@@ -1,14 +1,12 @@
 """Frames registered by the command from photographs alone."""
 
-import json
-
 import numpy as np
 import pytest
+from helpers.cli import invoke
+from helpers.commands import succeeded
+from helpers.records import read_json
 from scipy.ndimage import gaussian_filter
-from typer.testing import CliRunner
 
-from scan2albedo.cli import glasses as glasses_cli
-from scan2albedo.cli.commands import app
 from scan2albedo.eyeglasses import read_cameras, read_labels, read_masks, read_registered
 from scan2albedo.io.images import write_png
 from scan2albedo.runs.eyeglasses.demo import write_wearer
@@ -39,16 +37,14 @@ def inputs(person, tmp_path_factory):
     return out / "input"
 
 
-def run(monkeypatch, folder, out, *more):
-    monkeypatch.setattr(glasses_cli.common, "stop_cleanly_on_interrupt", lambda out: None)
+def run(folder, out, *more):
     arguments = [folder / "frame.obj", "-o", out, "--cameras", folder / "cameras.json", *more]
-    return CliRunner().invoke(app, ["glasses", "register", *map(str, arguments)])
+    return invoke("glasses", "register", *arguments)
 
 
-def test_photographs_alone_place_a_frame_and_give_labels_to_correct(monkeypatch, person, inputs, tmp_path):
+def test_photographs_alone_place_a_frame_and_give_labels_to_correct(person, inputs, tmp_path):
     out = tmp_path / "out"
-    made = run(monkeypatch, inputs, out, "--pictures", inputs / "photographs", "--head", inputs / "head.glb")
-    assert made.exit_code == 0, made.output
+    succeeded(run(inputs, out, "--pictures", inputs / "photographs", "--head", inputs / "head.glb"))
     off = np.linalg.norm(read_registered(out / "registered.npz").vertices - person.vertices, axis=1)
     front = person.glasses.rest_vertices[:, 2] > person.glasses.rest_keypoints[:, 2].max() - 20
     assert np.sqrt((off[front] ** 2).mean()) < 1
@@ -57,18 +53,17 @@ def test_photographs_alone_place_a_frame_and_give_labels_to_correct(monkeypatch,
     proposed = read_labels(out / "proposed_labels.json").of_cameras(names)
     far = np.linalg.norm(proposed - person.labels, axis=2)
     assert np.nanmedian(far) < 2
-    views = json.loads((out / "result.json").read_text())["views"]
+    views = read_json(out / "result.json")["views"]
     assert sum(view["proposed"] for view in views) > 20
     masks = read_masks(out, cameras)
     assert min(mask.sum() for mask in masks) > 100
     labels = out / "proposed_labels.json"
-    again = run(monkeypatch, inputs, tmp_path / "again", "--labels", labels, "--masks", out)
-    assert again.exit_code == 0, again.output
-    assert all(view["mask"] for view in json.loads((tmp_path / "again" / "result.json").read_text())["views"])
+    succeeded(run(inputs, tmp_path / "again", "--labels", labels, "--masks", out))
+    assert all(view["mask"] for view in read_json(tmp_path / "again" / "result.json")["views"])
 
 
-def test_a_folder_without_the_cameras_photographs_is_refused(monkeypatch, inputs, tmp_path):
-    made = run(monkeypatch, inputs, tmp_path / "out", "--pictures", tmp_path)
+def test_a_folder_without_the_cameras_photographs_is_refused(inputs, tmp_path):
+    made = run(inputs, tmp_path / "out", "--pictures", tmp_path)
     assert made.exit_code == 2
     assert "holds none of" in made.output
     assert not (tmp_path / "out" / "registered.npz").exists()

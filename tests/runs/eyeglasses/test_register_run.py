@@ -2,23 +2,18 @@
 
 import hashlib
 import json
-import os
 import re
 import shutil
-import signal
-import subprocess
-import sys
-from pathlib import Path
 
-import jsonschema
 import numpy as np
 import pytest
 import trimesh
+from helpers.cli import invoke
+from helpers.commands import succeeded
+from helpers.records import read_json, valid_record
 from matplotlib.figure import Figure
-from typer.testing import CliRunner
+from numpy.testing import assert_allclose, assert_array_equal
 
-from scan2albedo.cli import glasses as glasses_cli
-from scan2albedo.cli.commands import app
 from scan2albedo.core import Trace
 from scan2albedo.errors import OutputError
 from scan2albedo.eyeglasses import (
@@ -40,12 +35,11 @@ from scan2albedo.report.overview import Panel
 from scan2albedo.runs.eyeglasses import register_run as glasses_registration_files
 from scan2albedo.runs.eyeglasses.demo import write_wearer
 from scan2albedo.runs.eyeglasses.inputs import read_registration
-from scan2albedo.runs.eyeglasses.register_run import register_frame, write_registration_files
+from scan2albedo.runs.eyeglasses.register_run import register_frame
 from scan2albedo.synthetic import wearer
 
 pytestmark = pytest.mark.slow
 
-SCHEMAS = Path(__file__).resolve().parents[3] / "data_schemas"
 FILES = {
     "registered.glb",
     "registered.npz",
@@ -95,20 +89,18 @@ def changed(inputs, tmp_path):
     return shutil.copytree(inputs, tmp_path / "changed")
 
 
-def run(monkeypatch, mesh, out, folder, *more, masks=True, head=True):
-    monkeypatch.setattr(glasses_cli.common, "stop_cleanly_on_interrupt", lambda out: None)
+def run(mesh, out, folder, *more, masks=True, head=True):
     arguments = [mesh, "-o", out, "--cameras", folder / "cameras.json", "--labels", folder / "labels.json"]
     arguments += ["--masks", folder / "masks"] if masks else []
     arguments += ["--head", folder / "head.glb"] if head else []
-    return CliRunner().invoke(app, ["glasses", "register", *map(str, arguments), *map(str, more)])
+    return invoke("glasses", "register", *arguments, *more)
 
 
 @pytest.fixture(scope="module")
 def done(inputs, tmp_path_factory):
     """The frame from its mesh, through the command."""
     out = tmp_path_factory.mktemp("registered")
-    with pytest.MonkeyPatch.context() as patch:
-        return out, run(patch, inputs / "frame.obj", out, inputs, "--json")
+    return out, run(inputs / "frame.obj", out, inputs, "--json")
 
 
 def test_a_measured_front_sets_the_scale_of_a_frame(inputs):
@@ -116,8 +108,8 @@ def test_a_measured_front_sets_the_scale_of_a_frame(inputs):
     usual = read_registration(*files).frame
     width = front_width(usual.keypoints, usual.scan.vertices)
     larger = read_registration(*files, frame_width_mm=1.1 * width).frame
-    np.testing.assert_allclose(larger.keypoints, 1.1 * usual.keypoints, rtol=1e-12)
-    np.testing.assert_allclose(larger.scan.vertices, 1.1 * usual.scan.vertices, rtol=1e-6)
+    assert_allclose(larger.keypoints, 1.1 * usual.keypoints, rtol=1e-12)
+    assert_allclose(larger.scan.vertices, 1.1 * usual.scan.vertices, rtol=1e-6)
     assert larger.mm_per_unit == pytest.approx(1.1 * usual.mm_per_unit)
 
 
@@ -137,22 +129,21 @@ def test_the_files_hold_what_was_done(done, inputs, person):
     out, answer = done
     frame = read_registered(out / "registered.npz")
     bent = skin(person.glasses.rest_vertices, frame.weights, frame.handle_transforms)
-    np.testing.assert_allclose(bent, frame.vertices, atol=1e-9)
-    np.testing.assert_array_equal(read_keypoints(out / "keypoints.json"), frame.keypoints)
-    np.testing.assert_allclose(load_scan(out / "registered.glb").vertices, frame.vertices, atol=1e-4)
+    assert_allclose(bent, frame.vertices, atol=1e-9)
+    assert_array_equal(read_keypoints(out / "keypoints.json"), frame.keypoints)
+    assert_allclose(load_scan(out / "registered.glb").vertices, frame.vertices, atol=1e-4)
     joints = {
         node["name"]: node["translation"]
         for node in _glb_tree(out / "registered.glb")["nodes"]
         if "translation" in node
     }
     # The tree's root stands at its key point, in metres.
-    np.testing.assert_allclose(joints["bridge_top"], frame.keypoints[0] / 1000, atol=1e-9)
+    assert_allclose(joints["bridge_top"], frame.keypoints[0] / 1000, atol=1e-9)
 
-    record = json.loads((out / "result.json").read_text())
-    jsonschema.validate(record, json.loads((SCHEMAS / "registered_eyeglasses.schema.json").read_text()))
+    record = valid_record(out / "result.json", "registered_eyeglasses")
     assert set(record["files"]) == FILES
     assert record["name"] == "frame"
-    np.testing.assert_array_equal(record["world_from_glasses"], frame.world_from_glasses)
+    assert_array_equal(record["world_from_glasses"], frame.world_from_glasses)
     names = [camera.name for camera in read_cameras(inputs / "cameras.json")]
     masks = {f"mask {name}": inputs / "masks" / f"{name}.png" for name in names}
     files = {"cameras": "cameras.json", "labels": "labels.json", "keypoints": "frame.keypoints.json"}
@@ -183,11 +174,10 @@ def test_clocks_of_the_trace_do_not_go_back(done):
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_canonical_frame_brings_its_weights_and_may_stay_rigid(inputs, tmp_path, monkeypatch):
+def test_a_canonical_frame_brings_its_weights_and_may_stay_rigid(inputs, tmp_path):
     mesh = inputs / "round" / "canonical.npz"
-    answer = run(monkeypatch, mesh, tmp_path, inputs, "--rigid", "--json", head=False)
-    assert answer.exit_code == 0, answer.output
-    record = json.loads((tmp_path / "result.json").read_text())
+    succeeded(run(mesh, tmp_path, inputs, "--rigid", "--json", head=False))
+    record = read_json(tmp_path / "result.json")
     assert record["name"] == "round"
     assert record["options"]["bend"] is False
     assert record["metrics"]["bend_max_mm"] == 0
@@ -196,20 +186,19 @@ def test_a_canonical_frame_brings_its_weights_and_may_stay_rigid(inputs, tmp_pat
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_view_without_a_mask_has_labels_only(changed, tmp_path, monkeypatch):
+def test_a_view_without_a_mask_has_labels_only(changed, tmp_path):
     (changed / "masks" / "camera_2.png").unlink()
     mesh, out = changed / "round" / "canonical.npz", tmp_path / "out"
-    answer = run(monkeypatch, mesh, out, changed, head=False)
-    assert answer.exit_code == 0, answer.output
+    answer = succeeded(run(mesh, out, changed, head=False))
     assert "no mask of 'camera_2'" in answer.stderr
-    views = json.loads((out / "result.json").read_text())["views"]
+    views = read_json(out / "result.json")["views"]
     assert [view["mask"] for view in views] == [True, False, True]
     assert views[1]["outline_rms_px"] is None
     assert views[0]["iou"] > 0.5
 
 
 def test_pictures_end_where_cameras_say_even_without_masks(changed, person, tmp_path):
-    tree = json.loads((changed / "cameras.json").read_text())
+    tree = read_json(changed / "cameras.json")
     middle = person.keypoints[0]  # of the bridge
     pixel = np.array(tree["cameras"][1]["matrix"]) @ [*middle, 1]
     tree["cameras"][1]["width"] = int(pixel[0] / pixel[2])
@@ -222,18 +211,18 @@ def test_pictures_end_where_cameras_say_even_without_masks(changed, person, tmp_
     shown = frame.vertices @ given.cameras[1].matrix[:, :3].T + given.cameras[1].matrix[:, 3]
     inside = shown[:, 0] / shown[:, 2] <= tree["cameras"][1]["width"] - 0.5
     assert 0.3 < inside.mean() < 0.7
-    np.testing.assert_array_equal(frame.visible[1], inside)
+    assert_array_equal(frame.visible[1], inside)
     assert frame.visible[0].all()
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_start_fixes_what_labels_do_not(changed, person, tmp_path, monkeypatch):
+def test_a_start_fixes_what_labels_do_not(changed, person, tmp_path):
     labels = read_labels(changed / "labels.json")
     pixels = np.full_like(labels.pixels, np.nan)
     pixels[0, :2] = labels.pixels[0, :2]
     write_labels(changed / "labels.json", pixels, labels.camera_names)
     mesh = changed / "round" / "canonical.npz"
-    lost = run(monkeypatch, mesh, tmp_path / "out", changed, "--json", head=False)
+    lost = run(mesh, tmp_path / "out", changed, "--json", head=False)
     assert lost.exit_code == 2
     assert json.loads(lost.stdout)["status"] == "failed"
     assert "fix no pose" in json.loads(lost.stdout)["reason"]
@@ -241,8 +230,7 @@ def test_a_start_fixes_what_labels_do_not(changed, person, tmp_path, monkeypatch
     nudge = compose(rotation_from_vector([0, 0.01, 0]), [0.5, 0, 0]) @ person.world_from_glasses
     write_start(tmp_path / "start.json", nudge)
     more = ("--rigid", "--start", tmp_path / "start.json")
-    answer = run(monkeypatch, mesh, tmp_path / "out", changed, *more, head=False)
-    assert answer.exit_code == 0, answer.output
+    answer = succeeded(run(mesh, tmp_path / "out", changed, *more, head=False))
     assert "no label in the view of 'camera_2'" in answer.stderr
     found = read_registered(tmp_path / "out" / "registered.npz")
     front = person.glasses.rest_keypoints[2:8, 2].min() < person.glasses.rest_vertices[:, 2]
@@ -254,30 +242,28 @@ def test_an_earlier_result_is_a_start_too(done, inputs):
     given = read_registration(
         inputs / "frame.obj", inputs / "cameras.json", inputs / "labels.json", start=start
     )
-    np.testing.assert_array_equal(given.start, read_registered(start).world_from_glasses)
+    assert_array_equal(given.start, read_registered(start).world_from_glasses)
     assert given.files["start"].sha256 == hashlib.sha256(start.read_bytes()).hexdigest()
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_head_in_another_frame_is_told(inputs, tmp_path, monkeypatch):
+def test_a_head_in_another_frame_is_told(inputs, tmp_path):
     head = load_scan(inputs / "head.glb")
     trimesh.Trimesh(head.vertices + [0, -400, 0], head.faces, process=False).export(tmp_path / "far.ply")
     mesh = inputs / "round" / "canonical.npz"
     more = ("--head", tmp_path / "far.ply", "--budget", 60)
-    answer = run(monkeypatch, mesh, tmp_path / "out", inputs, *more, head=False)
-    assert answer.exit_code == 0, answer.output
+    answer = succeeded(run(mesh, tmp_path / "out", inputs, *more, head=False))
     assert "are head and cameras in one frame?" in answer.stderr
-    assert json.loads((tmp_path / "out" / "result.json").read_text())["options"]["budget_s"] == 60
+    assert read_json(tmp_path / "out" / "result.json")["options"]["budget_s"] == 60
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_budget_that_ends_is_told(inputs, tmp_path, monkeypatch):
-    answer = run(
-        monkeypatch, inputs / "round" / "canonical.npz", tmp_path, inputs, "--budget", 0.001, head=False
+def test_a_budget_that_ends_is_told(inputs, tmp_path):
+    answer = succeeded(
+        run(inputs / "round" / "canonical.npz", tmp_path, inputs, "--budget", 0.001, head=False)
     )
-    assert answer.exit_code == 0, answer.output
     assert "not converged" in answer.stderr
-    assert not json.loads((tmp_path / "result.json").read_text())["converged"]
+    assert not read_json(tmp_path / "result.json")["converged"]
 
 
 def relabelled(folder):
@@ -314,11 +300,11 @@ SPOILED = {
 
 
 @pytest.mark.parametrize("name", SPOILED)
-def test_bad_input_is_one_line_that_names_the_file(name, changed, tmp_path, monkeypatch):
+def test_bad_input_is_one_line_that_names_the_file(name, changed, tmp_path):
     spoil, options, words = SPOILED[name]
     spoil(changed)
     more = [part for option in options for part in (f"--{option}", changed / f"{option}.json")]
-    answer = run(monkeypatch, changed / "frame.obj", tmp_path / "out", changed, *more)
+    answer = run(changed / "frame.obj", tmp_path / "out", changed, *more)
     assert answer.exit_code == 2, answer.output
     lines = [line for line in answer.stderr.splitlines() if "error:" in line]
     assert len(lines) == 1
@@ -326,32 +312,31 @@ def test_bad_input_is_one_line_that_names_the_file(name, changed, tmp_path, monk
     assert not (tmp_path / "out").exists()
 
 
-def test_a_frame_without_key_points_gets_proposed_ones(changed, tmp_path, monkeypatch):
+def test_a_frame_without_key_points_gets_proposed_ones(changed, tmp_path):
     (changed / "frame.keypoints.json").unlink()
-    answer = run(monkeypatch, changed / "frame.obj", tmp_path / "out", changed)
-    assert answer.exit_code == 0, answer.output
+    answer = succeeded(run(changed / "frame.obj", tmp_path / "out", changed))
     assert "20 key points are proposed from its shape" in answer.stderr
-    record = json.loads((tmp_path / "out" / "result.json").read_text())
+    record = read_json(tmp_path / "out" / "result.json")
     assert any("proposed from its shape" in note for note in record["notes"])
 
 
-def test_a_spoiled_canonical_frame_is_told(changed, tmp_path, monkeypatch):
+def test_a_spoiled_canonical_frame_is_told(changed, tmp_path):
     halved(changed / "round" / "canonical.npz")
-    answer = run(monkeypatch, changed / "round" / "canonical.npz", tmp_path / "out", changed)
+    answer = run(changed / "round" / "canonical.npz", tmp_path / "out", changed)
     assert answer.exit_code == 2
     assert "canonical.npz cannot be read" in answer.stderr
 
 
-def test_another_unit_is_told_with_the_files(changed, tmp_path, monkeypatch):
-    tree = json.loads((changed / "cameras.json").read_text())
+def test_another_unit_is_told_with_the_files(changed, tmp_path):
+    tree = read_json(changed / "cameras.json")
     tree["unit"] = "m"
     (changed / "cameras.json").write_text(json.dumps(tree))
-    answer = run(monkeypatch, changed / "round" / "canonical.npz", tmp_path / "out", changed)
+    answer = run(changed / "round" / "canonical.npz", tmp_path / "out", changed)
     assert answer.exit_code == 2
     assert re.search(r"labels.json: the labels make a frame [0-9.e+]+ times as large", answer.stderr)
 
 
-def test_usage_errors_are_2_and_write_nothing(inputs, tmp_path, monkeypatch):
+def test_usage_errors_are_2_and_write_nothing(inputs, tmp_path):
     frame, canonical, out = inputs / "frame.obj", inputs / "round" / "canonical.npz", tmp_path / "out"
     for mesh, more in (
         (frame, ("--unit", "yard")),
@@ -359,78 +344,21 @@ def test_usage_errors_are_2_and_write_nothing(inputs, tmp_path, monkeypatch):
         (canonical, ("--unit", "cm")),
         (canonical, ("--keypoints", inputs / "frame.keypoints.json")),
     ):
-        answer = run(monkeypatch, mesh, out, inputs, *more)
+        answer = run(mesh, out, inputs, *more)
         assert answer.exit_code == 2, more
         assert "Traceback" not in answer.output
         assert not out.exists()
 
 
-@pytest.mark.usefixtures("undrawn")
-def test_a_full_disk_leaves_older_results_as_they_were(inputs, tmp_path, monkeypatch):
-    placed = register_frame(
-        read_registration(inputs / "round" / "canonical.npz", inputs / "cameras.json", inputs / "labels.json")
-    )
-    out = tmp_path / "out"
-    write_registration_files(placed, out)
-    before = {path: path.read_bytes() for path in out.iterdir()}
-    assert {path.name for path in before} == FILES
-
-    def full(*arguments, **options):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(glasses_registration_files, "overview_figure", full)
-    with pytest.raises(OutputError, match="No space left"):
-        write_registration_files(placed, out)
-    assert {path: path.read_bytes() for path in out.iterdir()} == before
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_files_that_no_run_wrote_stay(inputs, tmp_path, monkeypatch):
-    mesh = inputs / "round" / "canonical.npz"
-    (tmp_path / "keypoints.json").write_text("mine")
-    answer = run(monkeypatch, mesh, tmp_path, inputs, masks=False, head=False)
-    assert answer.exit_code == 2
-    assert "holds keypoints.json, which no run of scan2albedo glasses register wrote" in answer.stderr
-    assert {path.name for path in tmp_path.iterdir()} == {"keypoints.json"}
-    assert (tmp_path / "keypoints.json").read_text() == "mine"
+def test_a_file_in_the_place_of_the_demos_input_stays(tmp_path):
     person = wearer(1, **SMALL)
     folder = tmp_path / "demo"
-    write_wearer(person, None, folder)
-    write_wearer(person, None, folder)
+    for _ in range(2):
+        write_wearer(person, None, folder)
     (folder / "input" / "cameras.json").write_text("mine")
     with pytest.raises(OutputError, match=r"cameras\.json: no run of scan2albedo glasses demo wrote it"):
         write_wearer(person, None, folder)
     assert (folder / "input" / "cameras.json").read_text() == "mine"
-
-
-def test_interrupting_while_files_are_written_leaves_nothing_behind(inputs, tmp_path):
-    # The overview comes when most other files are made.
-    code = (
-        "import sys, time\n"
-        "from scan2albedo import cli\n"
-        "from scan2albedo.runs.eyeglasses import register_run as files\n"
-        "def slow(*a, **k):\n"
-        "    print('drawing', file=sys.stderr, flush=True)\n"
-        "    time.sleep(100)\n"
-        "files.overview_figure = slow\n"
-        "cli.main()\n"
-    )
-    arguments = ("--cameras", inputs / "cameras.json", "--labels", inputs / "labels.json")
-    mesh, out = inputs / "round" / "canonical.npz", tmp_path / "out"
-    process = subprocess.Popen(
-        [sys.executable, "-c", code, "glasses", "register", mesh, "-o", out, *arguments],
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    lines = iter(process.stderr.readline, "")
-    assert any("drawing" in line for line in lines)
-    # The hidden folder in which files are made stands in the one they go to.
-    assert os.listdir(out)
-    process.send_signal(signal.SIGINT)
-    _, complaint = process.communicate(timeout=60)
-    assert process.returncode == 130, complaint
-    assert "interrupted" in complaint
-    assert os.listdir(tmp_path) == []
 
 
 def _glb_tree(path):

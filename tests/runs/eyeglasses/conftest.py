@@ -1,0 +1,13 @@
+"""Commands for glasses run in this process, which keeps its own way to end."""
+
+import pytest
+
+from scan2albedo.cli import common
+
+
+@pytest.fixture(scope="package", autouse=True)
+def own_signals():
+    """Signals stay those of pytest."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(common, "stop_cleanly_on_interrupt", lambda out: None)
+        yield

@@ -1,0 +1,168 @@
+"""How albedo is judged on the traced set, on scenes made here; the set itself lies outside the repository."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bench.judging import (
+    VARIABLE,
+    ScanTruth,
+    invented_outlines,
+    load_flashes,
+    load_image,
+    received,
+    scene_names,
+    score,
+    simple_peers,
+    traced_folder,
+)
+
+import scan2albedo as s2a
+from scan2albedo.synthetic import face, hemisphere, light_at
+
+
+def test_without_the_variable_there_is_no_set(monkeypatch, tmp_path):
+    monkeypatch.delenv(VARIABLE, raising=False)
+    assert traced_folder() is None
+    monkeypatch.setenv(VARIABLE, str(tmp_path))
+    assert traced_folder() is None
+    (tmp_path / "soft_dome_x.npz").write_bytes(b"")
+    assert traced_folder() == tmp_path
+    assert scene_names(tmp_path, "images") == ["soft_dome_x"]
+    assert scene_names(tmp_path, "scans") == []
+
+
+def test_a_scene_is_read_as_it_was_written(tmp_path):
+    scene = hemisphere(size=16)
+    image, shape = scene.image, (16, 16, 3)
+    vertices, faces = image.occluder_mesh()
+    np.savez(
+        tmp_path / "geometry_ball.npz",
+        position_mm=image.position.astype(np.float32),
+        normal=image.normal.astype(np.float32),
+        mask=image.mask,
+        occluder_vertices=vertices,
+        occluder_faces=faces.astype(np.uint32),
+    )
+    code = np.full(shape, 188, np.uint8)
+    np.savez(
+        tmp_path / "soft_dome_ball.npz",
+        texture_srgb8=code,
+        albedo_linear=np.full(shape, 0.5, np.float16),
+        mask=image.mask,
+        geometry="ball",
+    )
+    read = load_image(tmp_path, "soft_dome_ball")
+    assert read.lamps == []
+    np.testing.assert_allclose(read.image.texture_linear[image.mask], 0.503, atol=1e-3)
+    np.testing.assert_array_equal(read.albedo_linear[image.mask], 0.5)
+    np.testing.assert_array_equal(read.image.occluder_mesh()[1], faces)
+
+
+def test_the_score_does_not_care_for_one_scale_but_for_color():
+    rng = np.random.default_rng(0)
+    truth, judged = rng.uniform(0.2, 0.6, (8, 8, 3)), np.ones((8, 8), bool)
+    assert score(3 * truth, truth, judged).color_mse == pytest.approx(0, abs=1e-12)
+    tinted = score(truth * [1.3, 1, 0.7], truth, judged)
+    assert tinted.color_mse > 0.5
+
+
+def test_the_score_tells_what_half_and_most_of_the_texels_err_by():
+    truth, judged = np.full((10, 10, 3), 0.5), np.ones((10, 10), bool)
+    estimate = truth.copy()
+    estimate[0] *= 1.5
+    found = score(estimate, truth, judged)
+    scale = (0.9 + 0.1 * 1.5) / (0.9 + 0.1 * 1.5**2)
+    assert found.half == pytest.approx(100 * (1 - scale))
+    assert found.most == pytest.approx(100 * (1.5 * scale - 1))
+    assert found.rmse == pytest.approx(100 * np.sqrt(found.mse / 100) / 0.5)
+
+
+def test_an_edge_that_the_texture_has_is_not_invented():
+    shading = np.ones((256, 256))
+    shading[:, 128:] = 0.5
+    albedo, mask = np.full((256, 256), 0.5), np.ones((256, 256), bool)
+    honest = invented_outlines(albedo * shading, shading, albedo, mask)
+    assert honest.edges == 256
+    assert honest.share == honest.mean_excess == 0
+    wrong = invented_outlines(albedo, shading, albedo / shading, mask)
+    assert wrong.share == 1
+    assert wrong.mean_excess == pytest.approx(np.log(2), rel=1e-3)
+    assert invented_outlines(albedo, np.ones_like(albedo), albedo, mask).edges == 0
+
+
+def test_outlines_beside_the_mask_do_not_count():
+    shading, mask = np.ones((256, 256)), np.ones((256, 256), bool)
+    shading[:, 128:], mask[:, 128:] = 0.5, False
+    assert invented_outlines(shading, shading, np.ones_like(shading), mask).edges == 0
+
+
+def test_occlusion_and_transfer_of_a_convex_shape_are_those_of_the_open():
+    image = hemisphere(size=24).image
+    light = received(image)
+    front = image.normal[image.mask][:, 2] > 0.6
+    np.testing.assert_allclose(light.open_part[front], 1, atol=0.08)
+    np.testing.assert_allclose(light.shadowed[front], light.plain[front], atol=0.05)
+
+
+def test_harmonics_take_off_a_soft_light_and_each_channel_its_own():
+    scene = hemisphere(size=32, texture="plain", lights=[light_at(30, intensity=1.0)], bits=None)
+    truth, mask = scene.albedo_linear.astype(float), scene.image.mask
+    texture = scene.image.texture_linear * np.float32([1.0, 0.8, 0.6])
+    image = s2a.GeometryImage(
+        scene.image.position, scene.image.normal, mask, texture_linear=texture.astype(np.float32)
+    )
+    scores = {name: score(albedo, truth, mask) for name, albedo in simple_peers(image).items()}
+    assert scores["SH"].mse < 0.3 * scores["as is"].mse
+    assert scores["SH+shadows"].mse < 0.5 * scores["as is"].mse
+    assert set(scores) == {"as is", "AO", "SH", "SH+shadows"}
+
+
+def test_the_truth_of_a_scan_is_looked_up_on_its_surface():
+    albedo = np.zeros((2, 2, 3))
+    albedo[0, 0], albedo[0, 1], albedo[1, 0], albedo[1, 1] = 0.1, 0.2, 0.3, 0.4
+    truth = ScanTruth(
+        np.array([[0.0, 0, 0], [10, 0, 0], [0, 10, 0]]),
+        np.array([[0, 1, 2]]),
+        np.array([[[0.0, 0], [1, 0], [0, 1]]]),
+        albedo,
+        np.eye(4),
+        1.0,
+        0,
+    )
+    found, distance = truth.at(np.array([[0.5, 0.5, 1.0], [9, 0.5, 0], [0.5, 9, 0]]))
+    np.testing.assert_allclose(found[:, 0], [0.3, 0.4, 0.1])
+    np.testing.assert_allclose(distance, [1, 0, 0], atol=1e-6)
+    partly = replace(truth, valid=np.array([[False, True], [True, True]]))
+    np.testing.assert_allclose(partly.at(np.array([[0.5, 0.5, 0], [0.5, 9, 0]]))[0][:, 0], [0.3, np.nan])
+
+
+def test_flashes_count_where_they_explain_a_texel(tmp_path):
+    normal = np.zeros((4, 4, 3), np.float32)
+    normal[..., 2] = 1
+    albedo = np.full((4, 4), 0.5, np.float32)
+    code = np.full((1, 4, 4), round(255 * 1.06 * 0.5), np.uint8)
+    code[0, 0] = 20
+    np.savez(
+        tmp_path / "yaleB01.npz",
+        position_mm=normal,
+        normal=normal,
+        mask=np.ones((4, 4), bool),
+        albedo=albedo,
+        lights=np.array(["A+000"]),
+        direction=np.float32([[0, 0, 1]]),
+        strength=np.float32([1]),
+        texture_linear8=code,
+    )
+    (name,) = scene_names(tmp_path, "flashes")
+    (scene,) = load_flashes(tmp_path, name)
+    assert scene.name == "yaleB01_A+000"
+    np.testing.assert_array_equal(scene.judged, np.arange(4)[:, None] * np.ones(4) > 0)
+    assert scene.albedo_linear.shape == (4, 4, 3)
+
+
+def test_shadows_of_a_face_are_in_the_transfer():
+    image = face(0, size=48).image
+    light = received(image)
+    assert light.open_part.min() < 0.6
+    assert (light.plain[:, 0] >= light.shadowed[:, 0] - 1e-9).all()

@@ -1,0 +1,102 @@
+"""A population: what belongs to a person stays, what belongs to a session changes."""
+
+import numpy as np
+import pytest
+from worlds.population import Population, population_scan, random_lights
+
+from scan2albedo import AnnotatedFaceModel
+from scan2albedo.synthetic import Scanner
+from scan2albedo.synthetic.glossy_person import Individual
+
+pytestmark = pytest.mark.slow
+
+SMALL = Scanner(spacing_mm=8.0, picture_size=48, size=64)
+
+
+def scanned(person, session, **choices):
+    return population_scan(person, session, population=Population(scanner=SMALL, **choices))
+
+
+@pytest.fixture(scope="module")
+def first():
+    return scanned(0, 0)
+
+
+def test_a_person_keeps_the_skin_and_the_session_has_its_light(first):
+    scan, truth = first
+    again, later = scanned(0, 1)
+    np.testing.assert_array_equal(truth.albedo_linear, later.albedo_linear)
+    assert truth.lights != later.lights
+    assert scan.name == "person-0-session-0"
+    assert again.name == "person-0-session-1"
+    # Another pose, and the expression moves the face by a few millimetres at most.
+    assert np.abs(truth.model_from_scan - later.model_from_scan).max() > 0.1
+    moved = np.linalg.norm(truth.control_points - later.control_points, axis=1)
+    assert 0.05 < moved.max() < 8
+
+
+def test_another_person_has_another_face_and_skin(first):
+    _, truth = first
+    _, other = scanned(1, 0)
+    assert np.linalg.norm(truth.control_points - other.control_points, axis=1).max() > 2
+    ratio = np.log(truth.albedo_linear[truth.image.mask] / other.albedo_linear[truth.image.mask])
+    assert ratio.std() > 0.05
+
+
+def test_less_individuality_makes_people_more_alike():
+    model, uv = AnnotatedFaceModel.default(), np.random.default_rng(0).uniform(size=(2000, 2))
+
+    def unlike(individuality):
+        population = Population(individuality=individuality, tones=(0.3, 0.3))
+        people = [Individual.drawn(np.random.default_rng(k), population.tones) for k in range(2)]
+        skins = [np.log(population.albedo(one, 0, model, uv)) for one in people]
+        return np.abs(skins[0] - skins[1]).mean()
+
+    assert unlike(0.25) == pytest.approx(0.25 * unlike(1.0), rel=1e-6)
+
+
+def test_same_seed_same_scan_and_another_population_is_another(first):
+    scan, _ = first
+    same, _ = scanned(0, 0)
+    np.testing.assert_array_equal(scan.vertices, same.vertices)
+    np.testing.assert_array_equal(scan.texture_linear, same.texture_linear)
+    _, foreign = population_scan(0, 0, seed=1, population=Population(scanner=SMALL))
+    assert foreign.lights != first[1].lights
+
+
+def test_lights_stay_in_their_cone_and_apart():
+    population = Population(light_cone_deg=40)
+    drawn = [random_lights(np.random.default_rng(k), population) for k in range(300)]
+    tilts = [np.degrees(np.arccos(light.direction[2])) for lights in drawn for light in lights]
+    assert max(tilts) <= 40
+    assert max(tilts) > 38
+    two = [lights for lights in drawn if len(lights) == 2]
+    assert 110 < len(two) < 190
+    assert all(a.direction @ b.direction < np.cos(np.deg2rad(30)) for a, b in two)
+
+
+def test_a_room_has_one_weak_lamp_and_light_of_its_own(first):
+    scan, truth = scanned(0, 0, light="room")
+    (lamp,) = truth.lights
+    assert 0.3 <= lamp.intensity <= 1.0
+    np.testing.assert_array_equal(truth.albedo_linear, first[1].albedo_linear)
+    colored, _ = scanned(0, 0, light="room", lamp_colors=0.3)
+    bright = scan.texture_linear.min(-1) > 0.1
+    tint = np.log(colored.texture_linear[bright] / scan.texture_linear[bright])
+    assert (tint[:, 0] - tint[:, 1]).std() > 0.02  # over the surface: no tint of the whole picture
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"individuality": 0.0},
+        {"light": "sun"},
+        {"individuality": 1.5},
+        {"lamp_colors": -0.1},
+        {"light_cone_deg": 120.0},
+        {"tones": (0.5, 0.2)},
+    ],
+)
+def test_options_out_of_range_are_refused(wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        Population(**wrong)

@@ -1,0 +1,1 @@
+"""Benches: cases, methods (ours and the peers), a score and bars; `python tools/bench` lists them."""

@@ -1,0 +1,1 @@
+"""Benches of eyeglasses, and the frames they share."""

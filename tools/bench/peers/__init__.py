@@ -1,0 +1,1 @@
+"""Others' methods that benches run beside ours."""
