@@ -7,6 +7,14 @@ from scan2albedo.albedo.result import AlbedoError, AlbedoEstimate, albedo_error
 from scan2albedo.albedo.uncertainty import Alternative, LightUncertainty
 
 __all__ = [
-    "OPTIONAL_STEPS", "AlbedoError", "AlbedoEstimate", "Alternative", "CommonAlbedo", "EstimateOptions",
-    "LightUncertainty", "albedo_error", "estimate_albedo", "estimate_common_albedo",
-]  # fmt: skip
+    "OPTIONAL_STEPS",
+    "AlbedoError",
+    "AlbedoEstimate",
+    "Alternative",
+    "CommonAlbedo",
+    "EstimateOptions",
+    "LightUncertainty",
+    "albedo_error",
+    "estimate_albedo",
+    "estimate_common_albedo",
+]

@@ -156,18 +156,9 @@ def estimate_common_albedo(
                 estimates.append(estimate)
             else:
                 on_estimate(k, estimate)
-    mean, gains, weight, chi = _averaged(np.array(logs), np.array(weights))
-    fields = dict[str, NDArray[Any]]()
-    error = ((weight * errors) ** 2).sum(0) / weight.sum(0) ** 2
-    if light_sd is not None:
-        error += cell_field(*light_sd, mask)[:, 0] ** 2
-    shown = (np.array(weights) > 1.0).sum(0)
-    for name, values in {
-        "albedo_linear": np.exp(mean).astype(np.float32),
-        "expected_error": np.minimum(np.sqrt(error), 1.0).astype(np.float32),
-        "coverage": shown.astype(np.uint16),
-        "disagreement": np.where(shown > 1, chi, 0).astype(np.float32),
-    }.items():
+    light_variance = None if light_sd is None else cell_field(*light_sd, mask)[:, 0] ** 2
+    fields, gains = _fields(np.array(logs), np.array(weights), np.array(errors), light_variance)
+    for name, values in fields.items():
         fields[name] = np.zeros((*mask.shape, *values.shape[1:]), values.dtype)
         fields[name][mask] = values
     return CommonAlbedo(
@@ -178,6 +169,31 @@ def estimate_common_albedo(
         trace=meter.trace,
         converged=not meter.exhausted,
     )
+
+
+def _fields(
+    logs: NDArray[np.float32],
+    weights: FloatArray,
+    errors: NDArray[np.float32],
+    light_variance: FloatArray | None,
+) -> tuple[dict[str, NDArray[Any]], FloatArray]:
+    """Return the images of a `CommonAlbedo` as values of the N texels, and the gains (K, 3).
+
+    `logs` (K, N, 3), `weights` and `errors` (K, N) are of each image's own albedo, `light_variance` (N,) is
+    that of the light that all share.
+    """
+    mean, gains, weight, chi = _averaged(logs, weights)
+    error = ((weight * errors) ** 2).sum(0) / weight.sum(0) ** 2
+    if light_variance is not None:
+        error += light_variance
+    shown = (weights > 1.0).sum(0)
+    fields: dict[str, NDArray[Any]] = {
+        "albedo_linear": np.exp(mean).astype(np.float32),
+        "expected_error": np.minimum(np.sqrt(error), 1.0).astype(np.float32),
+        "coverage": shown.astype(np.uint16),
+        "disagreement": np.where(shown > 1, chi, 0).astype(np.float32),
+    }
+    return fields, gains
 
 
 def _with_shared(found: LightFound, point: Point, options: EstimateOptions) -> LightFound:

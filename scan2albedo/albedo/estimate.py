@@ -198,17 +198,27 @@ def divided(
     if not late:
         color = continued_smoothly(color, mask & ~image.seen, image.seen)
     return AlbedoEstimate(
-        albedo_linear=color, lights=lit.lights, parameters=parameters, shading=shading.astype(np.float32),
-        specular=specular.mean(-1).astype(np.float32), shadow=on_grid(mask, lit.visible.astype(np.float32)),
-        confidence=division.confidence.astype(np.float32), plan=plan, trace=meter.trace,
-        converged=not meter.exhausted, iterations=meter.evaluations, residual=meter.rows[-1].error,
-        image=image, view_direction=scene.view, reflectance=reflectance,
+        albedo_linear=color,
+        lights=lit.lights,
+        parameters=parameters,
+        shading=shading.astype(np.float32),
+        specular=specular.mean(-1).astype(np.float32),
+        shadow=on_grid(mask, lit.visible.astype(np.float32)),
+        confidence=division.confidence.astype(np.float32),
+        plan=plan,
+        trace=meter.trace,
+        converged=not meter.exhausted,
+        iterations=meter.evaluations,
+        residual=meter.rows[-1].error,
+        image=image,
+        view_direction=scene.view,
+        reflectance=reflectance,
         casts_shadows=found is None or scene.shadows[0] is not None,
         uncertainty=None if found is None else found.uncertainty,
         albedo_deviation=None if deviation is None else deviation.astype(np.float32),
         environment=lit.environment,
         expected_error=expected_error(division.deviation, deviation, mask, image.skin),
-    )  # fmt: skip
+    )
 
 
 def _cameras_step(scene: LitImage, reflectance: Reflectance) -> PlanStep:

@@ -32,8 +32,10 @@ along the normal, .028 / (4 .35^2) [2]_; and what its log errs by beside the pri
 .. [2] T. Weyrich et al., "Analysis of human faces using a measurement-based skin reflectance model", SIGGRAPH
    2006.
 """
-EXPONENT, OTHER_EXPONENT = (math.log(6.0), 0.4), (math.log(16.0), 1.0)
-"""Log exponent of that lobe of skin, and of anything."""
+EXPONENT = math.log(6.0), 0.4
+"""Log exponent of that lobe of skin: mean and standard deviation."""
+OTHER_EXPONENT = math.log(16.0), 1.0
+"""The same of anything else."""
 FILL = 0.3, 0.2
 """Part of the hidden ambient light that comes back from elsewhere."""
 BOUNCE = 0.1

@@ -18,20 +18,26 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.plan import PlanStep
 from scan2albedo.optimization.least_squares import damped_step
 
-_DARK_STRENGTH, _DARK_SCALES, _FRESH_LAMPS = 10.0, Scales(0.6, 0.6, 3.0), 2
-"""Intensity and scales at which the first lamps are tried in a room that is dark otherwise: what such a lamp
-shades is no outlier yet."""
+_DARK_STRENGTH = 10.0
+"""Intensity at which the first lamps are tried in a room that is dark otherwise."""
+_DARK_SCALES = Scales(0.6, 0.6, 3.0)
+"""Scales of the errors there: what such a lamp shades is no outlier yet."""
+_FRESH_LAMPS = 2
+"""Most lamps of a light that is tried so."""
 _SAME_COSINE = 0.9
 """Lamps whose directions have a larger cosine are one at the start."""
-_FOLLOWED, _KEPT = 10, 4
-"""Distinct starts that take a few steps, and that go on to where the posterior is largest."""
+_FOLLOWED = 10
+"""Distinct starts that take a few steps."""
+_KEPT = 4
+"""Of these, starts that go on to where the posterior is largest."""
 _FIRST_SCALES = Scales(0.6, 0.6, 1.2)
 """Scales of the errors where candidates are compared: those of faces before their lamps are found."""
 _CAUTION = 0.1
 """Damping of the one step by which starts are ranked: far from an optimum the model is hardly linear."""
-_STEPS, _FLAT = 4, 0.5
-"""Evaluations of a descent between two estimates of the scales, and the rise of the log evidence in one after
-which there are no more."""
+_STEPS = 4
+"""Evaluations of a descent between two estimates of the scales."""
+_FLAT = 0.5
+"""Rise of the log evidence between two such estimates after which there are no more."""
 
 
 class LightSearch:

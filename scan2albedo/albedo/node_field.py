@@ -13,11 +13,14 @@ from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.prior import NODES, AlbedoPrior
 from scan2albedo.core.arrays import FloatArray, IntArray
 
-UNMODELLED, _REACH = 0.06, 0.12
-"""Standard deviation of light that no part stands for, as a part of the median light, and its correlation
-length as a part of the chart's side."""
-TINY, FAINT = 1e-6, 1e-4
-"""Parts of the median below which weights, and V, count as none."""
+UNMODELLED = 0.06
+"""Standard deviation of light that no part stands for, as a part of the median light."""
+_REACH = 0.12
+"""Correlation length of that light, as a part of the chart's side."""
+TINY = 1e-6
+"""Part of the median below which a weight counts as none."""
+FAINT = 1e-4
+"""Part of the median below which V counts as none."""
 
 
 class Scales(NamedTuple):

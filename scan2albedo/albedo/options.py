@@ -21,8 +21,10 @@ to all lights, Oren-Nayar's sigma (or Minnaert's exponent), occlusion of ambient
 off the surface, an environment in spherical harmonics, colours of the light's parts, repair of saturated
 texels. Parts of the light that are not skipped are always in the model, as far as their priors allow."""
 
-MINIMAL_TEXELS, SATURATION_LINEAR = 64, 0.995
-"""Fewer usable texels are an error; texels at or above this value are clipped."""
+MINIMAL_TEXELS = 64
+"""Fewer usable texels are an error."""
+SATURATION_LINEAR = 0.995
+"""Texels at or above this value are clipped."""
 OBJECTIVES = ("residual", "albedo-deviation")
 
 

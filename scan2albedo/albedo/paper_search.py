@@ -18,10 +18,14 @@ from scan2albedo.optimization.annealing import simulated_annealing
 
 _DIRECTIONS = 80
 """Directions of the table of visibilities: annealing moves too far for shadow rays of its own."""
-_ANNEALING, _POLISH = 1500, 160
-"""Evaluations for each light of the annealing, and of each descent after it."""
-_LIGHT_GAIN, _LIGHT_SHARE = 0.04, 0.1
-"""Part of the cost that one more light has to remove, and its intensity beside the strongest one's."""
+_ANNEALING = 1500
+"""Evaluations of the annealing for each light."""
+_POLISH = 160
+"""Evaluations of each descent after it."""
+_LIGHT_GAIN = 0.04
+"""Part of the cost that one more light has to remove."""
+_LIGHT_SHARE = 0.1
+"""Intensity of one more light beside the strongest one's."""
 
 
 @njit(cache=True, nogil=True)

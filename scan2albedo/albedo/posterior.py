@@ -18,7 +18,7 @@ from scan2albedo.albedo.shadows import ShadowLattice
 from scan2albedo.albedo.soft_terms import DARKEST, SoftTerms
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.lighting.shading import log_rows, shade_with_derivatives
+from scan2albedo.lighting.shading import FreeLamps, LitPoints, log_rows, shade_with_derivatives
 from scan2albedo.optimization.least_squares import Damping, LeastSquaresPoint, NormalEquations, minimize
 
 FREEDOM = 4.0
@@ -145,13 +145,10 @@ class Point:
         p, light_x = problem, self.light_x
         level, found, cells = p.level, model.decode(light_x), len(p.value)
         visible, visible_slope = p.lattice.visibility(model, light_x, p.blur)
-        light, specular = np.empty((2, cells))
-        slopes = np.zeros((2, cells, model.size))
-        surface, skin = (level.position, level.normal, visible, visible_slope), found.reflectance
-        lamps = found.rows, model.tangents(light_x), model.radius_mm, level.toward
-        gloss = model.brdf == "minnaert", skin.roughness, skin.specular_strength, skin.exponent, level.scale
-        free = map(model.has, ("near", "rough", "specular"))
-        shade_with_derivatives(*surface, *lamps, *gloss, *free, light, specular, *slopes)
+        points = LitPoints(level.position, level.normal, visible, visible_slope, level.toward, level.scale)
+        lamps = FreeLamps(found.rows, model.tangents(light_x), model.radius_mm, model.has("near"))
+        free = {"rough": model.has("rough"), "glossy": model.has("specular")}
+        light, specular, slopes = shade_with_derivatives(points, lamps, found.reflectance, model.size, **free)
         self.lamps, self.highlights = slopes[..., 2 : 3 * model.lights : 3].transpose(0, 2, 1).copy()
         p.soft.add(model, light_x, light, slopes[0])
         self.light, self.specular = light, specular

@@ -18,14 +18,21 @@ from scan2albedo.errors import LightingError
 from scan2albedo.geometry.rasterization import bilinear
 from scan2albedo.io.npz import read_npz, write_npz
 
-NODES, MEANS = 16, 64
-"""Cells a side of the two grids over the chart's unit square: deviations of a person, and means. Values stand
-at the cells' centres, row 0 at v = 1. Finer nodes explain heads left out better (32: by 0.6 nats a cell), but
-their factorisations cost NODES^6."""
+NODES = 16
+"""Cells a side of the grid of a person's deviations over the chart's unit square. Values stand at the cells'
+centres, row 0 at v = 1. Finer nodes explain heads left out better (32: by 0.6 nats a cell), but their
+factorisations cost NODES^6."""
+MEANS = 64
+"""The same of the grid of means."""
 
-SPREADS, _LENGTH, _DEVIATIONS, _LEVEL = (0.25, 0.1, 0.1), 0.1, (0.03, 0.02, 0.02), (0.4, 0.3)
-"""Of a surface that may be anything, by channel: standard deviations of log colour over it, their correlation
-length in sides of the chart, those of single texels, and the mean albedo with its relative deviation."""
+SPREADS = (0.25, 0.1, 0.1)
+"""Of a surface that may be anything: standard deviations of log colour over it, by channel."""
+_LENGTH = 0.1
+"""Correlation length of these, in sides of the chart."""
+_DEVIATIONS = (0.03, 0.02, 0.02)
+"""Standard deviations of its single texels, by channel."""
+_LEVEL = (0.4, 0.3)
+"""Its mean albedo, and the relative deviation of that."""
 
 _SHAPES: dict[str, tuple[int | None, ...]] = {
     "mean": (MEANS, MEANS, 3),

@@ -26,8 +26,10 @@ LANDMARK_LEVELS = 3
 """Refinements at which landmarks and template vertices are evaluated (linear inside refined faces)."""
 MOUTH_REGION = "between_lips"
 """The film between the lips, which closes the model's surface. It is not skin: no scan pulls at it."""
-REST_REGION, FILLED_REGION = "face", "filled"
-"""Of models made from templates: what is in no region, and the faces over the template's own holes."""
+REST_REGION = "face"
+"""Of models made from templates: what is in no region."""
+FILLED_REGION = "filled"
+"""Of models made from templates: the faces over the template's own holes."""
 SKIN_SHARE = {
     **dict.fromkeys(("left_brow", "right_brow"), 0.8),
     **dict.fromkeys(("left_eye", "right_eye", "left_nostril", "right_nostril", "lower_lip"), 0.7),

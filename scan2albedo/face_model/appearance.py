@@ -30,25 +30,40 @@ SURE = 0.95
 """Share of skin where nothing is known of a place."""
 TEXEL_MM = 1.4
 """Pores and a picture's noise are averaged at this size, hairs are not."""
-TYPICAL_CHROMA, TYPICAL_SPREAD = np.array([0.5, -0.35]), np.array([0.35, 0.4])
-"""log R/G and log B/G (linear) of skin, pale to dark, under lamps, skies, in rooms; standard deviations."""
+TYPICAL_CHROMA = np.array([0.5, -0.35])
+"""log R/G and log B/G (linear) of skin, pale to dark, under lamps, skies, in rooms."""
+TYPICAL_SPREAD = np.array([0.35, 0.4])
+"""Standard deviations of these."""
 ANY_SPREAD = 0.7
 """Standard deviation of the chroma of things."""
 _SAME_MATERIAL = 0.12
 """Chroma [log] within which texels are one material under one light."""
 _LIGHT_SD = np.array([3.0] + [1.0] * 8), np.array([3.0] + [0.3] * 3 + [0.15] * 5)
 """Standard deviations of how skin's log brightness and chroma turn with the normal; first their own."""
-_FREEDOM, _POWER = 15.0, 0.6
-"""Degrees of freedom of the features' t distributions; power of their likelihood, for features of one texel
-are not independent of its neighbours'."""
-PATCH_MM, _HIDDEN = 30.0, 0.1
-"""Texels nearer than this speak together, not each for itself, of the whole face. Probability of a face that
-shows no features in its colours."""
-_FEWEST_TEXELS, _DARKEST, _GRAIN_MM, _FAINT = 64, 1e-3, 7.0, 0.004
-"""Parts of white below which there is no colour; side over which grain is averaged; contrast of even skin."""
-_CLOSE_MM, _FAR_MM, _RELIEF_MM, _SMOOTH_MM = 1.0, 3.0, 12.0, 0.05
-"""Residuals of a good fit, and of hair or glasses over it; side of the squares over which they are averaged
-to relief, and that of skin without noise."""
+_FREEDOM = 15.0
+"""Degrees of freedom of the features' t distributions."""
+_POWER = 0.6
+"""Power of their likelihood, for features of one texel are not independent of its neighbours'."""
+PATCH_MM = 30.0
+"""Texels nearer than this speak together, not each for itself, of the whole face."""
+_HIDDEN = 0.1
+"""Probability of a face that shows no features in its colours."""
+_FEWEST_TEXELS = 64
+"""Fewer texels with colour show no face."""
+_DARKEST = 1e-3
+"""Part of white below which there is no colour."""
+_GRAIN_MM = 7.0
+"""Side over which grain is averaged."""
+_FAINT = 0.004
+"""Contrast of even skin."""
+_CLOSE_MM = 1.0
+"""Residuals of a good fit."""
+_FAR_MM = 3.0
+"""Residuals of hair or glasses over it."""
+_RELIEF_MM = 12.0
+"""Side of the squares over which residuals are averaged to relief."""
+_SMOOTH_MM = 0.05
+"""Relief of skin without noise."""
 _HAIR_AND_CLOTH = np.array([[0, 0.8, -0.6], [0, -1, 0]]) / 30
 """By how much log odds of hair, and of cloth, grow in a mm along x, y and z of the model's frame: a guess."""
 

@@ -79,8 +79,10 @@ CAPTURE_BUMPS = (
 deviation in raw stereo, by eye."""
 
 _EXPRESSION_SD = 0.8
-_WAVES, _WAVE_MM = 5, 0.45
-"""Smooth waves over the face, for what no bump describes: how many along each axis, and how high."""
+_WAVES = 5
+"""Smooth waves over the face, for what no bump describes: how many along each axis."""
+_WAVE_MM = 0.45
+"""Their height."""
 STRETCHES = slice(0, 3)
 """Place of width, height and depth among the `shape_modes`."""
 

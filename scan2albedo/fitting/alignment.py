@@ -25,8 +25,10 @@ SIZE_SD = 0.012
 """Of the logarithm of the size about the registration's, which the rigid regions alone hardly show."""
 KNOTS = 5
 """Quadratic B-splines over the height of the face."""
-LEVEL_MM, STEP_MM = 13.0, 1.3
-"""Standard deviations of a coefficient, and of the difference between neighbouring ones."""
+LEVEL_MM = 13.0
+"""Standard deviation of a coefficient."""
+STEP_MM = 1.3
+"""Standard deviation of the difference between neighbouring coefficients."""
 
 
 def aligned(

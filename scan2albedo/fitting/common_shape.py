@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -60,27 +61,15 @@ def common_shape(fits: Iterable[FittedFace]) -> PersonShape:
     `fits` are walked through once; of each, control points and weights are kept: 70 kB with the default
     model. Raises ValueError without fits, or when their models have different triangles.
     """
-    points, shown, model, levels = list[FloatArray](), list[FloatArray](), None, 0
-    for fit in fits:
-        model, levels = model or fit.model, fit.levels
-        if not np.array_equal(fit.model.control_faces, model.control_faces):
-            raise ValueError(
-                f"fit {len(points)} is of {fit.model.name!r}, the first of {model.name!r}, whose triangles "
-                "are others; fit all scans with one model"
-            )
-        area, spread = vertex_areas(fit.vertices, fit.faces), model.subdivision(levels).matrix.T
-        points.append(fit.control_points)
-        around_mm2 = np.maximum(spread @ area, np.finfo(float).tiny)
-        shown.append(spread @ (area * ~np.isnan(fit.residual_mm)) / around_mm2)
-    if model is None:
-        raise ValueError("no fits were given; common_shape needs one or more")
+    takes = _Takes.of(fits)
+    model, points, shown = takes.model, takes.points, takes.shown
     rest, area = model.control_vertices, vertex_areas(model.control_vertices, model.control_faces)
     around = surface_diffusion(rest, model.control_faces, NEAR_MM)
     patches, loose = area / (4 * np.pi * NEAR_MM**2), UNSEEN_MM**2
     modes, similarities = identity_modes(model), similarity_modes(rest)
     basis = np.concatenate([modes, similarities]).reshape(-1, rest.size)
     ridge = np.diag([1.0] * len(modes) + [np.finfo(float).eps] * len(similarities))
-    variance = FIT_MM**2 + expression_variance(model) + (1 - np.array(shown)) * loose
+    variance = FIT_MM**2 + expression_variance(model) + (1 - shown) * loose
     precision, poses = 1 / variance, np.tile(np.eye(4), (len(points), 1, 1))
     neutral, likely, known = rest, rest, np.ones(len(rest))
     for step in range(50):
@@ -101,13 +90,12 @@ def common_shape(fits: Iterable[FittedFace]) -> PersonShape:
         if np.abs(neutral - before).max() < FIT_MM / 100:
             break
     size = np.exp(np.mean(np.log(np.linalg.det(poses[:, :3, :3])))) ** (1 / 3)
-    expression = np.empty((len(points), *rest.shape))
+    expression = np.array(
+        [transform_points(pose, own) - neutral for pose, own in zip(poses, points, strict=True)]
+    )
     distance, other = np.zeros((2, len(points)))
     normals = vertex_normals(neutral, model.control_faces)
-    for k, own in enumerate(points):
-        expression[k] = transform_points(poses[k], own) - neutral
-        if len(points) == 1:
-            break
+    for k in range(len(points) if len(points) > 1 else 0):
         # The offset from what the other scans say, and Cauchy densities of one person's and of two's.
         others = known - precision[k]
         offset = np.sum(expression[k] * normals, axis=1) * known / others
@@ -117,7 +105,7 @@ def common_shape(fits: Iterable[FittedFace]) -> PersonShape:
         two = same + PEOPLE_MM**2
         other[k] = patches @ (np.log(same / two) / 2 + np.log1p(square / same) - np.log1p(square / two))
     poses[:, :3] /= size
-    control, subdivision = neutral / size, model.subdivision(levels)
+    control, subdivision = neutral / size, model.subdivision(takes.levels)
     return PersonShape(
         model=model,
         control_points=control,
@@ -130,3 +118,32 @@ def common_shape(fits: Iterable[FittedFace]) -> PersonShape:
         distance_mm=distance,
         other_person=other,
     )
+
+
+@dataclass(frozen=True)
+class _Takes:
+    """What is kept of K fits: `points` (K, C, 3), and the part (K, C) around each that has scan near."""
+
+    model: AnnotatedSurface
+    levels: int
+    points: FloatArray
+    shown: FloatArray
+
+    @classmethod
+    def of(cls, fits: Iterable[FittedFace]) -> Self:
+        """Walk through the fits; ValueError without any, or for models of different triangles."""
+        points, shown, model, levels = list[FloatArray](), list[FloatArray](), None, 0
+        for fit in fits:
+            model, levels = model or fit.model, fit.levels
+            if not np.array_equal(fit.model.control_faces, model.control_faces):
+                raise ValueError(
+                    f"fit {len(points)} is of {fit.model.name!r}, the first of {model.name!r}, whose "
+                    "triangles are others; fit all scans with one model"
+                )
+            area, spread = vertex_areas(fit.vertices, fit.faces), model.subdivision(levels).matrix.T
+            points.append(fit.control_points)
+            around_mm2 = np.maximum(spread @ area, np.finfo(float).tiny)
+            shown.append(spread @ (area * ~np.isnan(fit.residual_mm)) / around_mm2)
+        if model is None:
+            raise ValueError("no fits were given; common_shape needs one or more")
+        return cls(model, levels, np.array(points), np.array(shown))

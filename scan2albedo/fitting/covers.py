@@ -23,16 +23,23 @@ from scan2albedo.geometry.alignment import Alignment, Pairs, align
 
 STEPS = 10
 """Iterations of the alignment with a person's face."""
-NOISE_MM, SIZE_SD = 2.6, 0.1
-"""Standard deviation of the scan about a person's face that the modes make, and of the size's logarithm."""
+NOISE_MM = 2.6
+"""Standard deviation of the scan about a person's face that the modes make."""
+SIZE_SD = 0.1
+"""Standard deviation of the logarithm of a face's size."""
 FARTHEST_MM = 45.0
 """Covers stand anywhere from the face to here; scan farther than this does not pull at the person's face."""
-EYE_MM, BELOW_EYES_MM = 8.0, 18.0
-"""A cover lies before an eye, this near to its middle; squares of this side err for themselves. Covers are
-looked for down to the lower rim of large lenses."""
-STEEP, JUMPS_AT_END, PER_JUMPS = 0.6, 0.27, 11.0
-"""A jump rises by STEEP of its length and more. Half of a cover's ends are jumps or the scan's border, of a
-face's a tenth: the share that speaks for neither, and the log odds of a share that is 1 higher."""
+EYE_MM = 8.0
+"""A cover lies before an eye, this near to its middle; squares of this side err for themselves."""
+BELOW_EYES_MM = 18.0
+"""Covers are looked for so far down: to the lower rim of large lenses."""
+STEEP = 0.6
+"""A jump rises by this part of its length and more."""
+JUMPS_AT_END = 0.27
+"""Share of a cover's ends that are jumps or the scan's border which speaks for neither. Half of a cover's
+ends are such, of a face's a tenth."""
+PER_JUMPS = 11.0
+"""Log odds of a cover for a share that is 1 higher."""
 RARE = 7.0
 """Log odds against covers, and against people's faces that stand so far before what the modes make."""
 

@@ -14,9 +14,12 @@ from scan2albedo.geometry.closest_points import nearest_around, walk_downhill
 
 MIN_NORMAL_COSINE = 0.6
 """Least cosine between the normals of model and scan where a force acts."""
-ROBUST_SCALE, MIN_ROBUST_MM, RIM_ROBUST_MM = 3.0, (3.0, 1.0), 0.25
-"""Residuals beyond that many robust standard deviations lose their weight; floors of these in the first and
-last stage, and at the rim."""
+ROBUST_SCALE = 3.0
+"""Residuals beyond that many robust standard deviations lose their weight."""
+MIN_ROBUST_MM = (3.0, 1.0)
+"""Least robust standard deviation, in the first and last stage."""
+RIM_ROBUST_MM = 0.25
+"""The same at the rim."""
 MUTUAL_SPACING = 0.1
 
 

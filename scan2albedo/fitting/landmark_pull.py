@@ -23,16 +23,25 @@ WRONG_MM = 15.0
 """A landmark this far from where the scan's shape and the other landmarks put it is left out."""
 STILL = (*range(17, 48),)
 """iBUG-68: brows, nose and eyes, which no expression moves far."""
-SHOWN_BY_HOLE, SHOWN_BY_COLOR = -1, -2
-"""Numbers of what nobody placed."""
-_FIRST_MM2, _BENT_MM2, _HELD_MM2 = 1200.0, 300.0, 30.0
-"""Surface that pulls along its normal as strongly as a landmark of 1 mm standard deviation does: while pose,
-size and proportions are found, when the model is bent to it, and while it is held there. More of the first
-and the last draws the face off the scan."""
-_ONTO_SCAN_MM, _SUREST_MM = 5.0, 0.1
-"""Scan this near is what a landmark is laid onto; no point is surer, for no scan is finer."""
-_PERSON_MM, _ALIKE_MM = 4.0, 20.0
-"""Standard deviation of where shape alone puts a landmark; neighbouring points are misplaced alike so far."""
+SHOWN_BY_HOLE = -1
+"""Number of a target that a hole of the scan shows."""
+SHOWN_BY_COLOR = -2
+"""Number of a landmark that the scan's colours show."""
+_FIRST_MM2 = 1200.0
+"""Surface that pulls along its normal as strongly as a landmark of 1 mm standard deviation does while pose,
+size and proportions are found. More draws the face off the scan."""
+_BENT_MM2 = 300.0
+"""The same when the model is bent to its landmarks."""
+_HELD_MM2 = 30.0
+"""The same while landmarks are held there. More draws the face off the scan."""
+_ONTO_SCAN_MM = 5.0
+"""A landmark is laid onto scan this near."""
+_SUREST_MM = 0.1
+"""Least standard deviation of a placed point: no scan is finer."""
+_PERSON_MM = 4.0
+"""Standard deviation of where shape alone puts a landmark."""
+_ALIKE_MM = 20.0
+"""Distance over which neighbouring points are misplaced alike."""
 
 
 @dataclass(frozen=True)
@@ -182,16 +191,86 @@ class LandmarkPull:
 EYES = (tuple(range(36, 42)), tuple(range(42, 48)))
 """iBUG-68, the subject's right eye first."""
 INNER_LIPS = tuple(range(60, 68))
-_REACH_MM, _ASIDE_MM, _LEVEL_MM = 25.0, 4.0, 5.0
-"""A registered face has its eyes, and the middle of its lips, this near to the model's; the middle between
-both eyes, or between a mouth's ends, is this near to its midline, and they stand this level."""
-_EYE_MM, _MOUTH_MM = ((16.0, 36.0), (4.0, 25.0)), ((20.0, 75.0), (4.0, 50.0))
-"""Width and height of holes that may be an opening, with what a scanner loses around it."""
-_APART_MM, _ALIKE = (50.0, 78.0), (1.3, 1.8)
-"""Between the middles of people's eyes. One eye's hole is at most so much wider and higher than the other's:
-else more is missing than an eye."""
-_MIDDLE_MM, _END_MM = 1.5, 3.0
-"""Standard deviations of the middle of a hole and its ends from those of the opening."""
+_REACH_MM = 25.0
+"""Eyes and the middle of the lips of a registered face are this near to the model's."""
+_ASIDE_MM = 4.0
+"""The middle between both eyes, or between a mouth's ends, is this near to the model's midline."""
+_LEVEL_MM = 5.0
+"""Both eyes, and both ends of a mouth, differ in height by at most this."""
+_EYE_MM = ((16.0, 36.0), (4.0, 25.0))
+"""Ranges of width and height of holes that may be an eye, with what a scanner loses around it."""
+_MOUTH_MM = ((20.0, 75.0), (4.0, 50.0))
+"""The same of an open mouth."""
+_APART_MM = (50.0, 78.0)
+"""Range of the distance between the middles of people's eyes."""
+_ALIKE = (1.3, 1.8)
+"""One eye's hole is at most so much wider and higher than the other's: else more is missing than an eye."""
+_MIDDLE_MM = 1.5
+"""Standard deviation of the middle of a hole from that of the opening."""
+_END_MM = 3.0
+"""Standard deviation of an end of a hole from that of the opening."""
+
+
+@dataclass(frozen=True)
+class _Holes:
+    """Holes of a scan: `middle` (H, 3), `ends` (H, 2, 3), right before left, `size` (H, 2): width and height.
+
+    mm, in the model's frame.
+    """
+
+    middle: FloatArray
+    ends: FloatArray
+    size: FloatArray
+
+    @classmethod
+    def of(cls, scan: ScanSurface) -> _Holes:
+        """Find the holes: edges of the border that hang together.
+
+        Where a border touches itself, loops would cut a mouth in two.
+        """
+        edges, faces_around = edges_with_faces(scan.faces)
+        # Those with an odd number of faces close, even where lips grew together in an edge of three.
+        edges = edges[faces_around % 2 == 1]
+        links = sparse.coo_matrix((np.ones(len(edges)), edges.T), (len(scan.vertices),) * 2)
+        label = connected_components(links, directed=False)[1][edges[:, 0]]
+        middles, ends, sizes = [], [], []
+        for one in np.unique(label):
+            border = scan.vertices[edges[label == one]]
+            lengths = np.linalg.norm(border[:, 1] - border[:, 0], axis=1)
+            points = border.reshape(-1, 3)
+            middles.append(lengths @ border.mean(1) / max(float(lengths.sum()), 1e-12))
+            ends.append(points[[np.argmin(points[:, 0]), np.argmax(points[:, 0])]])
+            sizes.append(np.ptp(points, axis=0)[:2])
+        return cls(np.reshape(middles, (-1, 3)), np.reshape(ends, (-1, 2, 3)), np.reshape(sizes, (-1, 2)))
+
+    def near(self, place: FloatArray, ranges: tuple[tuple[float, float], tuple[float, float]]) -> list[int]:
+        """Return the holes near a place whose width and height lie in their ranges."""
+        low, high = np.array(ranges).T
+        close = np.linalg.norm(self.middle - place, axis=1) < _REACH_MM
+        return np.flatnonzero(close & ((low < self.size) & (self.size < high)).all(1)).tolist()
+
+    def eyes(self, landmarks: FloatArray) -> tuple[int, int] | None:
+        """Return the right and left eye: level, as far apart as people's, and nearest to the model's."""
+        right_eye, left_eye = (landmarks[list(eye)].mean(0) for eye in EYES)
+        pairs = []
+        for right, left in product(self.near(right_eye, _EYE_MM), self.near(left_eye, _EYE_MM)):
+            apart, up, _ = self.middle[left] - self.middle[right]
+            aside = (self.middle[right] + self.middle[left])[0] / 2 - (right_eye + left_eye)[0] / 2
+            one, other = self.size[[right, left]]
+            alike = np.maximum(one, other) < _ALIKE * np.minimum(one, other)
+            level = np.hypot(up / _LEVEL_MM, aside / _ASIDE_MM) < 1
+            if _APART_MM[0] < apart < _APART_MM[1] and level and alike.all():
+                off = np.linalg.norm([self.middle[right] - right_eye, self.middle[left] - left_eye], axis=1)
+                pairs.append((float(off.sum()), right, left))
+        return min(pairs, key=lambda pair: pair[0])[1:] if pairs else None
+
+    def mouth(self, landmarks: FloatArray) -> int | None:
+        """Return the open mouth: level, on the midline near the model's, the widest of such."""
+        lips = landmarks[list(INNER_LIPS)].mean(0)
+        aside = np.abs(self.ends[:, :, 0].mean(1) - lips[0])
+        tilt = np.abs(np.ptp(self.ends[:, :, 1], axis=1))
+        found = [k for k in self.near(lips, _MOUTH_MM) if aside[k] < _ASIDE_MM and tilt[k] < _LEVEL_MM]
+        return max(found, key=lambda hole: self.size[hole, 0], default=None)
 
 
 def openings(scan: ScanSurface, model: AnnotatedSurface) -> LandmarkPull | None:
@@ -199,68 +278,35 @@ def openings(scan: ScanSurface, model: AnnotatedSurface) -> LandmarkPull | None:
 
     The scan lies in the model's frame, registered. Two holes of the size of eyes, level and as far apart as
     people's, near the model's, are eyes; one of the size of a mouth, on the midline near the model's, is one.
+    Each pulls the mean of the landmarks around it, and two of them to its ends.
     """
     landmarks = model.landmarks
     if landmarks is None or model.landmark_points is None or not scan.boundary.any():
         return None
-    # Edges that hang together: where a border touches itself, loops would cut a mouth in two. Those with an
-    # odd number of faces close, even where lips grew together in an edge of three.
-    edges, faces_around = edges_with_faces(scan.faces)
-    edges = edges[faces_around % 2 == 1]
-    links = sparse.coo_matrix((np.ones(len(edges)), edges.T), (len(scan.vertices),) * 2)
-    label = connected_components(links, directed=False)[1][edges[:, 0]]
-    # Of each hole its middle, its ends, the subject's right and left, and its width and height.
-    middles, ends, sizes = [], [], []
-    for one in np.unique(label):
-        border = scan.vertices[edges[label == one]]
-        lengths, points = np.linalg.norm(border[:, 1] - border[:, 0], axis=1), border.reshape(-1, 3)
-        middles.append(lengths @ border.mean(1) / max(float(lengths.sum()), 1e-12))
-        ends.append(points[[np.argmin(points[:, 0]), np.argmax(points[:, 0])]])
-        sizes.append(np.ptp(points, axis=0)[:2])
-    middle, end, size = np.reshape(middles, (-1, 3)), np.reshape(ends, (-1, 2, 3)), np.reshape(sizes, (-1, 2))
-
-    def holes(ranges: tuple[tuple[float, float], tuple[float, float]], place: FloatArray) -> list[int]:
-        """Return those whose width and height lie in their ranges, and the middle near a place."""
-        low, high = np.array(ranges).T
-        near = np.linalg.norm(middle - place, axis=1) < _REACH_MM
-        return np.flatnonzero(near & ((low < size) & (size < high)).all(1)).tolist()
-
-    right_eye, left_eye = (landmarks[list(eye)].mean(0) for eye in EYES)
-    pairs = []
-    for right, left in product(holes(_EYE_MM, right_eye), holes(_EYE_MM, left_eye)):
-        apart, up, _ = middle[left] - middle[right]
-        aside = (middle[right] + middle[left])[0] / 2 - (right_eye + left_eye)[0] / 2
-        alike = np.maximum(size[right], size[left]) < _ALIKE * np.minimum(size[right], size[left])
-        level = np.hypot(up / _LEVEL_MM, aside / _ASIDE_MM) < 1
-        if _APART_MM[0] < apart < _APART_MM[1] and level and alike.all():
-            off = np.linalg.norm([middle[right] - right_eye, middle[left] - left_eye], axis=1).sum()
-            pairs.append((float(off), right, left))
-    lips = landmarks[list(INNER_LIPS)].mean(0)
-    aside, tilt = np.abs(end[:, :, 0].mean(1) - lips[0]), np.abs(np.ptp(end[:, :, 1], axis=1))
-    mouths = [k for k in holes(_MOUTH_MM, lips) if aside[k] < _ASIDE_MM and tilt[k] < _LEVEL_MM]
-    # Of each opening the landmarks around it, the numbers of its two ends, and its hole.
-    found = []
-    if pairs:
-        both = min(pairs, key=lambda pair: pair[0])[1:]
-        found += [(eye, (eye[0], eye[3]), hole) for eye, hole in zip(EYES, both, strict=True)]
-    if mouths:
-        found.append(
-            (INNER_LIPS, (INNER_LIPS[0], INNER_LIPS[4]), max(mouths, key=lambda hole: size[hole, 0]))
-        )
-    if not found:
+    holes = _Holes.of(scan)
+    around, hole = list[tuple[int, ...]](), list[int]()
+    if eyes := holes.eyes(landmarks):
+        around += EYES
+        hole += eyes
+    if (mouth := holes.mouth(landmarks)) is not None:
+        around.append(INNER_LIPS)
+        hole.append(mouth)
+    if not around:
         return None
-    weights = np.zeros((3 * len(found), 68))
-    for row, (around, (first, last), _) in enumerate(found):
-        weights[3 * row, list(around)] = 1 / len(around)
-        weights[3 * row + 1, first] = weights[3 * row + 2, last] = 1.0
+    weights = np.zeros((3 * len(around), 68))
+    for row, numbers in enumerate(around):
+        weights[3 * row, list(numbers)] = 1 / len(numbers)
+        weights[3 * row + 1, numbers[0]] = 1.0
+        # The other end lies opposite: the fourth of an eye's six, the fifth of the inner lips' eight.
+        weights[3 * row + 2, numbers[len(numbers) // 2]] = 1.0
     every = model.subdivision(LANDMARK_LEVELS).points_matrix(model.landmark_points)
     return LandmarkPull(
         numbers=np.full(len(weights), SHOWN_BY_HOLE),
         matrix=(sparse.csr_matrix(weights) @ every).tocsr(),
-        targets=np.vstack([[middle[hole], *end[hole]] for _, _, hole in found]),
-        sigma_mm=np.tile([_MIDDLE_MM, _END_MM, _END_MM], len(found)),
+        targets=np.concatenate([holes.middle[hole][:, None], holes.ends[hole]], axis=1).reshape(-1, 3),
+        sigma_mm=np.tile([_MIDDLE_MM, _END_MM, _END_MM], len(around)),
         wrong_mm=np.full(len(weights), 2 * _REACH_MM),
         # The border of a hole may lie deep between lids or lips.
         axes=np.ones((len(weights), 3)) * (1.0, 1.0, 0.0),
-        still=np.repeat([around != INNER_LIPS for around, _, _ in found], 3),
+        still=np.repeat([numbers != INNER_LIPS for numbers in around], 3),
     )

@@ -10,12 +10,12 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist
 
 from scan2albedo.core import Budget, Meter, PlanStep, ProgressCallback, RawScan, Trace
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import FitError
 from scan2albedo.fitting.alignment import SIZE_SD
 from scan2albedo.fitting.options import GATE_MM, FitOptions
 from scan2albedo.fitting.result import NEAR_MM, RESIDUAL_GATE_MM, FittedFace
-from scan2albedo.fitting.scan_surface import scan_near_model
+from scan2albedo.fitting.scan_surface import ScanSurface, scan_near_model
 from scan2albedo.geometry.loop_subdivision import SurfacePoints
 from scan2albedo.geometry.mesh import normalized, vertex_areas, vertex_normals
 from scan2albedo.geometry.rigid import Similarity, procrustes, rotation_from_vector
@@ -27,8 +27,10 @@ from scan2albedo.optimization.least_squares import NormalEquations, minimize
 FREEDOM = 4.0
 """Degrees of freedom of Student's t (Lange, Little, Taylor, "Robust statistical modeling using the t
 distribution", 1989): hair, a lid that is shut and a beard are rare and far."""
-JOINT_SD_RAD, FREE_JOINTS = 0.2, ("neck", "jaw")
-"""Standard deviation of a joint's rotation about each axis (jaws open by some 20 degrees), and what turns."""
+JOINT_SD_RAD = 0.2
+"""Standard deviation of a joint's rotation about each axis: jaws open by some 20 degrees."""
+FREE_JOINTS = ("neck", "jaw")
+"""Joints that turn."""
 SMALL = 1 / 20
 """Part of the scale of the errors, and of a coefficient's posterior deviation, that is little."""
 
@@ -175,6 +177,10 @@ class _State:
     def points(self) -> FloatArray:
         return self.pose.apply(self._posed[0])
 
+    def of(self, model: LinearFaceModel) -> FloatArray:
+        """Return all vertices (V, 3) of the whole model in this state."""
+        return self.pose.apply(model.at(self.coefficients, self.rotations))
+
     @cached_property
     def _prior(self) -> tuple[FloatArray, FloatArray]:
         """Precision and value of each parameter but the motion."""
@@ -274,75 +280,152 @@ def fit_linear_model(
         See `fit`; the best answer so far is returned with ``converged=False``.
     """
     meter = Meter("linear_model", "mm", Budget.of(budget), on_progress)
-    used, unit, faces = np.flatnonzero(places.face >= 0), model.mm_per_unit, model.faces
-    index = used[np.unique(np.linspace(0, len(used) - 1, 6000).astype(int))]  # more say the same
-    corners, shares = fitted.faces[places.face[index]], places.barycentric[index]
-    known, target = shares.any(1), np.einsum("nk,nkj->nj", shares, fitted.vertices[corners])
-    area = vertex_areas(unit * model.mean, faces)[index]
-    counts = np.where(known, np.einsum("nk,nk->n", shares, weight[corners]), 1.0) * area / area.mean()
-    if not (placed := np.flatnonzero(known & (counts > 0))).size:
-        raise FitError(f"{scan.name}: no vertex of {model.name} has a place on the skin of the fitted face")
-    start = procrustes(unit * model.mean[index][placed], target[placed], weights=counts[placed])
-    pose = Similarity(start[:3, :3], start[:3, 3], unit)
-    free = np.array([model.joints.index(name) for name in FREE_JOINTS if name in model.joints], np.int64)
-    rest = np.zeros(model.basis.shape[2]), np.zeros((len(model.joints), 3))
-    state, some = _State(model.of_vertices(index), free, meter, pose, *rest), placed[::4]
-    axes = np.broadcast_to(np.eye(3), (len(some), 3, 3))
-    # Places err together over NEAR_MM: `common_shape` counts as many patches.
-    patches = counts[placed].sum() * area.mean() * len(used) / len(index) / (4 * np.pi * NEAR_MM**2)
-    share = float(patches / counts[some].sum())
-    # Along each axis the fitted face misplaces a vertex by 1.6 to 2.1 mm, of raw scans of ICT's faces.
-    along = _Term(some, target[some], axes, counts[some], 2.0, share)
-    state = minimize(replace(state, terms=(along,)), steps=20, tolerance=SMALL**2, meter=meter).best
-
-    def posed() -> FloatArray:
-        return state.pose.apply(model.at(state.coefficients, state.rotations))
-
-    whole = posed()
-    bare = scan if fitted.covered_faces is None else scan.without_faces(fitted.covered_faces)
-    box = whole[index].min(0) - GATE_MM[0], whole[index].max(0) + GATE_MM[0]
-    placed_scan = bare.vertices, bare.faces, fitted.model_from_scan
-    near = scan_near_model(*placed_scan, *box, FitOptions.smoothing_mm)
-    assert near is not None  # the face was fitted to it
-    surface = near.turned_outward(whole[index], vertex_normals(whole, faces)[index], GATE_MM[0])
+    task = _Task.of(scan, fitted, model, places, weight)
+    state, along = task.placed(meter)
+    surface = task.scan_around(scan, fitted, state)
     converged, falls, across = False, True, replace(along, scale=np.inf, share=1.0)
     for _ in range(60):
-        outward = vertex_normals(posed(), faces)[index]
-        hits = surface.nearest.query(state.points)
-        normal = normalized(surface.normals_at(hits))
-        there = ~surface.on_boundary(hits) & (np.einsum("ij,ij->i", normal, outward) > 0) & (counts > 0)
-        if not (there & known).any():
+        last, nearest = across, task.closest(surface, state)
+        if nearest is None:
             break
-        seen, last = np.flatnonzero(there), across
-        across, certain = _Term(seen, hits.points[seen], normal[seen, None], counts[seen]), counts * known
-        across = across.settled(state.points, certain[seen])
+        certain = task.counts[nearest.index] * task.known[nearest.index]
+        across = nearest.settled(state.points, certain)
         # What a poor fit leaves is correlated, too, and would excuse it: independent while errors fall.
         falls = falls and across.scale < (1 - SMALL) * last.scale
         across = replace(across, share=1.0 if falls else float(np.sqrt(across.share * last.share)))
         off = np.sqrt(across.residuals(state.points)[1])
-        meter.record(float(np.average(off, weights=certain[seen])))
+        meter.record(float(np.average(off, weights=certain)))
         if meter.exhausted:
             break
         before = replace(state, terms=(across, along))
         state = minimize(before, steps=3, trials=6, meter=meter).best
-        change = (state.coefficients - before.coefficients) / state.deviation[-len(rest[0]) :]
+        change = (state.coefficients - before.coefficients) / state.deviation[-len(state.coefficients) :]
         if converged := bool(not falls and np.mean(change**2) < SMALL**2):
             break
-    vertices = posed()
-    normals, hits = vertex_normals(vertices, faces), surface.nearest.query(vertices)
+    vertices = state.of(model)
+    normals = vertex_normals(vertices, model.faces)
+    hits = surface.nearest.query(vertices)
     shown = ~surface.on_boundary(hits) & (hits.distance < RESIDUAL_GATE_MM)
     shown &= np.einsum("ij,ij->i", surface.normals_at(hits), normals) > 0
     residual = np.where(shown, hits.distance, np.nan)
     observations = across.share * float(across.weight.sum())
     evidence = f"{np.nanmean(residual):.3f} mm mean, {observations:.0f} independent observations"
-    reason = f"{len(rest[0])} coefficients of {model.name} are fitted"
+    reason = f"{len(state.coefficients)} coefficients of {model.name} are fitted"
     steps = [PlanStep("linear_model", True, reason, evidence)]
     if not converged:
         steps.append(PlanStep.doubt("linear_model", "the linear model's fit had not converged when it ended"))
     return LinearModelFit(
-        model=model, pose=state.pose, coefficients=state.coefficients, rotations=state.rotations,
-        deviation=state.deviation, vertices=vertices, residual_mm=residual,
+        model=model,
+        pose=state.pose,
+        coefficients=state.coefficients,
+        rotations=state.rotations,
+        deviation=state.deviation,
+        vertices=vertices,
+        residual_mm=residual,
         displacement_mm=np.where(shown, np.einsum("ij,ij->i", hits.points - vertices, normals), np.nan),
-        noise_mm=across.scale, observations=observations, converged=converged, trace=meter.trace,
+        noise_mm=across.scale,
+        observations=observations,
+        converged=converged,
+        trace=meter.trace,
         plan=tuple(steps),
-    )  # fmt: skip
+    )
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What is known of the N vertices of a linear model that are fitted: at most 6000, more say the same.
+
+    `index` (N,) are their numbers, `counts` (N,) what each counts: its area, relative to the mean, times how
+    surely it is skin. Those `known` (N,) have a place on the fitted face, at `target` (N, 3). `mean_mm2` is
+    the mean area, `used` how many vertices lie on the face at all.
+    """
+
+    model: LinearFaceModel
+    index: IntArray
+    counts: FloatArray
+    known: BoolArray
+    target: FloatArray
+    mean_mm2: float
+    used: int
+
+    @classmethod
+    def of(
+        cls,
+        scan: RawScan,
+        fitted: FittedFace,
+        model: LinearFaceModel,
+        places: SurfacePoints,
+        weight: FloatArray,
+    ) -> _Task:
+        used = np.flatnonzero(places.face >= 0)
+        index = used[np.unique(np.linspace(0, len(used) - 1, 6000).astype(int))]
+        corners, shares = fitted.faces[places.face[index]], places.barycentric[index]
+        known = shares.any(1)
+        area = vertex_areas(model.mm_per_unit * model.mean, model.faces)[index]
+        skin = np.where(known, np.einsum("nk,nk->n", shares, weight[corners]), 1.0)
+        counts = skin * area / area.mean()
+        if not (known & (counts > 0)).any():
+            raise FitError(
+                f"{scan.name}: no vertex of {model.name} has a place on the skin of the fitted face"
+            )
+        target = np.einsum("nk,nkj->nj", shares, fitted.vertices[corners])
+        return cls(model, index, counts, known, target, area.mean(), len(used))
+
+    def placed(self, meter: Meter) -> tuple[_State, _Term]:
+        """Return the state that the places on the fitted face alone give, and their term."""
+        model, unit = self.model, self.model.mm_per_unit
+        placed = np.flatnonzero(self.known & (self.counts > 0))
+        counts = self.counts[placed]
+        start = procrustes(unit * model.mean[self.index][placed], self.target[placed], weights=counts)
+        free = np.array([model.joints.index(name) for name in FREE_JOINTS if name in model.joints], np.int64)
+        some = placed[::4]
+        # Places err together over NEAR_MM: `common_shape` counts as many patches.
+        patches = counts.sum() * self.mean_mm2 * self.used / len(self.index) / (4 * np.pi * NEAR_MM**2)
+        along = _Term(
+            some,
+            self.target[some],
+            np.broadcast_to(np.eye(3), (len(some), 3, 3)),
+            self.counts[some],
+            # Along each axis the fitted face misplaces vertices by 1.6 to 2.1 mm, on raw ICT scans.
+            scale=2.0,
+            share=float(patches / self.counts[some].sum()),
+        )
+        state = _State(
+            model.of_vertices(self.index),
+            free,
+            meter,
+            Similarity(start[:3, :3], start[:3, 3], unit),
+            np.zeros(model.basis.shape[2]),
+            np.zeros((len(model.joints), 3)),
+            (along,),
+        )
+        return minimize(state, steps=20, tolerance=SMALL**2, meter=meter).best, along
+
+    def scan_around(self, scan: RawScan, fitted: FittedFace, state: _State) -> ScanSurface:
+        """Return the scan within `GATE_MM` of the model, without covers, facing outward."""
+        whole = state.of(self.model)
+        points = whole[self.index]
+        bare = scan if fitted.covered_faces is None else scan.without_faces(fitted.covered_faces)
+        near = scan_near_model(
+            bare.vertices,
+            bare.faces,
+            fitted.model_from_scan,
+            points.min(0) - GATE_MM[0],
+            points.max(0) + GATE_MM[0],
+            FitOptions.smoothing_mm,
+        )
+        assert near is not None  # the face was fitted to it
+        normals = vertex_normals(whole, self.model.faces)[self.index]
+        return near.turned_outward(points, normals, GATE_MM[0])
+
+    def closest(self, surface: ScanSurface, state: _State) -> _Term | None:
+        """Return the term of the scan's closest points; None where no vertex with a place has one."""
+        outward = vertex_normals(state.of(self.model), self.model.faces)[self.index]
+        hits = surface.nearest.query(state.points)
+        normal = normalized(surface.normals_at(hits))
+        facing = np.einsum("ij,ij->i", normal, outward) > 0
+        there = ~surface.on_boundary(hits) & facing & (self.counts > 0)
+        if not (there & self.known).any():
+            return None
+        seen = np.flatnonzero(there)
+        return _Term(seen, hits.points[seen], normal[seen, None], self.counts[seen])

@@ -32,25 +32,35 @@ STILL = (*range(17, 48), *range(49, 54), 61, 62, 63, 0, 16)
 MOVING = (7, 8, 9, *range(55, 60), 65, 66, 67)
 """Chin and lower lip."""
 CHIN = 8
-HINGE_DEPTH, NECK_BELOW_CHIN_MM = 0.18, 35.0
-"""The jaw's joint is that part of the face's width behind the ends of the jaw line; where the neck begins."""
-FILM_WEIGHT, LIMIT_FREEDOM = 1e-3, 0.05
-"""Weights of the faces between the lips, which hardly tie them together, and of keeping the control points in
-place against turning the surface exactly."""
+HINGE_DEPTH = 0.18
+"""The jaw's joint is that part of the face's width behind the ends of the jaw line."""
+NECK_BELOW_CHIN_MM = 35.0
+"""Where the neck begins."""
+FILM_WEIGHT = 1e-3
+"""Weight of the faces between the lips, which hardly tie them together."""
+LIMIT_FREEDOM = 0.05
+"""Weight of keeping the control points in place against turning the surface exactly."""
 ANGLES_DEG = (4.0, 8.0, 12.0, 16.0, 20.0, 24.0, 28.0)
 """The jaw is turned by two steps while it comes nearer to the scan, then by one."""
-REACH_MM, FAR_MM = 8.0, 2.0
-"""Distances are cut off at REACH_MM. A jaw that lies FAR_MM from the scan is turned twice as far, too, where
-that is no nearer: most open ones, and one in twenty of those that are shut."""
-MIN_GAIN, GAP = 0.12, 0.35
-"""Least part of the distance that an opening saves, and of the film behind which nothing is near. Open jaws
-save 0.18 and more, with 0.5 and more of the film free; puffed cheeks and rounded lips up to 0.5, 0.2 free."""
+REACH_MM = 8.0
+"""Distances are cut off here."""
+FAR_MM = 2.0
+"""A jaw that lies so far from the scan is turned twice as far, too, where that is no nearer: most open ones,
+and one in twenty of those that are shut."""
+MIN_GAIN = 0.12
+"""Least part of the distance that an opening saves: open jaws save 0.18 and more, puffed cheeks and rounded
+lips up to 0.5."""
+GAP = 0.35
+"""Least part of the film behind which nothing is near: 0.5 and more of open jaws, 0.2 of puffed cheeks and
+rounded lips."""
 BEHIND_MM = 6.0
 """Scan nearer than this, with normals within 60 degrees of the film's, is skin."""
-WITH_JAW, JAW_WEIGHT, SURE_MM = 0.7, 0.6, 2.0
-"""Landmarks that follow the jaw by WITH_JAW and more show how far it is open; the mouth's corners do not, nor
-do those of a larger standard deviation, as a network's are. Samples that follow it by JAW_WEIGHT and more
-measure its distance to the scan."""
+WITH_JAW = 0.7
+"""Landmarks that follow the jaw by this and more show how far it is open; the mouth's corners do not."""
+JAW_WEIGHT = 0.6
+"""Samples that follow the jaw by this and more measure its distance to the scan."""
+SURE_MM = 2.0
+"""Landmarks of a larger standard deviation, as a network's are, do not show how far it is open."""
 
 CORNERS = (48, 54)
 """iBUG-68 indices of the corners of the mouth, the subject's right side first."""
@@ -58,13 +68,17 @@ FIRST_MM = (0.0, -7.0, 10.0)
 FURTHER_MM = {-14.0: -7.0, 15.0: 10.0}
 """Pulls in mm, above 0 back and below 0 together: those tried on every scan, and those tried when the pull
 that they are mapped to has gained."""
-WORTH, BACK_GAIN, NARROWER_GAIN = 0.2, 0.34, 0.03
-"""Shares of the distance: what 10 mm must save for 15 mm to be tried, and what a pull's coarse fit saves.
-Drawn back: shut mouths up to 0.32, smiles from 0.35 on. Drawn together: most puffed cheeks and puckered lips
-0.03 to 0.24, other mouths none."""
-ZONE_MM, MIN_COSINE = 45.0, 0.2
-"""Scan this near to the middle of the mouth is compared: the mouth, and the cheek that a smile folds. Used is
-what has normals within 78 degrees of the model's; distances are cut off at REACH_MM."""
+WORTH = 0.2
+"""Share of the distance that 10 mm must save for 15 mm to be tried."""
+BACK_GAIN = 0.34
+"""Share of the distance that the coarse fit of a pull back must save: shut mouths up to 0.32, smiles from
+0.35 on."""
+NARROWER_GAIN = 0.03
+"""The same of a pull together: most puffed cheeks and puckered lips 0.03 to 0.24, other mouths none."""
+ZONE_MM = 45.0
+"""Scan this near to the middle of the mouth is compared: the mouth, and the cheek that a smile folds."""
+MIN_COSINE = 0.2
+"""Used is what has normals within 78 degrees of the model's."""
 
 
 def mouth_opened(deformation: Deformation, landmarks: LandmarkPull | None = None) -> Deformation:

@@ -29,23 +29,35 @@ from scan2albedo.face_model.appearance import light_basis
 from scan2albedo.fitting.landmark_pull import SHOWN_BY_COLOR, STILL, LandmarkPull
 from scan2albedo.geometry.rasterization import FrontPicture, front_picture, polyline_distance
 
-_STEP_MM, _SPACING_MM, _MARGIN_MM = 0.8, 1.5, 25.0
-"""Of the picture's squares, of a template's points, and of the picture around the inner landmarks: a feature
-may lie so far off."""
+_STEP_MM = 0.8
+"""Side of the picture's squares."""
+_SPACING_MM = 1.5
+"""Distance of a template's points."""
+_MARGIN_MM = 25.0
+"""Picture around the inner landmarks: a feature may lie so far off."""
 _BLACK = 0.03
 """Added to colours, relative to the usual brightness, before the logarithm: in the dark is noise."""
 _BRIGHTNESS = np.array([0.25, 0.6, 0.15])
 _FLOOR = np.array([0.06, 0.025])
 """Deviations of log darkness and log redness that are none of a feature."""
-_BROW_MM, _BROW_BELOW_MM = 3.8, 1.2
-"""Half width of a brow, and how far its middle lies below its landmarks."""
-_LINE_MM, _OPEN_MM, _HALF_WIDTH_MM = 1.0, 3.0, 25.0
-"""Half width of the line between shut lips, and of lashes; how far lips are apart that have no line; half
-width of a mouth or a brow."""
-_SAMPLES, _POWERS = 512, (0.2, 0.5, 1.0, 1.0, 1.0)
-"""Draws of a round, and the powers of the likelihood (tempering): a low one first, to find what is far."""
-_UNSEEN, _CHANCE = 3.0, 0.25
-"""Log odds that colours do not show a feature; what they seem to tell then, as a part of the prior."""
+_BROW_MM = 3.8
+"""Half width of a brow."""
+_BROW_BELOW_MM = 1.2
+"""How far a brow's middle lies below its landmarks."""
+_LINE_MM = 1.0
+"""Half width of the line between shut lips, and of lashes."""
+_OPEN_MM = 3.0
+"""Distance of lips between which there is no line."""
+_HALF_WIDTH_MM = 25.0
+"""Half width of a mouth or a brow."""
+_SAMPLES = 512
+"""Draws of a round."""
+_POWERS = (0.2, 0.5, 1.0, 1.0, 1.0)
+"""Powers of the likelihood in each round (tempering): a low one first, to find what is far."""
+_UNSEEN = 3.0
+"""Log odds that colours do not show a feature."""
+_CHANCE = 0.25
+"""What they seem to tell then, as a part of the prior."""
 _EXACT_MM = {"brow": 1.5, "eye": 1.0, "lips": 0.6}
 """Standard deviation of a landmark of a feature whose motion is known."""
 _DEVIATIONS = {
@@ -63,8 +75,10 @@ _MOTIONS = len(_MIRROR)
 
 _SMOOTH_MM = 2.0
 """Depth is smoothed by it before it is derived: scanners' noise tilts normals."""
-_DARKEST, _EVEN = 0.15, 0.02
-"""Least light, relative to the usual one, and a deviation that nothing has to explain."""
+_DARKEST = 0.15
+"""Least light, relative to the usual one."""
+_EVEN = 0.02
+"""A deviation that nothing has to explain."""
 
 
 @dataclass(frozen=True)

@@ -28,13 +28,16 @@ LEAST_OF_A_PART = 0.25
 """Covered part of its area below which a part has no scan. With a hole of 18 mm radius or more it is below
 0.01, without one above 0.5 but where the scan ends there."""
 
-UNLIKE_MM, CLEAN_MM = 1.3, 0.15
-"""Differences of the halves, and steps at the midline, beyond those of real faces: they reach 0.9 of it.
-Where the fit is farther from the scan than `CLEAN_MM` in the mean, noise and hair add to them."""
+UNLIKE_MM = 1.3
+"""Differences of the halves, and steps at the midline, beyond those of real faces: they reach 0.9 of it."""
+CLEAN_MM = 0.15
+"""Where the fit is farther from the scan than this in the mean, noise and hair add to these."""
 HALF_WIDTH_MM = 66.0
 """Of the middle of the face."""
-LEAST_OF_A_PATCH, LEAST_OF_A_REGION = 0.4, 0.6
-"""Part of the area that must be seen on both sides."""
+LEAST_OF_A_PATCH = 0.4
+"""Part of a patch's area that must be seen on both sides."""
+LEAST_OF_A_REGION = 0.6
+"""Part of the area of a region that such patches must show."""
 SYMMETRIC_MM = 0.02
 """Median distance of a scan to its mirror image, below which one half is a copy of the other: of eleven
 scanned people it is 0.18 and more, of modelled heads, whose makers mirrored much of them, 0.05 and more."""

@@ -16,9 +16,10 @@ from scan2albedo.geometry.mesh import boundary_vertex_mask, normalized, vertex_a
 from scan2albedo.geometry.operators import vertex_average
 
 RIM_MM = 30.0
-_LEAST_RELIEF, _MOST_RELIEF = 0.1, 0.3
-"""What a flat sample still counts for, and the turn of the normals (1 - cosine) beyond which none counts
-more: nose, lids, lips and ears reach it."""
+_LEAST_RELIEF = 0.1
+"""What a flat sample still counts for."""
+_MOST_RELIEF = 0.3
+"""Turn of the normals (1 - cosine) beyond which none counts more: nose, lids, lips and ears reach it."""
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,16 @@ from scan2albedo.geometry.closest_points import ClosestHits, NearestSurface
 from scan2albedo.geometry.oriented_points import above_neighbours
 from scan2albedo.geometry.rigid import transform_points
 
-WELD_STEP_MM, CELL = 1e-3, 1.25
-"""Vertices that lie in one cell of this size, CELL per mm of smoothing, are made one."""
-STRAY, TORN, MIN_COMPONENT = 5.0, 0.6, 0.005
-"""Faces with a corner farther outside the box than STRAY times its sides are a scanner's error; a scan with a
-greater part of its vertices on borders than TORN is torn; loose parts with a smaller share of the faces
-float."""
+WELD_STEP_MM = 1e-3
+"""Vertices that lie in one cell of this size are made one."""
+CELL = 1.25
+"""Size of these cells per mm of smoothing."""
+STRAY = 5.0
+"""Faces with a corner farther outside the box than so many times its sides are a scanner's error."""
+TORN = 0.6
+"""A scan with a greater part of its vertices on borders is torn."""
+MIN_COMPONENT = 0.005
+"""Loose parts with a smaller share of the faces float."""
 
 SPREAD_PER_PASS = 0.43
 """Variance along each axis that one average over a vertex and its neighbours adds, per edge length^2."""

@@ -18,15 +18,21 @@ from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.geometry.mesh import neighbouring_faces, vertex_areas, vertex_mask
 from scan2albedo.geometry.operators import bending, laplacian
 
-TIME_STEP, MASS, DAMPING = 10.0, 1.0, 0.1
-"""dt, and M and D as multiples of the surface's area (a unit force is a unit area)."""
+TIME_STEP = 10.0
+"""dt (a unit force is a unit area)."""
+MASS = 1.0
+"""M as a multiple of the surface's area."""
+DAMPING = 0.1
+"""D as a multiple of the surface's area."""
 MEMBRANE_MM = (6.0, 0.5)
 """Membrane smoothing length in the first and last stage."""
 GAIN_TOLERANCE = 0.003
 """A stage ends when five steps gained less than this fraction of the error."""
-MENDING_ROUNDS, SHORT = 14, 3
-"""Faces around folds get three times as stiff in up to so many rounds of SHORT steps. The finest samples get
-SHORT steps and rounds: more cost an eighth and end no nearer."""
+MENDING_ROUNDS = 14
+"""Faces around folds get three times as stiff in up to so many rounds."""
+SHORT = 3
+"""Steps of such a round, and steps and rounds of the finest samples: more cost an eighth and end no
+nearer."""
 TRIAL_LEVEL = 1
 """A trial's samples."""
 RESULT_LEVELS = 2
@@ -34,8 +40,10 @@ RESULT_LEVELS = 2
 
 MIN_STEP_COSINE = 0.2
 """A triangle whose normal turns further than that in one step counts as turning over."""
-FOLD_COSINE, FOLD_CHANGE_RAD = -0.866, np.pi / 4
+FOLD_COSINE = -0.866
 """Neighbours more than 150 degrees apart: lips and nostrils crease by less, a fold-over by 180."""
+FOLD_CHANGE_RAD = np.pi / 4
+"""A fold turns by more than this from rest."""
 
 
 class FoldFinder:

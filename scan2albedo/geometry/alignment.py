@@ -11,7 +11,7 @@ from scipy.ndimage import distance_transform_edt
 
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.oriented_points import OrientedPoints
-from scan2albedo.geometry.rigid import Similarity, rotation_from_vector
+from scan2albedo.geometry.rigid import Similarity, dot, rotation_from_vector
 from scan2albedo.optimization.least_squares import SMALLEST_DIAGONAL, NormalEquations, damped_step
 
 
@@ -189,14 +189,27 @@ def _align_all(grid, model, rotations, translations, sigmas, scores):  # type: i
             if angle < 1e-12:
                 continue
             limited = min(angle, 0.5)  # radians: linearisations about a far pose are trusted no further
-            a, b, c = step[0] / angle, step[1] / angle, step[2] / angle
-            sin, cos = np.sin(limited), np.cos(limited)
+            axis = step[0] / angle, step[1] / angle, step[2] / angle
+            sin = np.sin(limited)
+            cos = np.cos(limited)
+            # Rodrigues' formula, column by column.
             for column in range(3):
-                v0, v1, v2 = rotation[0, column], rotation[1, column], rotation[2, column]
-                along = (a * v0 + b * v1 + c * v2) * (1 - cos)
-                rotation[0, column] = v0 * cos + (b * v2 - c * v1) * sin + a * along
-                rotation[1, column] = v1 * cos + (c * v0 - a * v2) * sin + b * along
-                rotation[2, column] = v2 * cos + (a * v1 - b * v0) * sin + c * along
+                v = rotation[0, column], rotation[1, column], rotation[2, column]
+                across = _cross(axis, v)
+                along = dot(axis, v) * (1 - cos)
+                rotation[0, column] = v[0] * cos + across[0] * sin + axis[0] * along
+                rotation[1, column] = v[1] * cos + across[1] * sin + axis[1] * along
+                rotation[2, column] = v[2] * cos + across[2] * sin + axis[2] * along
+
+
+@njit(cache=True, nogil=True)
+def _cross(a, b):  # type: ignore[no-untyped-def]
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@njit(cache=True, nogil=True)
+def _row(array, i):  # type: ignore[no-untyped-def]
+    return array[i, 0], array[i, 1], array[i, 2]
 
 
 @njit(cache=True, nogil=True)
@@ -208,52 +221,62 @@ def _linearize(grid, model, rotation, translation, sigma, matrix, gradient):  # 
     gradient[:] = 0.0
     score = 0.0
     row = np.zeros(6)
+    first, second, third = _row(rotation, 0), _row(rotation, 1), _row(rotation, 2)
     nx, ny, nz = nearest.shape
-    for m in range(p.shape[0]):
-        # x is the rotated point, about whose translation the small rotation is taken.
-        x0 = rotation[0, 0] * p[m, 0] + rotation[0, 1] * p[m, 1] + rotation[0, 2] * p[m, 2]
-        x1 = rotation[1, 0] * p[m, 0] + rotation[1, 1] * p[m, 1] + rotation[1, 2] * p[m, 2]
-        x2 = rotation[2, 0] * p[m, 0] + rotation[2, 1] * p[m, 1] + rotation[2, 2] * p[m, 2]
-        i = int(np.floor((x0 + translation[0] - origin[0]) / cell))
-        j = int(np.floor((x1 + translation[1] - origin[1]) / cell))
-        k = int(np.floor((x2 + translation[2] - origin[2]) / cell))
+    for m in range(len(p)):
+        point, normal = _row(p, m), _row(pn, m)
+        # The rotated point, about whose translation the small rotation is taken.
+        x = dot(first, point), dot(second, point), dot(third, point)
+        i = int(np.floor((x[0] + translation[0] - origin[0]) / cell))
+        j = int(np.floor((x[1] + translation[1] - origin[1]) / cell))
+        k = int(np.floor((x[2] + translation[2] - origin[2]) / cell))
         if i < 0 or j < 0 or k < 0 or i >= nx or j >= ny or k >= nz:
             continue
         s = nearest[i, j, k]
-        n0 = rotation[0, 0] * pn[m, 0] + rotation[0, 1] * pn[m, 1] + rotation[0, 2] * pn[m, 2]
-        n1 = rotation[1, 0] * pn[m, 0] + rotation[1, 1] * pn[m, 1] + rotation[1, 2] * pn[m, 2]
-        n2 = rotation[2, 0] * pn[m, 0] + rotation[2, 1] * pn[m, 1] + rotation[2, 2] * pn[m, 2]
-        agreement = n0 * qn[s, 0] + n1 * qn[s, 1] + n2 * qn[s, 2]
+        other = _row(qn, s)
+        turned = dot(first, normal), dot(second, normal), dot(third, normal)
+        agreement = dot(turned, other)
         if agreement <= 0.0:
             continue
-        e0 = x0 + translation[0] - q[s, 0]
-        e1 = x1 + translation[1] - q[s, 1]
-        e2 = x2 + translation[2] - q[s, 2]
-        near = sigma * sigma / (sigma * sigma + e0 * e0 + e1 * e1 + e2 * e2)
+        e = (
+            x[0] + translation[0] - q[s, 0],
+            x[1] + translation[1] - q[s, 1],
+            x[2] + translation[2] - q[s, 2],
+        )
+        near = sigma * sigma / (sigma * sigma + e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
         rho = weights[m] * near * near * agreement * agreement
         score += rho
-        n0, n1, n2 = n0 + qn[s, 0], n1 + qn[s, 1], n2 + qn[s, 2]
-        length = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
-        n0, n1, n2 = n0 / length, n1 / length, n2 / length
-        row[0], row[1], row[2] = x1 * n2 - x2 * n1, x2 * n0 - x0 * n2, x0 * n1 - x1 * n0
-        row[3], row[4], row[5] = n0, n1, n2
-        residual = n0 * e0 + n1 * e1 + n2 * e2
-        for a in range(6):
-            gradient[a] -= rho * row[a] * residual
-            for b in range(a + 1):
-                matrix[a, b] += rho * row[a] * row[b]
-        # The planes of the three axes, rows (x cross e_i, e_i), summed in closed form.
-        w, x, e = 0.1 * rho, (x0, x1, x2), (e0, e1, e2)
-        for a in range(3):
-            b, c = (a + 1) % 3, (a + 2) % 3
-            matrix[a, a] += w * (x[b] * x[b] + x[c] * x[c])
-            matrix[max(a, b), min(a, b)] -= w * x[a] * x[b]
-            matrix[3 + a, b] += w * x[c]
-            matrix[3 + a, c] -= w * x[b]
-            matrix[3 + a, 3 + a] += w
-            gradient[a] -= w * (x[b] * e[c] - x[c] * e[b])
-            gradient[3 + a] -= w * e[a]
+        both = turned[0] + other[0], turned[1] + other[1], turned[2] + other[2]
+        length = np.sqrt(dot(both, both))
+        n = both[0] / length, both[1] / length, both[2] / length
+        row[0], row[1], row[2] = _cross(x, n)
+        row[3], row[4], row[5] = n
+        _add_plane(matrix, gradient, row, rho, dot(n, e))
+        _add_axes(matrix, gradient, x, e, 0.1 * rho)
     for a in range(6):
         for b in range(a):
             matrix[b, a] = matrix[a, b]
     return score
+
+
+@njit(cache=True, nogil=True)
+def _add_plane(matrix, gradient, row, weight, residual):  # type: ignore[no-untyped-def]
+    """Add the distance from a plane to the lower half of the normal equations."""
+    for a in range(6):
+        gradient[a] -= weight * row[a] * residual
+        for b in range(a + 1):
+            matrix[a, b] += weight * row[a] * row[b]
+
+
+@njit(cache=True, nogil=True)
+def _add_axes(matrix, gradient, x, e, weight):  # type: ignore[no-untyped-def]
+    """Add the planes of the three axes, rows (x cross e_i, e_i), summed in closed form."""
+    for a in range(3):
+        b, c = (a + 1) % 3, (a + 2) % 3
+        matrix[a, a] += weight * (x[b] * x[b] + x[c] * x[c])
+        matrix[max(a, b), min(a, b)] -= weight * x[a] * x[b]
+        matrix[3 + a, b] += weight * x[c]
+        matrix[3 + a, c] -= weight * x[b]
+        matrix[3 + a, 3 + a] += weight
+        gradient[a] -= weight * (x[b] * e[c] - x[c] * e[b])
+        gradient[3 + a] -= weight * e[a]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
@@ -169,3 +170,9 @@ def in_principal_frame(vertices: Matrix, faces: NDArray[np.int64]) -> tuple[Matr
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
     origin = anchor + center
     return (vertices - origin) @ axes, compose(axes.T, -axes.T @ origin)
+
+
+@njit(cache=True, nogil=True)
+def dot(a, b):  # type: ignore[no-untyped-def]
+    """Return the inner product of two vectors of three numbers, inside other compiled functions."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

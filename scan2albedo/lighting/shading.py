@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -10,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arrays import FloatArray, checked_array
 from scan2albedo.core.lights import PointLight
+from scan2albedo.geometry.rigid import dot
 
 _BRDFS = "lambert", "minnaert", "oren-nayar"
 
@@ -217,63 +219,90 @@ def factors_of_lamp(  # type: ignore[no-untyped-def]
     return factors
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def shade_with_derivatives(  # type: ignore[no-untyped-def]
-    position, normal, visible, visible_slope, lights, tangents, radius, view, minnaert, roughness, specular,
-    exponent, scale, near, rough, glossy, light_out, specular_out, light_slope, specular_slope
-):  # fmt: skip
-    """Fill I = I_a + I_d (I_a = 1), I_s, and their derivatives by the parameters of the light.
+class LitPoints(NamedTuple):
+    """N points of a surface under L lamps, as `shade_with_derivatives` takes them.
 
-    The P parameters are, for each light, two coordinates of its direction and the logarithm of its intensity;
-    then, where free (`near`, `rough`, `glossy`), `radius` / distance with `radius` in mm, sigma^2 (or
-    Minnaert's exponent), strength of the highlight and the logarithm of its exponent.
-
-    `position`, `normal`, `minnaert`, `roughness`, `exponent` are as in `factors_of_lamp`. `lights` (L, 5)
-    hold unit direction, 1/distance (0 for a distant light) and intensity, `tangents` (L, 2, 3) derivatives of
-    each direction by its coordinates. `visible` (L, N) float32 is in [0, 1], and `visible_slope` (L, 2, N)
-    float32 its derivatives by the direction's coordinates: an outline moves with the light. `view` (N, 3) is
-    unit, `specular` the strength of the highlight for a light of intensity 1, `scale` (N,) multiplies it.
-    `light_out`, `specular_out` (N,), `light_slope`, `specular_slope` (N, >= P), all float64, are filled.
+    `position` (N, 3) mm; `normal` and `view` (N, 3) unit, `view` toward the viewer. `visible` (L, N) float32
+    is the part of a lamp that reaches a point, 0 to 1, and `visible_slope` (L, 2, N) float32 its derivatives
+    by the coordinates of the lamp's direction: an outline moves with the light. `specular_scale` (N,)
+    multiplies the highlight.
     """
-    a, b = oren_nayar_coefficients(roughness)
-    variance = roughness * roughness
-    a_slope = -0.5 * 0.33 / (variance + 0.33) ** 2
-    b_slope = 0.45 * 0.09 / (variance + 0.09) ** 2
-    count = 3 * lights.shape[0]
-    at_near, at_rough, at_gloss = count, count + int(near), count + int(near) + int(rough)
-    size = at_gloss + 2 * int(glossy)
-    for i in range(position.shape[0]):
-        for j in range(size):
-            light_slope[i, j] = 0.0
-            specular_slope[i, j] = 0.0
-        n0, n1, n2 = normal[i, 0], normal[i, 1], normal[i, 2]
-        v0, v1, v2 = view[i, 0], view[i, 1], view[i, 2]
-        n_v = n0 * v0 + n1 * v1 + n2 * v2
+
+    position: FloatArray
+    normal: FloatArray
+    visible: NDArray[np.float32]
+    visible_slope: NDArray[np.float32]
+    view: FloatArray
+    specular_scale: FloatArray
+
+
+class FreeLamps(NamedTuple):
+    """Lamps whose directions and intensities are free, and their common distance where it is `near`.
+
+    `rows` (L, 5) hold unit direction, 1/distance (0 for a distant lamp) and intensity, `tangents` (L, 2, 3)
+    the derivatives of each direction by its two coordinates. `radius_mm` / distance is the parameter of the
+    distance.
+    """
+
+    rows: FloatArray
+    tangents: FloatArray
+    radius_mm: float
+    near: bool
+
+
+def shade_with_derivatives(
+    points: LitPoints, lamps: FreeLamps, skin: Reflectance, size: int, *, rough: bool, glossy: bool
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return I = I_a + I_d (N,) with I_a = 1, I_s (N,), and the derivatives (2, N, `size`) of both.
+
+    They are by the parameters of the light: for each lamp two coordinates of its direction and the logarithm
+    of its intensity; then, where free, radius / distance, sigma^2 (or Minnaert's exponent) where `rough`,
+    strength of the highlight and the logarithm of its exponent where `glossy`. The columns after them are 0.
+    """
+    look = skin.brdf == "minnaert", skin.roughness, skin.specular_strength, skin.exponent, rough, glossy
+    light, specular, slopes = _shaded(tuple(points), tuple(lamps), look, size)
+    return light, specular, slopes
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _shaded(points, lamps, skin, size):  # type: ignore[no-untyped-def]
+    position, normal, visible, visible_slope, view, scale = points
+    rows, tangents, radius_mm, near = lamps
+    minnaert, roughness, specular, exponent, rough, glossy = skin
+    oren_nayar = oren_nayar_coefficients(roughness)
+    light_out, specular_out = np.empty(len(position)), np.empty(len(position))
+    slopes = np.zeros((2, len(position), size))
+    light_slope, specular_slope = slopes
+    at_near = 3 * len(rows)
+    at_rough = at_near + int(near)
+    at_gloss = at_rough + int(rough)
+    for i in range(len(position)):
+        n = normal[i, 0], normal[i, 1], normal[i, 2]
+        v = view[i, 0], view[i, 1], view[i, 2]
+        n_v = dot(n, v)
         cos_r = max(n_v, 0.0)
-        floored = max(n_v, COSINE_FLOOR)
         strength = specular * scale[i]
-        light, gloss = 1.0, 0.0
-        for k in range(lights.shape[0]):
+        light = 1.0
+        gloss = 0.0
+        for k in range(len(rows)):
             seen = visible[k, i]
             if seen == 0.0 and visible_slope[k, 0, i] == 0.0 and visible_slope[k, 1, i] == 0.0:
                 continue
-            inverse = lights[k, 3]
-            l0 = lights[k, 0] - inverse * position[i, 0]
-            l1 = lights[k, 1] - inverse * position[i, 1]
-            l2 = lights[k, 2] - inverse * position[i, 2]
-            length = np.sqrt(max(l0 * l0 + l1 * l1 + l2 * l2, 1e-12))
-            n_l = (n0 * l0 + n1 * l1 + n2 * l2) / length
+            nearness = rows[k, 3]
+            toward = (
+                rows[k, 0] - nearness * position[i, 0],
+                rows[k, 1] - nearness * position[i, 1],
+                rows[k, 2] - nearness * position[i, 2],
+            )
+            length = np.sqrt(max(dot(toward, toward), 1e-12))
+            n_l = dot(n, toward) / length
             if n_l <= 0.0:
                 continue
-            l_v = (l0 * v0 + l1 * v1 + l2 * v2) / length
-            energy = lights[k, 4] / (length * length)
-            s = max(l_v - n_l * cos_r, 0.0)
-            larger = max(max(n_l, cos_r), COSINE_FLOOR)
-            if minnaert:
-                diffuse = n_l**roughness * floored ** (roughness - 1.0)
-            else:
-                diffuse = n_l * (a + b * s / larger)
-            r_v, lobe = 0.0, 0.0
+            l_v = dot(toward, v) / length
+            energy = rows[k, 4] / (length * length)
+            diffuse = _diffuse(minnaert, roughness, oren_nayar, n_l, n_v, l_v)
+            r_v = 0.0
+            lobe = 0.0
             if glossy or specular > 0.0:
                 r_v = min(2.0 * n_l * n_v - l_v, 1.0)
                 if r_v > 0.0:
@@ -281,23 +310,23 @@ def shade_with_derivatives(  # type: ignore[no-untyped-def]
             light += seen * energy * diffuse
             gloss += seen * energy * lobe
             for q in range(3 if near else 2):
-                if q == 2:
-                    j = at_near
-                    t0, t1, t2 = -position[i, 0] / radius, -position[i, 1] / radius, -position[i, 2] / radius
-                else:
+                if q < 2:
                     j = 3 * k + q
-                    t0, t1, t2 = tangents[k, q, 0], tangents[k, q, 1], tangents[k, q, 2]
-                stretch = (l0 * t0 + l1 * t1 + l2 * t2) / (length * length)
-                n_l_slope = (n0 * t0 + n1 * t1 + n2 * t2) / length - n_l * stretch
-                l_v_slope = (v0 * t0 + v1 * t1 + v2 * t2) / length - l_v * stretch
+                    tangent = tangents[k, q, 0], tangents[k, q, 1], tangents[k, q, 2]
+                else:
+                    j = at_near
+                    tangent = (
+                        -position[i, 0] / radius_mm,
+                        -position[i, 1] / radius_mm,
+                        -position[i, 2] / radius_mm,
+                    )
+                stretch = dot(toward, tangent) / (length * length)
+                n_l_slope = dot(n, tangent) / length - n_l * stretch
+                l_v_slope = dot(v, tangent) / length - l_v * stretch
                 if minnaert:
                     turned = roughness * diffuse / n_l * n_l_slope
                 else:
-                    s_slope = l_v_slope - cos_r * n_l_slope if s > 0.0 else 0.0
-                    if n_l >= cos_r and n_l > COSINE_FLOOR:
-                        turned = a * n_l_slope + b * s_slope
-                    else:
-                        turned = n_l_slope * (a + b * s / larger) + n_l * b * s_slope / larger
+                    turned = _oren_nayar_slope(oren_nayar, n_l, cos_r, l_v, n_l_slope, l_v_slope)
                 light_slope[i, j] += seen * energy * (turned - 2.0 * diffuse * stretch)
                 if q < 2:
                     light_slope[i, j] += visible_slope[k, q, i] * energy * diffuse
@@ -306,19 +335,51 @@ def shade_with_derivatives(  # type: ignore[no-untyped-def]
                     specular_slope[i, j] += strength * seen * energy * (lobe_slope - 2.0 * lobe * stretch)
                     if q < 2:
                         specular_slope[i, j] += strength * visible_slope[k, q, i] * energy * lobe
-            light_slope[i, 3 * k + 2] += seen * energy * diffuse
             shine = strength * seen * energy * lobe
+            light_slope[i, 3 * k + 2] += seen * energy * diffuse
             specular_slope[i, 3 * k + 2] += shine
-            if rough:
-                if minnaert:
-                    light_slope[i, at_rough] += seen * energy * diffuse * np.log(n_l * floored)
-                else:
-                    light_slope[i, at_rough] += seen * energy * n_l * (a_slope + b_slope * s / larger)
+            if rough and minnaert:
+                light_slope[i, at_rough] += seen * energy * diffuse * np.log(n_l * max(n_v, COSINE_FLOOR))
+            elif rough:
+                light_slope[i, at_rough] += seen * energy * n_l * _variance_slope(roughness, n_l, cos_r, l_v)
             if glossy and r_v > 0.0:
                 specular_slope[i, at_gloss] += scale[i] * seen * energy * lobe
                 specular_slope[i, at_gloss + 1] += shine * exponent * np.log(max(r_v, 1e-12))
         light_out[i] = light
         specular_out[i] = strength * gloss
+    return light_out, specular_out, slopes
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _diffuse(minnaert, roughness, oren_nayar, n_l, n_v, l_v):  # type: ignore[no-untyped-def]
+    """Return f of `factors_of_lamp`."""
+    if minnaert:
+        return n_l**roughness * max(n_v, COSINE_FLOOR) ** (roughness - 1.0)
+    a, b = oren_nayar
+    cos_r = max(n_v, 0.0)
+    return n_l * (a + b * max(l_v - n_l * cos_r, 0.0) / max(max(n_l, cos_r), COSINE_FLOOR))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _oren_nayar_slope(oren_nayar, n_l, cos_r, l_v, n_l_slope, l_v_slope):  # type: ignore[no-untyped-def]
+    """Return the derivative of Oren-Nayar's f from those of n.l and l.v."""
+    a, b = oren_nayar
+    s = max(l_v - n_l * cos_r, 0.0)
+    s_slope = l_v_slope - cos_r * n_l_slope if s > 0.0 else 0.0
+    if n_l >= cos_r and n_l > COSINE_FLOOR:
+        return a * n_l_slope + b * s_slope
+    larger = max(max(n_l, cos_r), COSINE_FLOOR)
+    return n_l_slope * (a + b * s / larger) + n_l * b * s_slope / larger
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _variance_slope(sigma, n_l, cos_r, l_v):  # type: ignore[no-untyped-def]
+    """Return the derivative of Oren-Nayar's f / n.l by sigma^2."""
+    variance = sigma * sigma
+    a_slope = -0.5 * 0.33 / (variance + 0.33) ** 2
+    b_slope = 0.45 * 0.09 / (variance + 0.09) ** 2
+    s = max(l_v - n_l * cos_r, 0.0)
+    return a_slope + b_slope * s / max(max(n_l, cos_r), COSINE_FLOOR)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -79,9 +79,11 @@ def anchored_starts(anchors: OrientedPoints, front: FloatArray, rotation_count: 
     return Poses(np.ascontiguousarray(turned), np.ascontiguousarray(anchors.points[anchor] - turned @ front))
 
 
-_PERSON_MM, _ELSEWHERE_MM = 6.0, 40.0
-"""Standard deviation along an axis between a person's landmarks and the model's in the same pose and size,
-and of a point that has nothing to do with the landmark, but lies on the face."""
+_PERSON_MM = 6.0
+"""Standard deviation along an axis between a person's landmarks and the model's in the same pose and size."""
+_ELSEWHERE_MM = 40.0
+"""Standard deviation along an axis of a point that has nothing to do with the landmark, but lies on the
+face."""
 _WRONG = 0.1
 """Part of landmarks that are taken to be wrong."""
 _SCALES = (0.6, 1.6)

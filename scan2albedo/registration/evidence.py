@@ -19,13 +19,18 @@ from scan2albedo.registration.icp import residuals, shaped_icp
 from scan2albedo.registration.inputs import PreparedScan, Template
 from scan2albedo.registration.relief import ReliefAgreement
 
-_MOST_RMS_MM, _LEAST = 10.0, 0.02
-"""Bounds of what is weighed: distances, and 1 - r^2 and the share before their logarithm."""
+_MOST_RMS_MM = 10.0
+"""Greatest distance that is weighed."""
+_LEAST = 0.02
+"""Least value of 1 - r^2, and of the share, before their logarithm."""
 _NOISE_IN_DISTANCE = 0.3
 """Part of the noise's variance that the squared distance holds: it is to samples averaged over 4 mm."""
-_INTERCEPT, _WEIGHTS = 4.51, {"relief": 5.56, "distance": -1.11, "share": 3.91}
-"""Of the cues in the log odds: a logistic regression, by tools/calibrate_registration.py of commit 1592766c.
-Seeds from 300: of people four kinds with 20 to 30 scans each, 48 scraps, 10 each of what else is no face."""
+_INTERCEPT = 4.51
+"""Log odds of a face where all cues are 0: a logistic regression, by tools/calibrate_registration.py of
+commit 1592766c. Seeds from 300: of people four kinds with 20 to 30 scans each, 48 scraps, 10 each of what
+else is no face."""
+_WEIGHTS = {"relief": 5.56, "distance": -1.11, "share": 3.91}
+"""Of the cues in the log odds, by the same regression."""
 
 
 @dataclass(frozen=True)
@@ -80,12 +85,16 @@ def evidence(scan: PreparedScan, template: Template, start: Similarity, meter: M
     )
 
 
-_SIZE, _LEVELS = 64, 1
-"""Texels a side of the chart, some 3 mm each, and refinements of the model there."""
+_SIZE = 64
+"""Texels a side of the chart: some 3 mm each."""
+_LEVELS = 1
+"""Refinements of the model on the chart."""
 _MOST_FACES = 50_000
 """Of more faces of a scan every so-manieth is looked at: they are far smaller than a feature then."""
-_NEAR_MM, _LEAST_SEEN = 8.0, 0.25
-"""How near the scan must be, and of how much of the model."""
+_NEAR_MM = 8.0
+"""How near the scan must be to the model."""
+_LEAST_SEEN = 0.25
+"""Part of the model that must have scan so near."""
 
 
 ColourScorer = Callable[[FloatArray, float], float]

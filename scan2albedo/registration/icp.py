@@ -15,17 +15,25 @@ from scan2albedo.geometry.rigid import Similarity
 from scan2albedo.registration.inputs import Template
 
 _SCALE_SD = 0.1
-_SHAPED_MM, TIGHT_MM = (4.0, 3.0), 0.35
-"""First and last scale of the weights of `shaped_icp` (with noise as in raw stereo, 2 mm scatters more than
-3), and the scale at which the tight ICP settles."""
-FEW, _FEW_STEPS, _MOST_STEPS = 500, 8, 16
-"""Samples and steps with few samples; most steps with all of them."""
+_SHAPED_MM = (4.0, 3.0)
+"""First and last scale of the weights of `shaped_icp`: with noise as in raw stereo, 2 mm scatters more than
+3."""
+TIGHT_MM = 0.35
+"""Scale of the weights at which the tight ICP settles."""
+FEW = 500
+"""Samples of the first steps."""
+_FEW_STEPS = 8
+"""Steps with few samples."""
+_MOST_STEPS = 16
+"""Most steps with all samples."""
 _SETTLED = 0.02
 """Step, in degrees or mm, below which nothing more is gained; of the tight ICP a twentieth."""
 _STAGE = "shaped_icp"
-_RIGID_PART, _NOISE_MM = 0.3, 0.25
-"""That part of the rigid face is within 0.22 mm on scans of the same person, smiles and open jaws too, and
-0.3 to 1.1 on 21 of 22 scans of others; one, with little noise, has 0.22 too."""
+_RIGID_PART = 0.3
+"""Part of the rigid face whose distance to the scan tells whether this is the same person."""
+_NOISE_MM = 0.25
+"""That part is within 0.22 mm on scans of the same person, smiles and open jaws too, and 0.3 to 1.1 on 21 of
+22 scans of others; one, with little noise, has 0.22 too."""
 
 
 @dataclass(frozen=True)

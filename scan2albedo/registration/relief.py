@@ -17,7 +17,10 @@ _SIZE = 72
 LOOK_THROUGH_MM = 30.0
 """What lies farther before the model is not a face: a hand, a lock of hair."""
 _SAME_SURFACE_MM = 20.0
-_SMOOTHING_PIXELS, _WINDOW_PIXELS = 1.5, 4.0
+_SMOOTHING_PIXELS = 1.5
+"""Standard deviation of the blur of depth images before their slopes."""
+_WINDOW_PIXELS = 4.0
+"""Standard deviation of the windows in which slopes are correlated."""
 _FLAT_SLOPE_SQUARED = 0.01
 _NOISE_LEFT = 4.0
 """Noise of blurred slopes, relative to that of independent depths of the vertices: those between vertices are

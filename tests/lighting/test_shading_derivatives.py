@@ -5,7 +5,7 @@ import pytest
 
 from scan2albedo.albedo.light_parameters import LightModel
 from scan2albedo.geometry.mesh import normalized
-from scan2albedo.lighting.shading import shade_rows, shade_with_derivatives
+from scan2albedo.lighting.shading import FreeLamps, LitPoints, shade_rows, shade_with_derivatives
 
 RADIUS_MM = 80.0
 VIEW = np.array([0.1, -0.2, 1.0]) / np.linalg.norm([0.1, -0.2, 1.0])
@@ -42,28 +42,13 @@ def _shade(model, x, points, visible=None, visible_slope=None):
     count, found = len(position), model.decode(x)
     lights = np.ones((model.lights, count), np.float32) if visible is None else visible.astype(np.float32)
     slope = np.zeros((model.lights, 2, count)) if visible_slope is None else visible_slope
-    # One column too many, as when the buffers of a larger model serve.
-    out = [np.full(count, np.nan), np.full(count, np.nan), *np.full((2, count, model.size + 1), np.nan)]
-    shade_with_derivatives(
-        position,
-        normal,
-        lights,
-        slope.astype(np.float32),
-        found.rows,
-        model.tangents(x),
-        model.radius_mm,
-        view,
-        model.brdf == "minnaert",
-        found.reflectance.roughness,
-        found.reflectance.specular_strength,
-        found.reflectance.exponent,
-        scale,
-        model.near,
-        model.rough,
-        model.specular,
-        *out,
-    )
-    return out[0], out[1], out[2][:, : model.size].T, out[3][:, : model.size].T
+    lit = LitPoints(position, normal, lights, slope.astype(np.float32), view, scale)
+    lamps = FreeLamps(found.rows, model.tangents(x), model.radius_mm, model.near)
+    free = {"rough": model.rough, "glossy": model.specular}
+    # One column too many, as for a model with more parameters than the lamps'.
+    light, specular, slopes = shade_with_derivatives(lit, lamps, found.reflectance, model.size + 1, **free)
+    assert not slopes[..., -1].any()
+    return light, specular, slopes[0, :, :-1].T, slopes[1, :, :-1].T
 
 
 def _differences(model, x, points, visible_at=lambda x: None, step_length=STEP):
@@ -182,8 +167,8 @@ def test_roughness_and_highlight_have_derivatives_at_none_of_them():
     x[3:6] = 0
     points = _away_from_kinks(model, x, _points())
     light, specular, light_slope, specular_slope = _shade(model, x, points)
-    for j, (values, slopes) in {3: (light, light_slope), 4: (light, light_slope),
-                                5: (specular, specular_slope)}.items():  # fmt: skip
+    for j in (3, 4, 5):
+        values, slopes = (specular, specular_slope) if j == 5 else (light, light_slope)
         ahead = x.copy()
         ahead[j] = 1e-6
         moved = _shade(model, ahead, points)[int(j == 5)]
