@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 from scan2albedo.core import Plan, PlanStep, Trace
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.errors import FitError
+from scan2albedo.face_model import default_model
 from scan2albedo.face_model.annotation import FittedSurface
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.fitting.stages import RESULT_LEVELS, Deformation, imbalance_mm
@@ -17,13 +18,26 @@ from scan2albedo.geometry.mesh import edges_with_faces, normalized, vertex_areas
 
 RESIDUAL_GATE_MM = 5.0
 """Residuals beyond this count as "no scan near"."""
-MIN_COVERAGE, MOST_IMBALANCE_MM, MOST_STRAIN = 0.1, 0.2, 0.16
-"""Least part of the model's area with scan near it. Fits that ran to their end are within 0.03 mm of balance,
-on noise of 1 mm within 0.1 mm. Most faces end with a strain of 0.04 to 0.07, wide smiles of up to 0.13; faces
-upside down of 0.17 and more."""
-NEAR_MM, UNSEEN_MM = 12.0, 4.0
-"""The surface around a landmark that shows it, about an eye's height, and the deviation of one, along an
-axis, around which there is no scan."""
+MIN_COVERAGE = 0.1
+"""Least part of the model's area with scan near it."""
+MOST_IMBALANCE_MM = 0.2
+"""Fits that ran to their end are within 0.03 mm of balance, on noise of 1 mm within 0.1 mm."""
+MOST_STRAIN = 0.16
+"""Most faces end with a strain of 0.04 to 0.07, wide smiles of up to 0.13; faces upside down of 0.17 and
+more."""
+_FACE_ODDS = {"intercept": -10.0, "strain": -6.0, "unreached": -6.0}
+"""Log odds of a face by the logarithms of the strain and of what of the scan the model does not reach. Fits
+to 54 real and modelled heads (foam heads, infants' proportions, shut eyes and worn masks among them) and 14
+people in raw stereo have 4.6 and more, those to four parts of machines that the search took for faces -7.6
+and less."""
+_LEAST_STRAIN = 0.02
+"""Strain below which the model hardly had to bend."""
+_REACHED_MM = 0.05
+"""Added to what is not reached: a scan's own errors."""
+NEAR_MM = 12.0
+"""The surface around a landmark that shows it: about an eye's height."""
+UNSEEN_MM = 4.0
+"""Deviation along an axis of a landmark around which there is no scan."""
 _FEATURES_MM = np.repeat((8.0, 4.2, 8.0, 2.2, 1.9, 1.1, 2.0, 2.1), (1, 15, 1, 10, 4, 5, 12, 20))
 """Deviation in mm along an axis of each landmark of iBUG-68: what
 `tools/bench/landmarks.py` found on its faces. No others have judged it."""
@@ -51,7 +65,7 @@ class FittedFace(FittedSurface):
     is from its mirror image in the median (``mirror_mm``), holes of the scan taken for open eyes and mouth
     (``openings``), landmarks that its colours draw (``painted_landmarks``), the jaw's angle (``jaw_deg``) and
     how far the mouth's corners were drawn back; what was left out of the scan because it stands far before
-    the eyes (``covered_mm2``)."""
+    the eyes (``covered_mm2``); what speaks against a face there (``face_log_odds``)."""
     plan: Plan = Plan()
     """What is doubtful about the fit: "fit.<step>"."""
     covered_faces: BoolArray | None = None
@@ -100,6 +114,9 @@ def fitted_face(
         "flipped_faces": float(len(deformation.folds.find(vertices))),
         "scale": scale,
     }
+    # Other models than the default one may have to bend as far to faces.
+    judged = ran and model.control_vertices is default_model().control_vertices
+    metrics["face_log_odds"] = face_log_odds(metrics) if judged else 0.0
     if metrics["coverage"] < MIN_COVERAGE:
         raise FitError(
             f"{name}: only {100 * metrics['coverage']:.1f} % of the fitted model has scan within "
@@ -123,13 +140,40 @@ def fitted_face(
         numbers = held.numbers[placed]
         deviation[numbers] = 1 / np.hypot(1 / deviation[numbers], 1 / held.sigma_mm[placed])
     return FittedFace(
-        vertices=vertices, faces=faces, uv=model.refined_uv(RESULT_LEVELS),
-        region=model.region[subdivision.parent], control_points=control, landmarks=landmarks,
-        residual_mm=residual, model_from_scan=model_from_scan, template_vertices=model.template_of(control),
-        levels=RESULT_LEVELS, converged=ran and metrics["imbalance_mm"] <= MOST_IMBALANCE_MM,
-        iterations=deformation.meter.evaluations, trace=deformation.meter.trace, model=model, metrics=metrics,
-        plan=plan, landmark_deviation_mm=deviation,
-    )  # fmt: skip
+        vertices=vertices,
+        faces=faces,
+        uv=model.refined_uv(RESULT_LEVELS),
+        region=model.region[subdivision.parent],
+        control_points=control,
+        landmarks=landmarks,
+        residual_mm=residual,
+        model_from_scan=model_from_scan,
+        template_vertices=model.template_of(control),
+        levels=RESULT_LEVELS,
+        converged=ran and metrics["imbalance_mm"] <= MOST_IMBALANCE_MM,
+        iterations=deformation.meter.evaluations,
+        trace=deformation.meter.trace,
+        model=model,
+        metrics=metrics,
+        plan=plan,
+        landmark_deviation_mm=deviation,
+    )
+
+
+def face_log_odds(metrics: dict[str, float]) -> float:
+    """Return the log odds of a face under the model, given the figures of its fit: at most 0.
+
+    The model bends onto anything that is smooth, so that a good fit speaks for nothing. What speaks against a
+    face is how far its edges had to be stretched, and what of the scan it did not reach all the same: of
+    normal errors 95 % are below 3 medians, of the steps and edges of other things far fewer are.
+    """
+    beyond_mm = max(metrics["residual_p95_mm"] - 3 * metrics["residual_median_mm"], 0.0)
+    odds = (
+        _FACE_ODDS["intercept"]
+        + _FACE_ODDS["strain"] * float(np.log(max(metrics["strain"], _LEAST_STRAIN)))
+        + _FACE_ODDS["unreached"] * float(np.log(beyond_mm + _REACHED_MM))
+    )
+    return min(odds, 0.0)
 
 
 def mirror_distance_mm(scan: ScanSurface, points: FloatArray) -> float:

@@ -37,7 +37,7 @@ from scan2albedo.pipeline.result import FILES, SURE, ProcessResult, write_result
 from scan2albedo.pipeline.scale_search import load_of_any_size, registered_at_any_scale, registered_outward
 from scan2albedo.pipeline.white_balance import balanced
 from scan2albedo.registration import Registration, register
-from scan2albedo.registration.register import refined_registration
+from scan2albedo.registration.register import judged_with_fit, refined_registration
 from scan2albedo.sampling import geometry_image, geometry_image_of_scan
 from scan2albedo.sampling.geometry_images import texture_doubt
 from scan2albedo.templates import AnnotatedFaceModel, chosen_model
@@ -270,7 +270,14 @@ class _Run:
             fitted = fit(self.scan, model, pose, share, options=tuning, on_progress=self.on_progress)
             if self.registration is not None:
                 pose, scale = fitted.model_from_scan, fitted.metrics["scale"]
-                self.registration = refined_registration(self.registration, self.scan, model, pose, scale)
+                refined = refined_registration(self.registration, self.scan, model, pose, scale)
+                figures = fitted.metrics
+                told = (
+                    f"its edges are stretched by {100 * figures['strain']:.0f} % (RMS), half of it lies "
+                    f"within {figures['residual_median_mm']:.2f} mm of the scan, a twentieth of it more than "
+                    f"{figures['residual_p95_mm']:.1f} mm away"
+                )
+                self.registration = judged_with_fit(refined, self.scan, figures["face_log_odds"], told)
                 self.plan["register"] = _register_rows(self.registration)
         self.fitted = fitted
         self.plan["fit"] = [*steps, *_fit_rows(options, self.scan, fitted)]

@@ -4,20 +4,28 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
+from scipy.special import expit, logit
 
 from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace, checked_seed
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.errors import NoFaceError
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.rigid import Similarity, invert_rigid, rotation_angle_rad
-from scan2albedo.registration.acceptance import accepted, probability, proportion_doubts, shape_of
+from scan2albedo.registration.acceptance import (
+    LEAST_PROBABILITY,
+    accepted,
+    probability,
+    proportion_doubts,
+    shape_of,
+)
 from scan2albedo.registration.candidates import ranked_candidates
 from scan2albedo.registration.coarse_search import PlacedPose, coarse_poses
 from scan2albedo.registration.depth_annealing import annealed
 from scan2albedo.registration.evidence import colour_scorer
 from scan2albedo.registration.icp import rms_mm, tightened
-from scan2albedo.registration.inputs import RegistrationOptions, Template, prepared_scan
+from scan2albedo.registration.inputs import RegistrationOptions, Template, box_text, prepared_scan
 
 
 @dataclass(frozen=True)
@@ -133,3 +141,25 @@ def refined_registration(
     step = PlanStep("register.refined_pose", True, "the pose with which the fit ended", evidence)
     rmse_mm, plan = rms_mm(prepared.samples, Template.of(model, 0), pose), searched.plan + (step,)
     return replace(searched, model_from_scan=model_from_scan, face_scale=scale, rmse_mm=rmse_mm, plan=plan)
+
+
+def judged_with_fit(searched: Registration, scan: RawScan, log_odds: float, figures: str) -> Registration:
+    """Return the registration, as sure of a face as the search and the model's fit together are.
+
+    Odds add: those of the search, and the `log_odds` that the fit gives. Raises NoFaceError, with the
+    `figures` of the fit, where a face is too little probable then; a search that a budget ended refuses
+    nothing.
+    """
+    if log_odds == 0:
+        return searched
+    chance = float(expit(logit(searched.confidence) + log_odds))
+    if chance < LEAST_PROBABILITY and searched.converged:
+        raise NoFaceError(
+            f"{scan.name}: no face found. Bent onto the best pose, the model has a probability of "
+            f"{chance:.2f} (needed: {LEAST_PROBABILITY:.2f}): {figures}; the scan's box is "
+            f"{box_text(scan.vertices)}. "
+            "Give a scan of a face in its true size (check the unit), or process it without a model",
+            confidence=chance,
+            model_from_scan=searched.model_from_scan,
+        )
+    return replace(searched, confidence=chance)

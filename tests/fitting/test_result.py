@@ -1,9 +1,9 @@
-"""How sure landmarks are: more where there is scan near them."""
+"""How sure landmarks are: more where there is scan near them; what a fit says against a face."""
 
 import numpy as np
 import pytest
 
-from scan2albedo.fitting.result import landmark_deviation_mm
+from scan2albedo.fitting.result import face_log_odds, landmark_deviation_mm
 
 
 @pytest.fixture(scope="module")
@@ -34,3 +34,30 @@ def test_a_surface_far_away_shows_nothing(model, surface):
     vertices, residual = surface
     far = landmark_deviation_mm(model.landmarks + 500, vertices, residual)
     assert (far > landmark_deviation_mm(model.landmarks, vertices, residual)).all()
+
+
+def odds(strain, median_mm, p95_mm):
+    return face_log_odds({"strain": strain, "residual_median_mm": median_mm, "residual_p95_mm": p95_mm})
+
+
+@pytest.mark.parametrize(
+    "figures",
+    [
+        (0.1, 0.08, 0.3),
+        (0.18, 0.08, 0.7),
+        (0.2, 0.07, 0.4),
+        (0.15, 0.1, 0.4),
+        (0.3, 0.5, 1.5),
+        (0.0, 0.0, 0.0),
+    ],
+    ids=["a face", "a foam head with a cap", "an infant", "an old laser scan", "noise", "the model itself"],
+)
+def test_nothing_speaks_against_what_is_reached_or_hardly_stretched(figures):
+    assert odds(*figures) == 0
+
+
+def test_steps_that_a_stretched_model_does_not_reach_are_no_face():
+    """Figures of a plate with bosses and ribs; the surest that the door lets in has odds of 8."""
+    assert odds(0.25, 0.12, 3.3) < -8
+    assert odds(0.25, 0.12, 3.3) < odds(0.25, 0.12, 2.0) < odds(0.25, 0.12, 1.5)
+    assert odds(0.25, 0.12, 3.3) < odds(0.15, 0.12, 3.3) < odds(0.12, 0.12, 3.3)
