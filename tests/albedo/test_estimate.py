@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from scan2albedo.albedo import OPTIONAL_STEPS, EstimateOptions, albedo_error, estimate_albedo
+from scan2albedo.albedo import EstimateOptions, albedo_error, estimate_albedo
 from scan2albedo.albedo.division import divide_light
 from scan2albedo.core import Budget
 
@@ -56,14 +56,6 @@ def test_plain_albedo_under_oren_nayar_comes_out_flat_and_upright(scenes):
     assert albedo.std(0) / albedo.mean(0) == pytest.approx(0, abs=0.01)
     assert _angle_deg(estimate.lights[0], scene.light_directions[0]) < 0.5
     assert estimate.parameters["sigma_rad"] == pytest.approx(0.3, abs=0.05)
-
-
-def test_shading_follows_the_cosine_of_the_true_light(scenes):
-    scene = scenes.scene("hemisphere", "skin", [(35, 25, 2.0, FAR)], size=96)
-    estimate = estimate_albedo(scene.image, 1, "lambert")
-    cosine = np.maximum(scene.image.normal @ scene.light_directions[0], 0)
-    mask = scene.image.mask
-    assert np.corrcoef(estimate.shading[mask, 0], cosine[mask])[0, 1] > 0.996
 
 
 def test_near_lamp_gets_its_distance(scenes):
@@ -161,8 +153,8 @@ def test_result_has_the_promised_fields(frontal, frontal_estimate):
     assert estimate.confidence.max() <= 1
     assert estimate.iterations == estimate.trace.rows[-1].evaluations
     stages = {step.stage for step in estimate.plan}
-    assert {"albedo.lights", "albedo.shadows", "albedo.specular", "albedo.near_light", "albedo.roughness",
-            "albedo.inpainting"} <= stages  # fmt: skip
+    steps = ("lights", "shadows", "specular", "near_light", "roughness", "inpainting")
+    assert {f"albedo.{step}" for step in steps} <= stages
     assert all(step.evidence or "caller" in step.reason or "asked" in step.reason for step in estimate.plan)
 
 
@@ -213,16 +205,11 @@ def test_seconds_end_it_too(frontal):
     assert not estimate_albedo(frontal.image, budget=0.01).converged
 
 
-def test_parts_are_forced_and_left_out_by_the_caller(frontal):
+def test_parts_are_forced_by_the_caller(frontal):
     parts = ("shadows", "near_light", "roughness", "specular")
     everything = EstimateOptions(force=tuple(f"albedo.{part}" for part in parts))
-    nothing = EstimateOptions(skip=OPTIONAL_STEPS)
     forced = estimate_albedo(frontal.image, 1, options=everything)
     assert all(forced.plan.ran(f"albedo.{part}") for part in parts)
-    bare = estimate_albedo(frontal.image, 1, options=nothing)
-    assert not any(bare.plan.ran(f"albedo.{part}") for part in (*parts, "inpainting"))
-    assert bare.parameters["specular_strength"] == 0
-    assert bare.parameters["sigma_rad"] == 0
 
 
 def test_progress_is_told(frontal):

@@ -9,7 +9,9 @@ from worlds.mitsuba_scenes import load_scenes
 from scan2albedo.albedo import EstimateOptions, albedo_error, estimate_albedo
 from scan2albedo.synthetic import face, light_at
 
-SIZE, ELEVATION, LAMPS = "albedo.lamp_size", 10, 40
+SIZE = "albedo.lamp_size"
+ELEVATION = 10
+LAMPS = 40
 
 
 def _disc(azimuth_deg, radius_deg):

@@ -12,9 +12,13 @@ from scan2albedo.albedo.posterior import descend
 from scan2albedo.albedo.prior import MEANS, AlbedoPrior
 from scan2albedo.lighting.shading import Reflectance, lamp_factors
 
-LAMP, INTENSITY, VIEW = (50, 10), 2.0, (0.0, 0.0, 1.0)
-WARM, TINT = np.array([1.4, 1.0, 0.6]), np.array([1.05, 1.0, 0.91])
-STATIONARY, GLOSS = AlbedoPrior.stationary(), Reflectance("lambert", 0.0, 0.15, 10.0)
+LAMP = (50, 10)
+INTENSITY = 2.0
+VIEW = (0.0, 0.0, 1.0)
+WARM = np.array([1.4, 1.0, 0.6])
+TINT = np.array([1.05, 1.0, 0.91])
+STATIONARY = AlbedoPrior.stationary()
+GLOSS = Reflectance("lambert", 0.0, 0.15, 10.0)
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,10 @@ from scan2albedo.albedo.prior import MEANS, NODES, AlbedoPrior
 from scan2albedo.errors import LightingError
 from scan2albedo.face_model import default_model
 
-BROWS, LIPS, CHEEKS, FOREHEAD = range(17, 27), (50, 52, 57), (2, 14), (19, 24)
+BROWS = range(17, 27)
+LIPS = (50, 52, 57)
+CHEEKS = (2, 14)
+FOREHEAD = (19, 24)
 
 
 @pytest.fixture(params=["faces", "stationary"])

@@ -17,7 +17,8 @@ from scan2albedo.albedo.shadows import OUTLINE_BLURS
 from scan2albedo.albedo.texel_light import light_on_texels
 from scan2albedo.synthetic import face, light_at
 
-WEAK, STRONG = light_at(-50, 10, intensity=1.0), light_at(40, 15, intensity=3.0)
+WEAK = light_at(-50, 10, intensity=1.0)
+STRONG = light_at(40, 15, intensity=3.0)
 SOFT = {"occlusion": True, "bounce": True, "environment": True}
 
 

@@ -6,8 +6,11 @@ import pytest
 from scan2albedo.face_model.appearance import CLASSES, appearance
 from scan2albedo.synthetic import face, light_at
 
-SIZE, SIDE_MM = 120, 168.0
-PALE, BROWN, DARK = (0.55, 0.33, 0.24), (0.25, 0.13, 0.08), (0.09, 0.045, 0.03)
+SIZE = 120
+SIDE_MM = 168.0
+PALE = (0.55, 0.33, 0.24)
+BROWN = (0.25, 0.13, 0.08)
+DARK = (0.09, 0.045, 0.03)
 WHITE_LAMP = (((0.4, 0.3, 0.86), (1.0, 1.0, 1.0)),)
 WARM_AND_COLD = (((0.8, 0.1, 0.6), (1.0, 0.75, 0.5)), ((-0.7, 0.5, 0.5), (0.5, 0.65, 1.0)))
 

@@ -148,9 +148,21 @@ def test_regions(model):
 
 @pytest.mark.parametrize(
     ("landmark", "name"),
-    [(19, "right_brow"), (24, "left_brow"), (30, "nose"), (62, "lip"), (51, "upper_lip"), (57, "lower_lip"),
-     (8, "chin"), (12, "left_jaw"), (4, "right_jaw"), (43, "left_eye"), (46, "left_eye"), (37, "right_eye")],
-)  # fmt: skip
+    {
+        19: "right_brow",
+        24: "left_brow",
+        30: "nose",
+        62: "lip",
+        51: "upper_lip",
+        57: "lower_lip",
+        8: "chin",
+        12: "left_jaw",
+        4: "right_jaw",
+        43: "left_eye",
+        46: "left_eye",
+        37: "right_eye",
+    }.items(),
+)
 def test_landmarks_lie_in_their_regions(model, landmark, name):
     index = {r.index: n for n, r in model.regions.items()}
     assert name in index[int(model.region[model.landmark_points.face[landmark]])]

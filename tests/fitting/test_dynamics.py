@@ -37,7 +37,7 @@ def unit_springs(x: np.ndarray) -> np.ndarray:
 def implicit(stiffness, time_step, *, mass=1.0, damping=0.0, springs=0.0) -> ImplicitSystem:
     count = stiffness.shape[0]
     held = springs * sparse.identity(count, format="csr")
-    return ImplicitSystem(np.full(count, mass), np.full(count, damping), stiffness, held, time_step)
+    return ImplicitSystem(np.ones(count) * mass, np.full(count, damping), stiffness, held, time_step)
 
 
 class State(NamedTuple):
@@ -58,7 +58,9 @@ def energy(state: State, mass: np.ndarray | float, stiffness: sparse.csr_matrix)
 
 @pytest.mark.parametrize("stiffness", [1e-6, 1e-2, 1.0, 1e4, 1e8])
 @pytest.mark.parametrize("time_step", [1e-6, 1e-3, 1.0, 1e3])
-@pytest.mark.parametrize("mass", [1e-3, 1e3])
+@pytest.mark.parametrize(
+    "mass", [1e-3, 1e3, np.where(np.arange(20) % 2, 1e-3, 1e3)], ids=["light", "heavy", "mixed"]
+)
 def test_energy_never_grows_without_force(stiffness, time_step, mass):
     springs = chain(20, stiffness)
     system = implicit(springs, time_step, mass=mass, springs=0.5)
@@ -68,19 +70,6 @@ def test_energy_never_grows_without_force(stiffness, time_step, mass):
         state = stepped(system, state, np.zeros((20, 3)), no_springs)
         energies.append(energy(state, mass, springs))
     assert np.isfinite(energies).all()
-    assert (np.diff(energies) <= 1e-9 * energies[0]).all()
-
-
-@pytest.mark.parametrize("time_step", [1e-6, 1.0, 1e3])
-def test_masses_a_million_times_apart_leave_it_stable(time_step):
-    mass = np.where(np.arange(20) % 2, 1e-3, 1e3)
-    none = sparse.csr_matrix((20, 20))
-    system = ImplicitSystem(mass, np.zeros(20), chain(20, 1.0), none, time_step)
-    state = State(np.random.default_rng(5).normal(size=(20, 3)), np.zeros((20, 3)))
-    energies = [energy(state, mass, chain(20, 1.0))]
-    for _ in range(50):
-        state = stepped(system, state, np.zeros((20, 3)), no_springs)
-        energies.append(energy(state, mass, chain(20, 1.0)))
     assert (np.diff(energies) <= 1e-9 * energies[0]).all()
 
 

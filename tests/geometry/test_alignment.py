@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-import trimesh
+from helpers.meshes import bumpy_samples
 
 from scan2albedo.geometry.alignment import Alignment, NearestGrid, Pairs, align, align_on_grid
 from scan2albedo.geometry.mesh import normalized
-from scan2albedo.geometry.oriented_points import OrientedPoints, oriented_points
+from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import (
     Similarity,
     compose,
@@ -20,12 +20,7 @@ REST = Similarity(np.eye(3), np.zeros(3))
 
 @pytest.fixture(scope="module")
 def bumpy() -> OrientedPoints:
-    """An asymmetric closed shape, so that its pose is unique."""
-    mesh = trimesh.creation.icosphere(5, 1.0)
-    unit = np.asarray(mesh.vertices)
-    axes = np.array([[0, 0, 1.0], [0.6, 0.8, 0], [-0.8, 0, 0.6]])
-    radius = 70 * (1 + np.exp(6 * (unit @ axes.T - 1)) @ [0.35, 0.25, 0.2])
-    return oriented_points(unit * radius[:, None], np.asarray(mesh.faces), 4.0)
+    return bumpy_samples()
 
 
 def to(targets, normals, **more):

@@ -1,6 +1,7 @@
 import igl
 import numpy as np
 import pytest
+from helpers.meshes import grid
 
 from scan2albedo.geometry.closest_points import (
     ClosestPointQuery,
@@ -12,27 +13,9 @@ from scan2albedo.geometry.mesh import vertex_normals
 
 
 def bumpy_grid(size: int = 30) -> tuple[np.ndarray, np.ndarray]:
-    vertices, faces = igl.triangulated_grid(size, size)
-    x, y = 10 * vertices.T
-    return np.column_stack([x, y, np.sin(2 * x) * np.cos(3 * y)]), np.asarray(faces, np.int64)
-
-
-def closest_by_sampling(vertices: np.ndarray, faces: np.ndarray, point: np.ndarray) -> float:
-    """Slow obvious reference: the least distance to a dense sampling of every triangle."""
-    steps = np.linspace(0, 1, 21)
-    a, b = np.meshgrid(steps, steps)
-    inside = a + b <= 1 + 1e-12
-    weights = np.column_stack([1 - a[inside] - b[inside], a[inside], b[inside]])
-    return float(np.linalg.norm(np.einsum("sk,fkj->fsj", weights, vertices[faces]) - point, axis=2).min())
-
-
-def test_exact_query_agrees_with_dense_sampling():
-    vertices, faces = bumpy_grid(12)
-    points = np.random.default_rng(0).uniform([0, 0, -2], [10, 10, 2], (20, 3))
-    hits = ClosestPointQuery(vertices, faces).query(points)
-    reference = [closest_by_sampling(vertices, faces, p) for p in points]
-    assert (hits.distance <= np.array(reference) + 1e-9).all()
-    np.testing.assert_allclose(hits.distance, reference, atol=0.05)
+    vertices, faces = grid(size, size)
+    x, y, _ = 10 * vertices.T
+    return np.column_stack([x, y, np.sin(2 * x) * np.cos(3 * y)]), faces
 
 
 def test_barycentric_coordinates_rebuild_the_points():
@@ -79,13 +62,6 @@ def test_one_triangle_in_every_voronoi_region(point):
     exact = ClosestPointQuery(vertices, faces).query([point])
     near = NearestSurface(vertices, faces).query(np.array([point], float))
     np.testing.assert_allclose(near.points, exact.points, atol=1e-12)
-
-
-def test_a_degenerate_triangle_gives_finite_answers():
-    vertices, faces = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]), np.array([[0, 1, 2]])
-    hits = NearestSurface(vertices, faces).query(np.array([[1.5, 1.0, 0.0]]))
-    np.testing.assert_allclose(hits.distance, 1.0)
-    assert np.isfinite(hits.barycentric).all()
 
 
 def test_query_facing_chooses_the_sheet_that_looks_the_right_way():
@@ -136,15 +112,6 @@ def test_the_exact_query_agrees_with_libigl_in_any_unit_and_place(scale, offset)
     np.testing.assert_allclose(hits.distance, libigl_distance(vertices, faces, points), atol=tolerance)
     np.testing.assert_allclose(
         np.linalg.norm(points - hits.points, axis=1), hits.distance, rtol=1e-6, atol=tolerance
-    )
-
-
-def test_the_order_of_the_points_does_not_matter_to_the_exact_query():
-    vertices, faces = bumpy_grid()
-    points = np.random.default_rng(4).uniform([0, 0, -2], [10, 10, 2], (500, 3))
-    query, order = ClosestPointQuery(vertices, faces), np.random.default_rng(5).permutation(500)
-    np.testing.assert_allclose(
-        query.query(points[order]).distance, query.query(points).distance[order], atol=1e-12
     )
 
 

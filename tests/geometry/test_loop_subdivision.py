@@ -82,14 +82,6 @@ def test_boundary_follows_the_cubic_spline_of_the_boundary_alone():
     np.testing.assert_allclose((subdivision.matrix @ moved)[on_edge], (subdivision.matrix @ points)[on_edge])
 
 
-def test_linear_functions_are_reproduced_inside():
-    points, faces = lattice()
-    values = points @ [2.0, -3.0] + 1
-    subdivision = LoopSubdivision.of(49, faces, 0)
-    inside = subdivision.matrix @ values
-    np.testing.assert_allclose(inside[CENTRE], values[CENTRE])
-
-
 def test_limit_does_not_move_under_refinement():
     vertices, faces = icosahedron()
     coarse = LoopSubdivision.of(12, faces, 0).matrix @ vertices

@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 import trimesh
+from helpers.meshes import sphere
 
 from scan2albedo.geometry import mesh
 from scan2albedo.geometry.mesh import face_lists, far_faces, neighbour_lists
@@ -12,8 +13,7 @@ from scan2albedo.synthetic.sitter import join
 
 
 def test_area_and_normals_of_a_sphere():
-    sphere = trimesh.creation.icosphere(4, 10.0)
-    vertices, faces = np.asarray(sphere.vertices), np.asarray(sphere.faces)
+    vertices, faces = sphere(4, 10.0)
     assert abs(mesh.face_areas(vertices, faces).sum() - 400 * np.pi) < 0.01 * 400 * np.pi
     np.testing.assert_allclose(
         mesh.vertex_areas(vertices, faces).sum(), mesh.face_areas(vertices, faces).sum()
@@ -95,27 +95,22 @@ def patch(count, center, rng):
 @pytest.mark.parametrize("attached", [False, True])
 def test_stray_patches_are_found_however_many(share, attached):
     rng = np.random.default_rng(int(100 * share))
-    ball = trimesh.creation.icosphere(4, 90.0)
-    parts = [(np.asarray(ball.vertices), np.asarray(ball.faces))]
-    for _ in range(round(share / (1 - share) * len(ball.vertices) / 25)):
+    parts = [sphere(4)]
+    count = len(parts[0][0])
+    for _ in range(round(share / (1 - share) * count / 25)):
         away = rng.normal(size=3)
         parts.append(patch(25, away / np.linalg.norm(away) * rng.uniform(400, 1300), rng))
     vertices, faces = join(parts)
-    first = np.arange(len(ball.vertices), len(vertices), 25)
+    first = np.arange(count, len(vertices), 25)
     if attached:
         faces = np.concatenate([faces, np.stack([first, first + 1, 0 * first], axis=1)])
     far = far_faces(vertices, faces)
-    np.testing.assert_array_equal(far, (faces >= len(ball.vertices)).any(1))
+    np.testing.assert_array_equal(far, (faces >= count).any(1))
 
 
 def test_a_second_head_and_a_coarse_body_are_not_stray():
-    ball = trimesh.creation.icosphere(4, 90.0)
-    for coarse, away in ((3, [900.0, 0, 0]), (4, [0, 1200.0, 0])):
-        other = trimesh.creation.icosphere(coarse, 90.0)
-        vertices, faces = join(
-            [(np.asarray(ball.vertices), np.asarray(ball.faces)), (other.vertices + away, other.faces)]
-        )
-        assert not far_faces(vertices, faces).any()
+    for coarse, away in ((3, (900.0, 0, 0)), (4, (0, 1200.0, 0))):
+        assert not far_faces(*join([sphere(4), sphere(coarse, center=away)])).any()
 
 
 def test_stray_faces_do_not_take_everything_along():

@@ -1,9 +1,9 @@
-import igl
 import numpy as np
 import pytest
+from helpers.meshes import grid
 
 from scan2albedo import AnnotatedFaceModel
-from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints
+from scan2albedo.geometry.loop_subdivision import LoopSubdivision
 from scan2albedo.geometry.mesh import face_areas, vertex_areas, vertex_normals
 from scan2albedo.geometry.operators import (
     bending,
@@ -17,20 +17,15 @@ from scan2albedo.geometry.operators import (
 )
 
 
-def grid(size: int = 9) -> tuple[np.ndarray, np.ndarray]:
-    vertices, faces = igl.triangulated_grid(size, size)
-    return np.column_stack([vertices, np.zeros(len(vertices))]), np.asarray(faces, np.int64)
-
-
 def test_membrane_energy_of_a_linear_field_is_its_gradient_squared_times_area():
-    vertices, faces = grid()
+    vertices, faces = grid(9, 9)
     u = 3 * vertices[:, 0] - 2 * vertices[:, 1]
     assert u @ laplacian(vertices, faces) @ u == pytest.approx(9 + 4)
     assert u @ laplacian(vertices, faces, np.full(len(faces), 0.5)) @ u == pytest.approx(6.5)
 
 
 def test_bending_energy_is_zero_on_linear_fields_and_close_to_the_integral_on_quadratic_ones():
-    vertices, faces = grid(41)
+    vertices, faces = grid(41, 41)
     flat = vertices[:, 0] + 2 * vertices[:, 1]
     plate = bending(vertices, faces)
     assert flat @ plate @ flat == pytest.approx(0, abs=1e-6)
@@ -40,7 +35,7 @@ def test_bending_energy_is_zero_on_linear_fields_and_close_to_the_integral_on_qu
 
 def test_operators_are_positive_semi_definite_even_on_slivers():
     rng = np.random.default_rng(3)
-    vertices, faces = grid(5)
+    vertices, faces = grid(5, 5)
     vertices[:, 1] *= 1e-7
     vertices[3] = vertices[4]
     for matrix in (laplacian(vertices, faces), bending(vertices, faces)):
@@ -52,7 +47,7 @@ def test_operators_are_positive_semi_definite_even_on_slivers():
 
 
 def test_a_cut_of_zero_weight_lets_two_halves_move_apart():
-    vertices, faces = grid(21)
+    vertices, faces = grid(21, 21)
     middle = vertices[faces][:, :, 0].mean(1)
     cut = np.where(np.abs(middle - 0.5) < 0.06, 0.0, 1.0)
     halves = np.where(vertices[:, 0] > 0.5, 1.0, 0.0)
@@ -68,7 +63,7 @@ def test_vertex_reductions():
 
 
 def test_linear_refinement_numbers_vertices_as_subdivision_does():
-    vertices, faces = grid(4)
+    vertices, faces = grid(4, 4)
     subdivision = LoopSubdivision.of(len(vertices), faces, 2)
     fine = linear_refinement(len(vertices), faces, 2) @ vertices
     areas = face_areas(fine, subdivision.faces)
@@ -76,24 +71,9 @@ def test_linear_refinement_numbers_vertices_as_subdivision_does():
     assert areas.sum() == pytest.approx(1)
 
 
-def test_points_on_refined_faces_come_back_to_the_same_place_on_control_faces():
-    vertices, faces = grid(4)
-    vertices = vertices + 0.1 * np.random.default_rng(0).normal(size=vertices.shape)
-    subdivision = LoopSubdivision.of(len(vertices), faces, 3)
-    rng = np.random.default_rng(1)
-    refined = SurfacePoints(
-        rng.integers(len(subdivision.faces), size=300), rng.dirichlet(np.ones(3), size=300)
-    )
-    surface = subdivision.matrix @ vertices
-    direct = np.einsum("nk,nkj->nj", refined.barycentric, surface[subdivision.faces[refined.face]])
-    on_control = subdivision.control_points(refined)
-    np.testing.assert_allclose(on_control.barycentric.sum(1), 1)
-    np.testing.assert_allclose(subdivision.points_matrix(on_control) @ vertices, direct, atol=1e-12)
-
-
 def sheet(count, side_mm=100.0):
-    vertices, faces = igl.triangulated_grid(count, count)
-    return np.column_stack([side_mm * (vertices - 0.5), np.zeros(len(vertices))]), np.asarray(faces, np.int64)
+    vertices, faces = grid(count, count)
+    return side_mm * (vertices - [0.5, 0.5, 0.0]), faces
 
 
 def spread_of_a_peak(count, deviation_mm):

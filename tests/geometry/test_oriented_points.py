@@ -3,20 +3,16 @@
 import numpy as np
 import pytest
 import trimesh
+from helpers.meshes import sphere
 from scipy.spatial import cKDTree
 
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.oriented_points import OrientedPoints, anchors, farthest_points, oriented_points
 
 
-def sphere(level, radius=60.0):
-    mesh = trimesh.creation.icosphere(level, radius)
-    return np.asarray(mesh.vertices), np.asarray(mesh.faces)
-
-
 @pytest.mark.parametrize("level", [3, 5, 6])
 def test_samples_of_a_sphere_lie_on_it_with_radial_normals_and_its_area(level):
-    samples = oriented_points(*sphere(level), 4.0)
+    samples = oriented_points(*sphere(level, 60.0), 4.0)
     radius = np.linalg.norm(samples.points, axis=1)
     assert np.abs(radius - 60).max() < 1.0
     assert np.einsum("ij,ij->i", samples.normals, samples.points / radius[:, None]).min() > 0.98
@@ -34,7 +30,7 @@ def test_two_large_triangles_are_sampled_without_holes():
 
 
 def test_noise_on_a_fine_mesh_is_averaged_away():
-    vertices, faces = sphere(6)
+    vertices, faces = sphere(6, 60.0)
     rng = np.random.default_rng(1)
     noisy = vertices * (1 + rng.normal(scale=0.3 / 60, size=(len(vertices), 1)))
     samples = oriented_points(noisy, faces, 6.0)
@@ -56,7 +52,7 @@ def test_nothing_comes_from_faces_without_area():
 
 
 def test_a_large_mesh_keeps_its_area_when_only_some_faces_are_read():
-    vertices, faces = sphere(8)
+    vertices, faces = sphere(8, 60.0)
     samples = oriented_points(vertices, faces, 6.0)
     assert len(faces) > 1_000_000
     assert samples.areas.sum() == pytest.approx(4 * np.pi * 60**2, rel=0.02)
@@ -72,7 +68,7 @@ def test_farthest_points_keep_their_distance_and_cover_the_cloud():
 
 
 def test_anchors_look_outward_whatever_single_normals_do():
-    samples = oriented_points(*sphere(5), 4.0)
+    samples = oriented_points(*sphere(5, 60.0), 4.0)
     rng = np.random.default_rng(3)
     shaken = normalized(samples.normals + rng.normal(scale=0.3, size=samples.normals.shape))
     spread = anchors(

@@ -2,17 +2,16 @@
 
 import numpy as np
 import pytest
-import trimesh
+from helpers.meshes import sphere
 
 from scan2albedo.geometry.rigid import compose, in_principal_frame, random_rotation, transform_points
 
 
 @pytest.fixture(scope="module")
 def lump():
-    mesh = trimesh.creation.icosphere(3, 1.0)
-    unit = np.asarray(mesh.vertices)
+    unit, faces = sphere(3, 1.0)
     stretched = unit * [50.0, 70.0, 90.0] * (1 + 0.3 * np.clip(unit @ [0.6, 0.5, 0.62], 0, 1))[:, None] ** 2
-    return stretched, np.asarray(mesh.faces)
+    return stretched, faces
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -2,15 +2,10 @@
 
 import numpy as np
 import pytest
-import trimesh
+from helpers.meshes import sphere
 
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import random_rotation
-
-
-def sphere(radius, center=(0.0, 0.0, 0.0), level=5):
-    mesh = trimesh.creation.icosphere(level, radius)
-    return np.asarray(mesh.vertices) + center, np.asarray(mesh.faces)
 
 
 def nearest_by_brute_force(vertices, faces, origin, direction):
@@ -27,7 +22,7 @@ def nearest_by_brute_force(vertices, faces, origin, direction):
 
 
 def test_rays_at_a_sphere_hit_where_the_quadratic_says():
-    vertices, faces = sphere(50.0)
+    vertices, faces = sphere(5, 50.0)
     rng = np.random.default_rng(0)
     offset = rng.uniform(-45, 45, (400, 2))
     inside = np.hypot(*offset.T) < 45
@@ -43,7 +38,7 @@ def test_rays_at_a_sphere_hit_where_the_quadratic_says():
 
 
 def test_rays_agree_with_brute_force_in_any_direction():
-    vertices, faces = sphere(1.0, level=1)
+    vertices, faces = sphere(1, 1.0)
     vertices = vertices * [1, 2, 0.5] @ random_rotation(np.random.default_rng(1)).T
     rng = np.random.default_rng(2)
     origins = rng.normal(size=(60, 3)) * 3
@@ -60,7 +55,7 @@ def test_rays_agree_with_brute_force_in_any_direction():
 
 
 def test_a_miss_is_minus_one_and_infinitely_far():
-    hits = RayCaster(*sphere(1.0, level=2)).first_hit([[0, 0, 5.0]], [[0, 0, 1.0]])
+    hits = RayCaster(*sphere(2, 1.0)).first_hit([[0, 0, 5.0]], [[0, 0, 1.0]])
     assert hits.face[0] == -1
     assert hits.distance[0] == np.inf
     assert (hits.barycentric == 0).all()
@@ -71,7 +66,7 @@ def test_a_miss_is_minus_one_and_infinitely_far():
 def test_neither_the_origin_nor_the_unit_matters(offset, unit):
     """Embree computes in float32: a face 1e6 mm away would lose all detail without centring."""
     center = np.array([offset, -offset, offset]) * unit
-    vertices, faces = sphere(80.0 * unit, center, level=4)
+    vertices, faces = sphere(4, 80.0 * unit, center)
     origins = center + np.array([[0, 0, 200.0], [30, 10, 200], [79, 79, 200]]) * unit
     hits = RayCaster(vertices, faces).first_hit(origins, [0, 0, -1.0])
     expected = np.array([120.0, 200 - np.sqrt(80**2 - 1000), np.inf]) * unit
@@ -79,7 +74,7 @@ def test_neither_the_origin_nor_the_unit_matters(offset, unit):
 
 
 def test_many_rays_across_threads_equal_few():
-    caster = RayCaster(*sphere(10.0, level=3))
+    caster = RayCaster(*sphere(3, 10.0))
     rng = np.random.default_rng(3)
     origins = np.column_stack([rng.uniform(-12, 12, (40_000, 2)), np.full(40_000, 20.0)])
     many = caster.occluded(origins, [0, 0, -1.0])
@@ -88,7 +83,7 @@ def test_many_rays_across_threads_equal_few():
 
 
 def test_prepared_origins_and_one_common_direction_give_the_same_answers():
-    caster = RayCaster(*sphere(10.0, [1e4, 0, 0], level=3))
+    caster = RayCaster(*sphere(3, 10.0, [1e4, 0, 0]))
     rng = np.random.default_rng(4)
     origins = np.column_stack(
         [1e4 + rng.uniform(-12, 12, 30_000), rng.uniform(-12, 12, 30_000), np.full(30_000, 20.0)]
@@ -100,4 +95,4 @@ def test_prepared_origins_and_one_common_direction_give_the_same_answers():
 
 
 def test_no_rays_no_answers():
-    assert RayCaster(*sphere(1.0, level=1)).occluded(np.zeros((0, 3)), [0, 0, 1.0]).shape == (0,)
+    assert RayCaster(*sphere(1, 1.0)).occluded(np.zeros((0, 3)), [0, 0, 1.0]).shape == (0,)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-import trimesh
+from helpers.meshes import sphere
 
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.oriented_points import SurfaceNoise
@@ -10,8 +10,7 @@ from scan2albedo.geometry.oriented_points import SurfaceNoise
 
 @pytest.fixture(scope="module")
 def ball():
-    mesh = trimesh.creation.icosphere(4, 90.0)
-    return np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    return sphere(4, 90.0)
 
 
 def _noisy(ball, noise_mm):

@@ -6,6 +6,7 @@ import numpy as np
 import trimesh
 
 from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.geometry.oriented_points import oriented_points
 
 
 def sphere(level, radius=90.0, center=(0.0, 0.0, 0.0)):
@@ -21,6 +22,14 @@ def grid(columns, rows):
     lower = np.stack([first, first + 1, first + columns + 1], 1)
     upper = np.stack([first, first + columns + 1, first + columns], 1)
     return np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], 1), np.concatenate([lower, upper])
+
+
+def bumpy_samples():
+    """Return samples, 4 mm apart, of an asymmetric closed shape of 70 mm radius: its pose is unique."""
+    unit, faces = sphere(5, 1.0)
+    axes = np.array([[0, 0, 1.0], [0.6, 0.8, 0], [-0.8, 0, 0.6]])
+    radius = 70 * (1 + np.exp(6 * (unit @ axes.T - 1)) @ [0.35, 0.25, 0.2])
+    return oriented_points(unit * radius[:, None], faces, 4.0)
 
 
 def ball(level=2, radius=90.0, name="ball"):

@@ -60,8 +60,15 @@ def test_every_model_is_finite_and_not_negative(n_l, n_v, l_v, sigma, exponent):
         assert value >= 0
 
 
-@pytest.mark.parametrize("model", [lambda c: oren_nayar(c, 0.5, 0.1, 0.5), lambda c: minnaert(c, 0.5, 0.7),
-                                   lambda c: phong(c, 0.5, -1.0, 2.0), lambert])  # fmt: skip
+@pytest.mark.parametrize(
+    "model",
+    [
+        lambda c: oren_nayar(c, 0.5, 0.1, 0.5),
+        lambda c: minnaert(c, 0.5, 0.7),
+        lambda c: phong(c, 0.5, -1.0, 2.0),
+        lambert,
+    ],
+)
 def test_light_behind_gives_nothing(model):
     assert np.all(model(COSINES[COSINES <= 0]) == 0)
     assert np.all(model(COSINES[COSINES > 0.05]) > 0)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from scan2albedo.eyeglasses.lenses.scenes import radiance_at
 from scan2albedo.lighting.environment import (
     DistantLights,
     distant_directions,
@@ -12,6 +11,8 @@ from scan2albedo.lighting.environment import (
     texel_directions,
     texel_solid_angles,
 )
+
+UP = [[0, 0, 1]]
 
 
 def solid_angles(rows, columns):
@@ -43,27 +44,6 @@ def test_weights_are_the_integrals_over_the_nearest_directions():
     np.testing.assert_allclose(environment_weights(image, directions), expected, rtol=1e-9)
 
 
-def test_a_lamp_in_the_map_is_the_light_in_its_direction():
-    image = np.zeros((64, 128, 3))
-    toward = np.array([0.6, 0.5, np.sqrt(1 - 0.61)])
-    row = int(np.arccos(toward[1]) / np.pi * 64)
-    column = int((np.arctan2(toward[0], toward[2]) / (2 * np.pi) + 0.5) * 128)
-    image[row, column] = [100, 50, 0]
-    assert radiance_at(image, toward[None])[0, 0] > 20
-    directions = distant_directions(50)
-    weights = environment_weights(image, directions)
-    assert np.flatnonzero(weights.any(1)).tolist() == [int((directions @ toward).argmax())]
-
-
-def test_weights_are_linear_in_the_map():
-    rng = np.random.default_rng(2)
-    first, second = rng.random((2, 16, 32, 3))
-    directions = distant_directions(30)
-    together = environment_weights(2 * first + second, directions)
-    apart = 2 * environment_weights(first, directions) + environment_weights(second, directions)
-    np.testing.assert_allclose(together, apart, rtol=1e-13)
-
-
 @pytest.mark.parametrize("count", [1, 2, 10, 200])
 def test_directions_are_even(count):
     directions = distant_directions(count)
@@ -82,21 +62,29 @@ def test_an_even_environment_shines_on_every_plate_alike():
     )
 
 
-def test_what_is_no_light_is_refused():
-    with pytest.raises(ValueError, match="count"):
-        distant_directions(0)
-    with pytest.raises(ValueError, match="not zero"):
-        environment_weights(np.ones((2, 4, 3)), [[0, 0, 0]])
-    with pytest.raises(ValueError, match="directions must be one or more"):
-        environment_weights(np.ones((2, 4, 3)), np.zeros((0, 3)))
-    with pytest.raises(ValueError, match="environment_linear: 24 values are NaN or infinite"):
-        environment_weights(np.full((2, 4, 3), np.inf), [[0, 0, 1]])
-    with pytest.raises(ValueError, match="environment_linear is"):
-        environment_weights(np.ones((2, 4)), [[0, 0, 1]])
-    with pytest.raises(ValueError, match="irradiance_linear is"):
-        DistantLights([[0, 0, 1]], np.ones((2, 3)))
-    with pytest.raises(ValueError, match="irradiance_linear: 3 values are NaN"):
-        DistantLights([[0, 0, 1]], [np.nan])
+@pytest.mark.parametrize(
+    ("function", "arguments", "message"),
+    [
+        (distant_directions, (0,), "count"),
+        (important_directions, (np.ones((4, 8, 3)), 0), "1 or more"),
+        (environment_weights, (np.ones((2, 4, 3)), [[0, 0, 0]]), "not zero"),
+        (environment_weights, (np.ones((2, 4, 3)), np.zeros((0, 3))), "directions must be one or more"),
+        (
+            environment_weights,
+            (np.full((2, 4, 3), np.inf), UP),
+            "environment_linear: 24 values are NaN",
+        ),
+        (environment_weights, (np.ones((2, 4)), UP), "environment_linear is"),
+        (DistantLights, (UP, np.ones((2, 3))), "irradiance_linear is"),
+        (DistantLights, (UP, [np.nan]), "irradiance_linear: 3 values are NaN"),
+    ],
+)
+def test_what_is_no_light_is_refused(function, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        function(*arguments)
+
+
+def test_a_number_is_a_grey_light():
     grey = DistantLights([[0, 0, 2.0]], [3.0])
     assert grey.irradiance_linear.tolist() == [[3, 3, 3]]
     assert grey.directions.tolist() == [[0, 0, 1]]
@@ -154,5 +142,3 @@ def test_important_directions_of_a_fine_map_are_those_of_a_coarse_one():
 def test_important_directions_of_no_light_are_even():
     np.testing.assert_array_equal(important_directions(np.zeros((4, 8, 3)), 9), distant_directions(9))
     assert important_directions(np.ones((1, 1, 3)), 1).shape == (1, 3)
-    with pytest.raises(ValueError, match="1 or more"):
-        important_directions(np.ones((4, 8, 3)), 0)

@@ -45,16 +45,6 @@ def test_at_the_poles_only_m_0_is_left():
     np.testing.assert_allclose(values[1, centre], expected * (-1.0) ** degrees[centre], rtol=1e-14)
 
 
-def test_harmonics_are_orthonormal():
-    nodes, weights = np.polynomial.legendre.leggauss(12)
-    azimuth = np.arange(24) * 2 * np.pi / 24
-    ring = np.sqrt(1 - nodes**2)[:, None]
-    z = np.broadcast_to(nodes[:, None], (12, 24))
-    values = harmonics(np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), z], -1))
-    gram = np.einsum("a,abi,abj->ij", weights * 2 * np.pi / 24, values, values)
-    np.testing.assert_allclose(gram, np.eye(81), atol=1e-13)
-
-
 def test_gradients_agree_with_finite_differences_along_the_sphere():
     unit = unit_vectors(60, seed=1)
     tangent = np.cross(unit, np.random.default_rng(2).normal(size=unit.shape))

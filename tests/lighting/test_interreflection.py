@@ -9,7 +9,6 @@ from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment_light import (
     Patches,
     environment_light_on,
-    shadowed_transfer,
     surface_keys,
     surface_weights,
 )
@@ -69,14 +68,6 @@ def test_a_bowl_hides_half_of_the_hemisphere_from_each_of_its_points(bowl):
     assert part == pytest.approx(0.5, abs=0.02)
     assert hidden == pytest.approx(np.full(len(center), part), abs=0.08)
     assert hidden.mean() == pytest.approx(part, abs=0.01)
-
-
-def test_rows_sum_to_what_ambient_occlusion_leaves(bowl):
-    caster, center, normal = bowl
-    factors = Patches.of(caster, center, normal, OFFSET_MM).factors
-    open_part = shadowed_transfer(ShadowMap(caster, center, normal, OFFSET_MM))[:, 0]
-    assert np.std(factors.sum(1) - (1 - open_part)) < 0.04
-    assert factors.sum(1).mean() == pytest.approx(1 - open_part.mean(), abs=0.01)
 
 
 def test_faces_of_a_cube_have_form_factors_of_a_fifth():

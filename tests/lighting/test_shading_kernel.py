@@ -68,23 +68,11 @@ def test_no_light_leaves_the_ambient_term():
     assert np.all(shading.specular == 0)
 
 
-def test_sigma_zero_equals_lambert_to_the_last_bit():
-    position, normal, _ = _points()
-    rough = shade_points(position, normal, LIGHTS, Reflectance("oren-nayar", 0.0))
-    assert np.array_equal(rough.light, shade_points(position, normal, LIGHTS, Reflectance("lambert")).light)
-
-
 def test_facing_texel_at_the_origin_gets_the_intensity_from_any_distance():
     for distance in (300.0, math.inf):
         light = light_from_direction((0.3, 0.4, 1.0), distance, 2.5)
         shading = shade_points(np.zeros((1, 3)), light.direction[None], (light,), Reflectance())
         assert shading.light[0] == pytest.approx(3.5)
-
-
-def test_near_light_falls_off_with_the_square():
-    light = PointLight(0.0, 0.0, 200.0, 1.0)
-    shading = shade_points([[0, 0, 100.0], [0, 0, -200.0]], [[0, 0, 1.0]] * 2, (light,), Reflectance())
-    assert shading.light - 1 == pytest.approx([4.0, 0.25])
 
 
 def test_a_coloured_lamp_colours_its_own_light_and_no_highlight():

@@ -9,11 +9,11 @@ import trimesh
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable, cone_directions, view_frame
 
-RADIUS, HEIGHT = 20.0, 60.0
+RADIUS = 20.0
+HEIGHT = 60.0
 
 
 def _sphere_over_plane():
-
     sphere = trimesh.creation.icosphere(subdivisions=5, radius=RADIUS)
     sphere.apply_translation([0, 0, HEIGHT])
     corners = np.array([[-200, -200, 0], [200, -200, 0], [200, 200, 0], [-200, 200, 0.0]])

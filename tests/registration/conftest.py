@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-import trimesh
+from helpers.meshes import bumpy_samples
 from worlds.raw_like import raw_like
 
 from scan2albedo import AnnotatedFaceModel, RawScan
-from scan2albedo.geometry.oriented_points import OrientedPoints, oriented_points
+from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import compose, invert_rigid, procrustes, rotation_angle_rad, transform_points
 from scan2albedo.synthetic.face_shape import person
 
@@ -46,12 +46,7 @@ def synthetic_scan(model) -> Callable[..., PosedScan]:
 
 @pytest.fixture(scope="session")
 def bumpy() -> OrientedPoints:
-    """An asymmetric closed shape, so that its pose is unique."""
-    mesh = trimesh.creation.icosphere(5, 1.0)
-    unit = np.asarray(mesh.vertices)
-    axes = np.array([[0, 0, 1.0], [0.6, 0.8, 0], [-0.8, 0, 0.6]])
-    radius = 70 * (1 + np.exp(6 * (unit @ axes.T - 1)) @ [0.35, 0.25, 0.2])
-    return oriented_points(unit * radius[:, None], np.asarray(mesh.faces), 4.0)
+    return bumpy_samples()
 
 
 @pytest.fixture(scope="session")
