@@ -38,8 +38,9 @@ def mouth_parts(face: ProcessedFace, landmarks: FloatArray, white: FloatArray) -
     `landmarks` are (68, 3), `white` (3,) the albedo of an eye's white.
     """
     lips = named_texels(face, ["lip", "upper_lip", "lower_lip"]) & face.image.seen
-    red = np.median(face.albedo_linear[lips], axis=0) if lips.any() else white * RED
-    rim, gums = landmarks[RIM_LANDMARKS], 0.7 * red
+    red: FloatArray = np.median(face.albedo_linear[lips], axis=0) if lips.any() else white * RED
+    gums = 0.7 * red
+    rim = landmarks[RIM_LANDMARKS]
     return [
         _bag(rim, gums),
         _teeth("teeth_upper", rim, rim[2, 1] - 2, 1, gums, white),

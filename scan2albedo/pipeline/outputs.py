@@ -16,11 +16,11 @@ from scan2albedo.applications.light_removal import LightRemoval, UnlitScan, usua
 from scan2albedo.applications.template_baking import TemplateTexture, template_texture, tile_numbers
 from scan2albedo.core import PlanStep, RawScan
 from scan2albedo.core.arrays import FloatArray
+from scan2albedo.face_model.annotation import AnnotatedSurface
 from scan2albedo.fitting import FittedFace
 from scan2albedo.io.texture_atlas import in_first_period
 from scan2albedo.pipeline.clock import Clock
 from scan2albedo.pipeline.options import ProcessOptions
-from scan2albedo.templates import AnnotatedFaceModel
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Outputs:
     are those of each part, by the names of `_COSTS`.
     """
 
-    def __init__(self, scan: RawScan, model: AnnotatedFaceModel | None, options: ProcessOptions) -> None:
+    def __init__(self, scan: RawScan, model: AnnotatedSurface | None, options: ProcessOptions) -> None:
         texture, tile = scan.texture_linear, options.texture_size**2
         own = 0 if texture is None else texture.shape[0] * texture.shape[1]
         of_template = 0 if model is None else tile * _tile_count(model.template_uv)

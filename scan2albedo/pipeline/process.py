@@ -263,7 +263,7 @@ class _Run:
             pose = self.registration.model_from_scan
             self.plan["register"] = _register_rows(self.registration)
         with clock.timed("fit"):
-            steps = []
+            steps = list[PlanStep]()
             if options.landmarks_detected:
                 self.scan, steps = with_detected(self.scan, pose, clock.share("fit").seconds)
             share, tuning = clock.share("fit"), options.stages.fit

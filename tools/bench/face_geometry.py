@@ -176,8 +176,8 @@ def nearest(scene: Scene) -> FloatArray:
 
 
 def errors(scene: Scene, answer: GeometryFit | FloatArray) -> dict[str, float]:
-    fitted = isinstance(answer, GeometryFit)
-    vertices, faces = answer.vertices if fitted else answer, shape_model().faces
+    vertices = answer.vertices if isinstance(answer, GeometryFit) else answer
+    faces = shape_model().faces
     true_normals = vertex_normals(scene.vertices, faces)
     view = normalized(camera_centers(CAMERA[None])[0] - scene.vertices)
     seen = np.einsum("vi,vi->v", true_normals, view) > 0.1
@@ -187,7 +187,7 @@ def errors(scene: Scene, answer: GeometryFit | FloatArray) -> dict[str, float]:
         row[column] = float(np.linalg.norm(aligned - scene.vertices, axis=1)[seen].mean())
     cosine = np.sum(vertex_normals(aligned, faces) * true_normals, axis=1)[seen]
     row["normals deg"] = float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean())
-    if fitted:
+    if isinstance(answer, GeometryFit):
         row["believed"] = float(answer.plan.ran("reflectance.geometry.photometry"))
     return row
 

@@ -112,7 +112,7 @@ class Lit:
 
     @classmethod
     def of(cls, capture: Capture, used: BoolArray, held_out: BoolArray, **how: float) -> Lit:
-        samples = samples_of(of_pairs(capture, np.flatnonzero(used)), **how)  # type: ignore[arg-type]
+        samples = samples_of(of_pairs(capture, np.flatnonzero(used)), **how)
         return cls(capture, samples, of_pairs(capture, np.flatnonzero(held_out)))
 
 

@@ -136,7 +136,8 @@ class Shot:
         row = {"albedo %": 100 * albedo_error(found.diffuse_linear, self.face)}
         if self.elsewhere is not None:
             a, b = (sent(one, self.elsewhere)[surface().seen] for one in (found, self.face))
-            row["relit %"] = 100 * np.linalg.norm(np.sum(a * b) / np.sum(a * a) * a - b) / np.linalg.norm(b)
+            apart = np.linalg.norm(np.sum(a * b) / np.sum(a * a) * a - b)
+            row["relit %"] = float(100 * apart / np.linalg.norm(b))
         return row
 
 

@@ -120,7 +120,7 @@ def heads() -> Iterator[tuple[s2a.GeometryImage, NDArray[np.uint8]]]:
         for first in range(0, len(CLASSES), 3):
             three = np.stack([truth == first + k for k in range(3)], axis=-1).astype(np.float32)
             sampled = s2a.geometry_image(fitted, replace(scan, texture_linear=three), size=SIZE)
-            planes.append(sampled.texture_linear)
+            planes.append(np.asarray(sampled.texture_linear))
         part = np.dstack(planes)[..., : len(CLASSES)]
         classes = np.where(part.max(-1) > 0.6, part.argmax(-1), 0).astype(np.uint8)
         yield s2a.geometry_image(fitted, scan, size=SIZE), classes

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import product
+from typing import cast
 
 import numpy as np
 from scipy import stats
@@ -30,7 +31,7 @@ from scan2albedo.io.npz import write_npz
 from scan2albedo.registration.acceptance import NAMES
 from scan2albedo.registration.icp import FEW, loosely_shaped, shaped_icp
 from scan2albedo.registration.inputs import RegistrationOptions, Template, prepared_scan
-from scan2albedo.synthetic.face_shape import person
+from scan2albedo.synthetic.face_shape import Expression, person
 
 SYNTHETIC = 164
 """Synthetic people."""
@@ -92,7 +93,8 @@ def synthetic() -> Iterator[RawScan]:
     """Yield synthetic people with all expressions."""
     model, kinds = s2a.AnnotatedFaceModel.default(), sorted(EXPRESSION_BUMPS)
     for seed in range(SYNTHETIC):
-        face = person(model, np.random.default_rng([seed, 42]), expression=kinds[seed % len(kinds)])
+        expression = cast(Expression, kinds[seed % len(kinds)])
+        face = person(model, np.random.default_rng([seed, 42]), expression=expression)
         yield RawScan(model.subdivision(2).matrix @ face, model.subdivision(2).faces)
 
 

@@ -60,7 +60,7 @@ def wrong_objects() -> dict[str, Maker]:
     for number in range(3):
         objects[f"vase {number}"] = partial(_vase, number)
     for number in range(5):
-        objects[f"body {number}"] = lambda number=number: random_body(np.random.default_rng([53, number]))
+        objects[f"body {number}"] = partial(_body, number)
         objects[f"back of head {number}"] = partial(_back, number)
     return objects
 
@@ -169,6 +169,10 @@ def random_relief(rng: np.random.Generator) -> Mesh:
     x, y = np.meshgrid(np.linspace(-110, 110, size), np.linspace(-130, 130, size))
     z = 60 * np.sqrt(np.maximum(0, 1 - (x / 140) ** 2 - (y / 170) ** 2)) + height
     return np.stack([x, y, z], -1).reshape(-1, 3), grid_faces(size, size)[:, ::-1]
+
+
+def _body(number: int) -> Mesh:
+    return random_body(np.random.default_rng([53, number]))
 
 
 def random_body(rng: np.random.Generator) -> Mesh:

@@ -8,7 +8,7 @@ The lobes are written out here once more. Nothing of it is code that the benchma
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -115,8 +115,9 @@ def mitsuba_capture(
     cameras = np.concatenate([arc(np.linspace(-55, 55, views - 1)), arc(np.zeros(1), 25)])
     lights = np.concatenate([arc(np.linspace(-65, 65, flashes - 3), 8), arc(np.array([-30.0, 0, 30]), 42)])
     lights[: flashes - 3] += [40.0, 30.0, 0.0]  # beside the cameras, not in them
-    lens = {"focal_px": size * DISTANCE_MM / _FIELD_MM, "shape": (size, size)}
-    matrices = np.stack([look_at(position, np.zeros(3), **lens) for position in cameras])
+    focal_px = size * DISTANCE_MM / _FIELD_MM
+    aimed = partial(look_at, target=np.zeros(3), focal_px=focal_px, shape=(size, size))
+    matrices = np.stack([aimed(position) for position in cameras])
     body = _Scene(mi, vertices, faces, truth)
     clean = []
     for position in cameras:

@@ -69,8 +69,9 @@ def recipes() -> tuple[ScanRecipe, ...]:
         **features: Any,
     ) -> ScanRecipe:
         person = Person(name=name[:4], seed=int(name[1:4]), tone=tone, **features)
-        how = {"unit_mm": unit_mm, "turned_deg": turned_deg}
-        return ScanRecipe(name=name, rig=rig, cameras=cameras, person=person, **how)
+        return ScanRecipe(
+            name=name, rig=rig, cameras=cameras, person=person, unit_mm=unit_mm, turned_deg=turned_deg
+        )
 
     return (
         scan("p201_dome", "dome", 3, 0.3, stubble=0.8),

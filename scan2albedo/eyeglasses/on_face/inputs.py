@@ -209,7 +209,7 @@ def _checked_view(
     picture: ArrayLike | None,
 ) -> _CheckedView:
     """Return one view with its labels (20, 2), mask, size and picture; raises as `register_on_face`."""
-    labelled = np.isfinite(labels).all(1)
+    labelled = np.asarray(np.isfinite(labels).all(1))
     found = labels[labelled]
     if (np.abs(found) > 1e6).any():
         raise EyeglassesError(f"labels of view {number} reach {np.abs(found).max():.3g}: expected pixels")
@@ -221,7 +221,7 @@ def _checked_view(
             raise EyeglassesError(f"picture {number} holds numbers that are not finite")
         shape = image.shape[:2]
     distance = None
-    covered = None if mask is None else np.asarray(mask) != 0
+    covered = None if mask is None else np.asarray(mask).astype(bool)
     if covered is not None:
         if covered.ndim != 2 or min(covered.shape) < 2:
             raise ValueError(f"mask {number} must have shape (H, W), of 2 pixels or more: {covered.shape}")

@@ -159,16 +159,16 @@ def report(
 
 def _noise_shown(options: FaceRegistrationOptions, at: Linearization) -> FaceRegistrationOptions:
     """Return the options with the noise that labels and outlines show, where there are enough of them."""
-    labels, outline = at.labels_px[np.isfinite(at.labels_px)], np.abs(at.outline_px)
-    shown = {}
+    labels = at.labels_px[np.isfinite(at.labels_px)]
+    outline = np.abs(at.outline_px)
+    # Over the medians of a distance in the plane (Rayleigh) and of an error, at a deviation of 1.
     if len(labels) > 4:
-        # Over the medians of a distance in the plane (Rayleigh) and of an error, at a deviation of 1.
-        shown["label_noise_px"] = max(_LEAST_NOISE_PX, float(np.median(labels) / np.sqrt(2 * np.log(2))))
+        noise_px = float(np.median(labels) / np.sqrt(2 * np.log(2)))
+        options = replace(options, label_noise_px=max(_LEAST_NOISE_PX, noise_px))
     if len(outline) > 4:
-        shown["outline_noise_px"] = max(
-            _LEAST_NOISE_PX, float(np.median(outline) / (np.sqrt(2) * erfinv(0.5)))
-        )
-    return replace(options, **shown)
+        noise_px = float(np.median(outline) / (np.sqrt(2) * erfinv(0.5)))
+        options = replace(options, outline_noise_px=max(_LEAST_NOISE_PX, noise_px))
+    return options
 
 
 @dataclass(frozen=True)
@@ -204,14 +204,21 @@ def _certainty(
         away = np.linalg.norm(motion.positions(motion.marks)[given.known].mean(0) - centers[0])
         if np.linalg.norm(centers - centers[0], axis=1).max() <= _APART * away:
             inflation = _ONE_VIEW if objective.contact is None else _ONE_VIEW_RESTED
-    covariances, stated = motion.covariances(motion.marks, root), []
-    for p, c in ((points, motion.covariances(points, root)), (motion.marks, covariances)):
+
+    def deviations(of: SkinnedPoints, covariances: FloatArray) -> FloatArray:
         # Frames bend otherwise than their key points say.
-        bend_mm = p.weights @ np.linalg.norm(motion.state.shifts, axis=1)
+        bend_mm = of.weights @ np.linalg.norm(motion.state.shifts, axis=1)
         unmodelled = np.hypot(_MODEL_MM, _MODEL_BENT * np.sqrt(np.maximum(bend_mm, 0.0)))
-        distance = np.sqrt(np.maximum(np.trace(c, axis1=1, axis2=2), 0.0))
-        stated.append(np.hypot(inflation * distance, unmodelled))
-    return _Certainty(*stated, covariances, inflation)
+        distance = np.sqrt(np.maximum(np.trace(covariances, axis1=1, axis2=2), 0.0))
+        return np.hypot(inflation * distance, unmodelled)
+
+    of_marks = motion.covariances(motion.marks, root)
+    return _Certainty(
+        vertices=deviations(points, motion.covariances(points, root)),
+        keypoints=deviations(motion.marks, of_marks),
+        covariances=of_marks,
+        inflation=inflation,
+    )
 
 
 @dataclass(frozen=True)

@@ -120,8 +120,6 @@ def test_without_any_rim_the_outline_runs_through_the_key_points():
     assert outline_distances(rim.points, glasses.lens_outlines[0]).max() <= 5.0
 
 
-
-
 def test_a_lens_fills_its_rim_and_faces_the_viewer():
     glasses = eyeglasses(8, bend=BENT)
     for side in range(2):

@@ -52,7 +52,7 @@ class Bent:
     def alone(self, **changes: object) -> CanonicalSet:
         mesh, points = (self.vertices, self.frame.faces), self.frame.key_points(self.vertices)
         weights = None if self.weights is None else [self.weights]
-        return canonicalize([mesh], [points], weights=weights, **changes)  # type: ignore[arg-type]
+        return canonicalize([mesh], [points], weights=weights, **changes)
 
 
 @cache
