@@ -6,11 +6,13 @@ import shlex
 from collections.abc import Iterator
 from functools import cache
 from importlib import import_module
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from bench.registry import benches_of
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -134,9 +136,23 @@ def test_tools_and_their_options_exist(page):
         if words[:1] != ["python"] or not words[1].startswith("tools/"):
             continue
         tool = ROOT / words[1]
-        assert tool.is_file(), words[1]
+        files = [tool] if tool.is_file() else list(tool.glob("*.py"))
+        assert files, words[1]
         for option in options_in(words[2:]):
-            assert f'"{option}"' in text_of(tool), f"{words[1]} has no {option}"
+            assert any(f'"{option}"' in text_of(file) for file in files), f"{words[1]} has no {option}"
+
+
+@every_page
+def test_benches_and_their_methods_exist(page):
+    for words in shell_lines(page):
+        if words[:2] != ["python", "tools/bench"]:
+            continue
+        names = list(takewhile(lambda word: not word.startswith("-"), words[2:]))
+        found = [bench for name in names if name != "NAME" for bench in benches_of(name).values()]
+        if "--methods" in words:
+            given = words[words.index("--methods") + 1 :]
+            for method in takewhile(lambda word: not word.startswith("-"), given):
+                assert any(method in {**bench.methods, **bench.peers} for bench in found), method
 
 
 @cache

@@ -31,7 +31,7 @@ COLUMNS = ("stage", "extreme", "ends in", "what shows it")
 WORST = {
     "albedo": r"albedo off by ([\d.]+) %",
     "fit": r"^([\d.]+) mm",
-    "load_scan": r"([\d.]+) mm off",
+    "load_scan": r"(?<=degrees, )([\d.]+) mm off",
     "process": r"landmarks ([\d.]+) mm off",
     "reflectance": r"albedo off by ([\d.]+) %",
     "register": r"([\d.]+) mm off",

@@ -34,10 +34,9 @@ def benches_of(name: str) -> dict[str, Bench]:
     ValueError
         For a name that no bench has.
     """
-    files = described()
-    file = name if name in files else name.rpartition("/")[0]
-    if file not in files:
-        raise ValueError(f"{name!r} is none of {', '.join(files)}")
+    file = name if (FOLDER / f"{name}.py").is_file() else name.rpartition("/")[0]
+    if not (FOLDER / f"{file}.py").is_file():
+        raise ValueError(f"{name!r} is none of {', '.join(described())}")
     module = importlib.import_module(f"bench.{file.replace('/', '.')}")
     several = getattr(module, "BENCHES", None)
     found = {file: module.BENCH} if several is None else {f"{file}/{key}": b for key, b in several.items()}

@@ -9,26 +9,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache, partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.pinhole import look_at
-from scan2albedo.io.images import write_png
 from scan2albedo.reflectance import (
     CaptureRig,
     OlatImages,
     OlatOptions,
     VertexReflectance,
     extract_olat,
-    write_capture,
 )
-from scan2albedo.reflectance.capture_files import FlashCaptureFile
 from worlds.flash_captures import arc, highlights, unit
 from worlds.light_stage import LightStage
 
@@ -61,10 +56,6 @@ class MitsubaCapture:
     truth: VertexReflectance
     rig: CaptureRig
     olat: OlatImages
-    flash: NDArray[np.uint8]
-    """(J, H, W, 3)."""
-    room: NDArray[np.uint8]
-    """(views, H, W, 3): one serves all pictures of a view."""
     view: IntArray
     """(J,)."""
     strength: float
@@ -137,48 +128,10 @@ def mitsuba_capture(
         truth,
         CaptureRig(matrices[view], lights[number], number),
         extract_olat(flash, room[view], options=options),
-        flash,
-        room,
         view,
         strength,
         _inner(vertices, landmarks),
     )
-
-
-def write_files(capture: MitsubaCapture, folder: Path, vertices: FloatArray) -> Path:
-    """Write the capture, of a mesh of `vertices`, as files for the commands; return the capture file."""
-    folder.mkdir(parents=True, exist_ok=True)
-    trimesh.Trimesh(vertices, capture.faces, process=False).export(folder / "head.ply")
-    focal, center = capture.flash.shape[1] * DISTANCE_MM / _FIELD_MM, (capture.flash.shape[1] - 1) / 2
-    inner = [[focal, 0.0, center], [0.0, focal, center], [0.0, 0.0, 1.0]]
-    poses, pictures = [], []
-    for k in range(len(capture.room)):
-        camera = np.linalg.inv(inner) @ capture.rig.cameras[int(np.argmax(capture.view == k))]
-        poses.append(_pose(f"camera_{k}", camera[:, :3], camera[:, 3]))
-        write_png(folder / f"room_{k}.png", capture.room[k])
-    for k in range(int(capture.rig.light.max()) + 1):
-        place = capture.rig.light_positions[int(np.argmax(capture.rig.light == k))]
-        poses.append(_pose(f"flash_{k}", np.eye(3), -place))
-    for j, (view, light) in enumerate(zip(capture.view, capture.rig.light, strict=True)):
-        names = {"flash_image": f"camera_{view}_flash_{light}.png", "room_image": f"room_{view}.png"}
-        write_png(folder / names["flash_image"], capture.flash[j])
-        pictures.append({"camera": f"camera_{view}", "flash": f"flash_{light}", **names})
-    content = {
-        "mesh": "head.ply",
-        "gamma": GAMMA,
-        "noise": NOISE,
-        "falloff_distance": DISTANCE_MM,
-        "flash_strength": capture.strength,
-        "intrinsics": inner,
-        "poses": poses,
-        "pictures": pictures,
-    }
-    write_capture(folder / "capture.json", FlashCaptureFile.model_validate(content))
-    return folder / "capture.json"
-
-
-def _pose(name: str, rotation: FloatArray, translation: FloatArray) -> dict[str, Any]:
-    return {"name": name, "rotation": rotation.tolist(), "translation": translation.tolist()}
 
 
 def _photograph(linear: FloatArray, rng: np.random.Generator) -> NDArray[np.uint8]:
