@@ -27,7 +27,7 @@ MOST_STRAIN = 0.16
 more."""
 _FACE_ODDS = {"intercept": -10.0, "strain": -6.0, "unreached": -6.0}
 """Log odds of a face by the logarithms of the strain and of what of the scan the model does not reach, chosen
-so that both kinds lie far from 0. Fits to 54 real and modelled heads (foam heads, infants' proportions, shut
+so that both kinds lie far from 0. Fits to 51 real and modelled heads (foam heads, infants' proportions, shut
 eyes and worn masks among them) and to 16 people in raw stereo have 4.6 and more, those to four parts of
 machines that the search took for faces -7.6 and less; all of them were seen."""
 _LEAST_STRAIN = 0.02
