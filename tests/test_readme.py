@@ -239,7 +239,8 @@ def named_defaults(page: Path, classes: dict[str, type]) -> Iterator[tuple[str, 
 
 
 def test_defaults_in_tables_are_those_of_the_options():
-    classes, checked = option_classes(), 0
+    classes = option_classes()
+    checked = 0
     for page in PAGES:
         for first, defaults, said in named_defaults(page, classes):
             if re.search(r"command|in `|by evidence|broad|objective", said + first):

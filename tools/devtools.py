@@ -48,7 +48,8 @@ class Browser:
         self.timeout_s = timeout_s
         self.messages: list[str] = []
         self.requests: list[str] = []
-        self._count, self._rest = 0, b""
+        self._count = 0
+        self._rest = b""
         self._profile = tempfile.mkdtemp(prefix="chromium-")
         flags = [
             "--headless=new",

@@ -182,7 +182,9 @@ class Worker:
 
 def outcomes(work: Work, numbers: Sequence[int], jobs: int) -> list[Outcome]:
     """Load files in `jobs` processes; a line for every hundredth of them."""
-    left, done, said = list(reversed(numbers)), [], 0
+    left = list(reversed(numbers))
+    done = []
+    said = 0
     workers = [Worker(work) for _ in range(min(jobs, len(numbers)))]
     busy = dict.fromkeys(workers, False)
     while left or any(busy.values()):

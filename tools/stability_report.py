@@ -59,7 +59,8 @@ def main() -> int:
     cases = list(all_cases())
     if unknown := set(options.stages) - {case.stage for case in cases}:
         parser.error(f"unknown stage {min(unknown)!r}; one of {', '.join(sorted({c.stage for c in cases}))}")
-    bad, rows = 0, {}
+    bad = 0
+    rows = {}
     for case in cases:
         if (options.stages and case.stage not in options.stages) or (options.quick and case.slow):
             continue

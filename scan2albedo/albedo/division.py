@@ -120,7 +120,9 @@ def _means_of_alike(field, weight, guide, reach, window):  # type: ignore[no-unt
     mean, share = field.copy(), np.ones((rows, columns))
     total, mass, squares = np.empty((3, columns))
     for row in range(rows):
-        total[:], mass[:], squares[:] = 0.0, 0.0, 0.0
+        total[:] = 0.0
+        mass[:] = 0.0
+        squares[:] = 0.0
         # Along a row neighbours lie side by side, so that several are compared at once.
         for i in range(max(0, row - radius), min(rows, row + radius + 1)):
             for step in range(-radius, radius + 1):

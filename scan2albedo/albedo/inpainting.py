@@ -129,7 +129,9 @@ def _fill(field, order, origin, context, offsets, places, jumps, precision, rng)
                 if found == len(near):
                     break
         best, best_row, best_column = np.float32(np.inf), -1, -1
-        attempt, probes, reach = 0, jumps.shape[1], 2
+        attempt = 0
+        probes = jumps.shape[1]
+        reach = 2
         while attempt < found + probes or best_row < 0:
             if attempt < found:
                 m, n = row + near[attempt, 0], column + near[attempt, 1]

@@ -56,7 +56,8 @@ class Level:
         Blocks are squares; those of the second partition are moved by half a side along both axes.
         """
         side, low = math.sqrt(_BLOCK_AREA * self.texels), self.center.min(0)
-        found, total = [], 0
+        found = []
+        total = 0
         for shift in (0.0, 0.5):
             row, column = (np.floor((self.center - low) / side + shift).astype(np.int64)).T
             _, index = np.unique(row * 100_000 + column, return_inverse=True)
@@ -202,7 +203,8 @@ def _from_four_cells(at, texels, factor, number, cells, values, smallest, found)
     squares, chosen = np.empty(4), np.empty(4, np.int64)
     for p in range(len(at)):
         row, column = at[p, 0] // factor, at[p, 1] // factor
-        squares[:], chosen[:] = np.inf, 0
+        squares[:] = np.inf
+        chosen[:] = 0
         for i in range(max(row - 1, 0), min(row + 2, number.shape[0])):
             for j in range(max(column - 1, 0), min(column + 2, number.shape[1])):
                 square = 0.0
@@ -215,7 +217,8 @@ def _from_four_cells(at, texels, factor, number, cells, values, smallest, found)
                     squares[place], chosen[place] = squares[place - 1], chosen[place - 1]
                     place -= 1
                 squares[place], chosen[place] = square, number[i, j]
-        found[p], total = 0.0, 0.0
+        found[p] = 0.0
+        total = 0.0
         for place in range(4):
             weight = 1 / (np.sqrt(squares[place]) + smallest) ** 2
             total += weight

@@ -35,7 +35,8 @@ def albedo_deviation(value, weight, light, specular, blocks, block_count):  # ty
     Without the division it falls as the lights grow stronger. `blocks` (S, N) are S partitions.
     """
     mean, mass = np.zeros(block_count), np.zeros(block_count)
-    cost, total = 0.0, 0.0
+    cost = 0.0
+    total = 0.0
     for s in range(blocks.shape[0]):
         for i in range(value.size):
             b = blocks[s, i]

@@ -289,7 +289,8 @@ class Point:
         total = albedo + p.field.light_error(p.onto_nodes, dark)
         precision = cho_solve(cho_factor(total, lower=True), np.eye(len(total)))
         left = self.left + self.x[-EXTRA]
-        weight, level = self.known.weight, 0.0
+        weight = self.known.weight
+        level = 0.0
         for _ in range(3):
             factor = node_field.posterior_factor(p.nodes, weight, precision)
             rows = np.column_stack([np.ones(len(left)), left])

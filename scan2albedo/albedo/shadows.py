@@ -61,7 +61,8 @@ def shadow_caster(
     caster = RayCaster(vertices, faces)
     if choice is None and meter.exhausted:
         return caster, PlanStep(stage, True, "the budget ended before it was judged", "not judged")
-    shadows, largest = ShadowMap(caster, level.anchor, level.normal), 0.0
+    shadows = ShadowMap(caster, level.anchor, level.normal)
+    largest = 0.0
     for direction in directions:
         # At the terminator facets shade texels whose smooth normal still faces the light.
         facing = shadows.normal @ direction > 0.2
@@ -85,7 +86,8 @@ class Horizon:
     def __init__(self, level: Level, sky: VisibilityTable) -> None:
         row, column = level.cell.T
         hidden, known = np.zeros((2, row.max() + 1, column.max() + 1))
-        hidden[row, column], known[row, column] = sky.highest_hidden(level.normal), 1
+        hidden[row, column] = sky.highest_hidden(level.normal)
+        known[row, column] = 1
         above = np.where(known > 0, maximum_filter(hidden, 3) + math.sqrt(2 * math.pi / SKY), np.inf)
         self._above = np.pad(above, (0, 1), constant_values=np.inf)
         self._factor = level.factor

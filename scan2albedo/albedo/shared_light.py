@@ -72,7 +72,8 @@ class SharedLight:
             self.error = [p.left - (smooth + beside)[c] for p, c in zip(self.points, self.cells, strict=True)]
             pairs = list(zip(self.error, self.variance, strict=True))
             weights = [robust_weights(e, v, repeats, e < 0) for e, v in pairs]
-        misfit, free = 0.0, FREEDOM
+        misfit = 0.0
+        free = FREEDOM
         for e, v in pairs:
             tail = np.where(e < 0, free, 1.0)
             misfit += float(((free + 1) / tail * np.log1p(tail * e**2 / (free * v)) + np.log(v)).sum())
@@ -111,7 +112,8 @@ class SharedLight:
 
     def moved(self, step: FloatArray) -> SharedLight:
         """Return the lights after a step."""
-        points, first = list[Point](), 0
+        points = list[Point]()
+        first = 0
         for point in self.points:
             size = point.model.size + 1
             x = point.x + np.append(step[first : first + size], 0.0)

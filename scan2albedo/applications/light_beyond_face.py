@@ -207,7 +207,9 @@ class SurfaceLight:
     def found(self, reach: str) -> LightBeyond:
         """Return the light of the scan's vertices (V,) where it is taken off the "face", or "all" of it."""
         count, other = len(self._points), self._materials.other
-        skin, steepness, detail = np.zeros((count, 3)), np.zeros(count), 1.0
+        skin = np.zeros((count, 3))
+        steepness = np.zeros(count)
+        detail = 1.0
         if reach == "face":
             base = np.full((count, 3), math.log(self._usual))
             offset, sure = self._membrane(base, self._per_edge(_FAR_MM), np.zeros((count, 4)))

@@ -173,7 +173,8 @@ def process(
         common.say(f"{options.model}: {note}")
     chosen = options.arguments() | {"model": template or "none"}
     summaries: list[dict[str, Any]] = []
-    failures, lost = 0, False
+    failures = 0
+    lost = False
     for path in scans:
         name = scan_name(path)
         with common.working(name, out) as progress:

@@ -21,7 +21,9 @@ class ProgressLines:
         from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
         self._console = Console(stderr=True)
-        self._name, self._stage, self._last_plain = printable(name), "", 0.0
+        self._name = printable(name)
+        self._stage = ""
+        self._last_plain = 0.0
         self._bar: Progress | None = None
         if sys.stderr.isatty():
             columns = (

@@ -151,7 +151,8 @@ def appearance(
         others = len(learned.share) - 1
         prior = np.concatenate([skin[None], np.repeat((1 - skin)[None] / others, others, axis=0)])
     log_prior = np.log(prior / prior.sum(0))
-    told, log_odds = np.zeros_like(log_prior), 0.0
+    told = np.zeros_like(log_prior)
+    log_odds = 0.0
     if np.count_nonzero(known) >= _FEWEST_TEXELS:
         if texture_linear is not None:
             color, turned = grid.mean(texture_linear), grid.mean(normal)

@@ -132,7 +132,10 @@ class _Takes:
     @classmethod
     def of(cls, fits: Iterable[FittedFace]) -> Self:
         """Walk through the fits; ValueError without any, or for models of different triangles."""
-        points, shown, model, levels = list[FloatArray](), list[FloatArray](), None, 0
+        points = list[FloatArray]()
+        shown = list[FloatArray]()
+        model = None
+        levels = 0
         for fit in fits:
             model, levels = model or fit.model, fit.levels
             if not np.array_equal(fit.model.control_faces, model.control_faces):

@@ -118,7 +118,9 @@ def fit(
     pull = None if pull is None else pull.moved(correction)
     reference = model.front + similarity.scale * (model.control_vertices - model.front)
     steps = list[PlanStep]()
-    bare, covers, covered_mm2 = surface, None, 0.0
+    bare = surface
+    covers = None
+    covered_mm2 = 0.0
     if chosen.covers:
         bare, covers, covered_mm2 = uncovered(surface, model, reference, meter)
     if covered_mm2 > 0:

@@ -110,7 +110,9 @@ def spring_product(x, start, column, value, stiffness):  # type: ignore[no-untyp
         if xx + yy + zz == 0.0:
             continue
         xy, xz, yz = stiffness[i, 3], stiffness[i, 4], stiffness[i, 5]
-        px, py, pz = 0.0, 0.0, 0.0
+        px = 0.0
+        py = 0.0
+        pz = 0.0
         for r in range(start[i], start[i + 1]):
             c, s = column[r], value[r]
             px += s * x[c, 0]

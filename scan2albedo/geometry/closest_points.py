@@ -169,9 +169,14 @@ def _closest_around(p, vertex, xyz, faces, ring, ring_start, closest, face, weig
 @njit(cache=True, nogil=True)
 def nearest_around(x, y, z, v, xyz, faces, ring, ring_start):  # type: ignore[no-untyped-def]
     """Return squared distance, triangle, corner weights and offset of the closest point around vertex v."""
-    best, nearest = np.inf, 0
-    k0, k1, k2 = 1.0, 0.0, 0.0
-    ox, oy, oz = 0.0, 0.0, 0.0
+    best = np.inf
+    nearest = 0
+    k0 = 1.0
+    k1 = 0.0
+    k2 = 0.0
+    ox = 0.0
+    oy = 0.0
+    oz = 0.0
     for r in range(ring_start[v], ring_start[v + 1]):
         f = ring[r]
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]

@@ -102,7 +102,8 @@ def super_fibonacci_rotations(count: int) -> Matrix:
 
     .. [1] M. Alexa, "Super-Fibonacci Spirals: Fast, Low-Discrepancy Sampling of SO(3)", CVPR 2022.
     """
-    phi, psi = np.sqrt(2.0), 1.533751168755204288118041
+    phi = np.sqrt(2.0)
+    psi = 1.533751168755204288118041
     s = np.arange(count) + 0.5
     radius, radius_rest = np.sqrt(s / count), np.sqrt(1 - s / count)
     alpha, beta = 2 * np.pi * s / phi, 2 * np.pi * s / psi

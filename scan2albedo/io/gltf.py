@@ -44,7 +44,8 @@ class GltfFile:
     def read(cls, path: Path, folder: ScanFolder) -> GltfFile:
         """Read a GLB or glTF file."""
         data = limits.read_bytes(path, advice="decimate it")
-        start, end = 0, len(data)
+        start = 0
+        end = len(data)
         if data[:4] == b"glTF":
             start = 20  # behind the headers of the file and of its first chunk
             end = start + int.from_bytes(data[12:16], "little")
@@ -102,7 +103,9 @@ class GltfFile:
 
     def scene(self) -> Iterator[tuple[int, FloatArray]]:
         """Yield the nodes of the scene, each as often as it is reached, with their transforms (4, 4)."""
-        nodes, scenes, reached = self.tree.get("nodes", []), self.tree.get("scenes"), 0
+        nodes = self.tree.get("nodes", [])
+        scenes = self.tree.get("scenes")
+        reached = 0
         roots = scenes[self.tree.get("scene", 0)].get("nodes", ()) if scenes else ()
         left = [(root, np.eye(4)) for root in roots]
         while left:  # a circle has too many
@@ -133,7 +136,8 @@ class GltfFile:
         """
         from PIL import Image
 
-        name, total = self.path.name, 0
+        name = self.path.name
+        total = 0
         found, wanted = dict[int | None, NDArray[np.float32]](), set[int | None]()
         wanted.update(self.color_number(material) for material in self.tree.get("materials", ()))
         for number, entry in enumerate(self.tree.get("images", ())):

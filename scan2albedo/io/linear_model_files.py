@@ -261,7 +261,8 @@ def eos_arrays(data: bytes) -> Values:
     uint32 version; then mean, one or two bases (scaled, orthonormal), eigenvalues, each as int32 rows, int32
     columns and column-major float32; then uint64 count and int32 triples of vertices.
     """
-    begin, matrices = 4, list[NDArray[np.float32]]()
+    begin = 4
+    matrices = list[NDArray[np.float32]]()
     while not matrices or len(matrices[-1]) == len(matrices[0]):
         rows, columns = np.frombuffer(data, "<i4", 2, begin).tolist()
         if min(rows, columns) < 1 or len(matrices) > 3:

@@ -68,7 +68,8 @@ def read_npz(
                 assert stored.zip is not None
                 entries = {entry.filename.removesuffix(".npy"): entry for entry in stored.zip.infolist()}
                 # A geometry image of 4096 x 4096 texels has 1.3 GB.
-                total, most = 0, max(3 * limits.FILE_BYTES, limits.GROWTH * size)
+                total = 0
+                most = max(3 * limits.FILE_BYTES, limits.GROWTH * size)
                 for name in wanted:
                     with stored.zip.open(entries[name]) as member:
                         # NumPy reads headers of versions 2 and 3 alike.

@@ -169,7 +169,8 @@ def _materials(
     known: dict[str, Material] = {}
     words = list(dict.fromkeys(lines.names(b"mtllib")))
     limits.require_at_most(lines.name, "material libraries", len(words), limits.MATERIALS, "join them")
-    total, folder = 0, pictures.folder
+    total = 0
+    folder = pictures.folder
     for name in (name for line in words for name in folder.library_names(line)):
         file = folder.find(name)
         if file is None:

@@ -40,7 +40,8 @@ def split_keywords(text, starts, ends):  # type: ignore[no-untyped-def]
         position, end = starts[line], ends[line]
         while position < end and _is_blank(text[position]):
             position += 1
-        begin, word = position, 0
+        begin = position
+        word = 0
         while position < end and not _is_blank(text[position]):
             word = (word << 8) + text[position] if position - begin < 7 else 0
             position += 1
@@ -52,7 +53,8 @@ def split_keywords(text, starts, ends):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _parse_unsigned(text, position, end, value):  # type: ignore[no-untyped-def]
     """Return (`value` with the digits behind it, digits dropped beyond 18, digits seen, position after)."""
-    dropped, seen = 0, 0
+    dropped = 0
+    seen = 0
     while position < end and 48 <= text[position] <= 57:
         if value < 100_000_000_000_000_000:
             value = value * 10 + (text[position] - 48)
@@ -93,7 +95,8 @@ def _parse_float(text, position, end):  # type: ignore[no-untyped-def]
         exponent += -power if negative else power
         if digits == 0:
             return np.nan, False, position
-    power, good = 1.0, seen > 0 and (position == end or _is_blank(text[position]))
+    power = 1.0
+    good = seen > 0 and (position == end or _is_blank(text[position]))
     if abs(exponent) > 22:
         return sign * (mantissa * 10.0**exponent), good, position
     for _ in range(abs(exponent)):  # up to 10^22 exact: numbers of up to 15 digits are rounded once
@@ -130,7 +133,8 @@ def count_tokens(text, starts, ends):  # type: ignore[no-untyped-def]
     """Return (N,) number of blank-separated tokens of each line before a comment."""
     counts = np.zeros(starts.size, np.int64)
     for line in range(starts.size):
-        count, inside = 0, False
+        count = 0
+        inside = False
         for position in range(starts[line], ends[line]):
             blank = _is_blank(text[position])
             if not inside and text[position] == _HASH:
@@ -208,7 +212,8 @@ def walk_rows(body, count, item_sizes, counter_sizes, big_endian):  # type: igno
 @njit(cache=True, nogil=True)
 def byte_ranges(body, starts, sizes):  # type: ignore[no-untyped-def]
     """Return the `sizes` (N,) bytes of `body` from each of `starts` (N,) on, one after the other."""
-    found, place = np.empty(sizes.sum(), np.uint8), 0
+    found = np.empty(sizes.sum(), np.uint8)
+    place = 0
     for row in range(starts.size):
         for k in range(sizes[row]):
             found[place + k] = body[starts[row] + k]

@@ -125,7 +125,9 @@ def _on_shelves(sizes: list[tuple[int, ...]]) -> tuple[list[tuple[int, int, int,
     column = row = shelf = 0
     for i in sorted(range(len(sizes)), key=lambda i: (-tall[i], i)):
         if column + wide[i] > most:
-            column, row, shelf = 0, row + shelf, 0
+            column = 0
+            row = row + shelf
+            shelf = 0
         boxes[i] = (column + GUTTER, row + GUTTER, sizes[i][1], sizes[i][0])
         column, shelf = column + wide[i], max(shelf, tall[i])
     right = max(left + width for left, _, width, _ in boxes.values())

@@ -193,7 +193,10 @@ def factors_of_lamp(  # type: ignore[no-untyped-def]
         if visible[i] == 0:
             continue
         v = i if view.shape[0] > 1 else 0
-        n_l, n_v, l_v, square = 0.0, 0.0, 0.0, 0.0
+        n_l = 0.0
+        n_v = 0.0
+        l_v = 0.0
+        square = 0.0
         for c in range(3):
             toward = direction[c] - nearness * position[i, c]
             n_l += normal[i, c] * toward

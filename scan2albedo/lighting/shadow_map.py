@@ -36,7 +36,8 @@ class ShadowMap:
     _above: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        origin, above = np.empty((0, 3), np.float32), 0.0
+        origin = np.empty((0, 3), np.float32)
+        above = 0.0
         if self.caster is not None:
             offset = shadow_offset_mm(self.caster.size, self.offset_mm)
             origin, above = self.caster.to_local(self.position + offset * self.normal), math.inf
@@ -125,7 +126,8 @@ def _needed_rays(position, normal, origin, toward, inverse, open_above, lit):  #
     ray = np.empty((len(lit) if inverse != 0 else 0, 3), np.float32)
     m = 0
     for i in range(len(lit)):
-        cosine, square = 0.0, 0.0
+        cosine = 0.0
+        square = 0.0
         for k in range(3):
             along = toward[k] - inverse * position[i, k]
             cosine += normal[i, k] * along

@@ -78,11 +78,16 @@ def simulated_annealing(
         return value if np.isfinite(value) else np.inf
 
     cost = evaluate(x)
-    best_x, best_cost, used = x.copy(), cost, 1
+    best_x = x.copy()
+    best_cost = cost
+    used = 1
     # The first temperature, as a part of the spread of the first costs.
-    seen, scale, hot = [cost], 0.0, 0.3
+    seen = [cost]
+    scale = 0.0
+    hot = 0.3
     # Of each coordinate, before its step length is adapted.
-    accepted, moves = np.zeros(x.size), 10
+    accepted = np.zeros(x.size)
+    moves = 10
     while used < evaluations and not meter.exhausted:
         k = (used - 1) % x.size
         trial = x.copy()

@@ -115,12 +115,16 @@ def minimize(
     .. [1] D. Marquardt, "An algorithm for least-squares estimation of nonlinear parameters", J. SIAM 11(2),
        1963.
     """
-    best, strength, taken, flat = start, damping.first, 0, 0
+    best = start
+    strength = damping.first
+    taken = 0
+    flat = 0
     if not math.isfinite(start.cost):
         return Descent(start, False, 0, strength)
     if on_better is not None:
         on_better(start)
-    tried, model = 0, None
+    tried = 0
+    model = None
     while (trials is None or tried < trials) and (steps is None or taken < steps):
         if meter is not None and meter.exhausted:
             break

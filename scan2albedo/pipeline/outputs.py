@@ -99,7 +99,8 @@ class Outputs:
 
     def all_s(self) -> float:
         """Return the seconds of all that is wanted."""
-        seconds, unlit = 0.0, set[str]()
+        seconds = 0.0
+        unlit = set[str]()
         for name, reach in self.reaches.items():
             seconds += self.cost_s(name, unlit)
             unlit.add(reach)

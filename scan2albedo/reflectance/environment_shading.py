@@ -71,7 +71,9 @@ def tilted_lobe(
 @cache
 def _spline(exponent: float) -> CubicSpline:
     """Coefficients of the true lobe around its mean direction, and its tilt, by the angle between n and v."""
-    angles, heights, turns = np.linspace(0, np.pi / 2, 33), 96, 192  # of the views, and of the sums
+    angles = np.linspace(0, np.pi / 2, 33)
+    heights = 96
+    turns = 192  # of the views, and of the sums
     nodes, weights = leggauss(heights)
     t, across = (nodes + 1) / 2, np.sqrt(1 - ((nodes + 1) / 2) ** 2)
     # The lobe is even in the turn, so half a circle of midpoints covers all of it.

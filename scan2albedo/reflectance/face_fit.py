@@ -201,7 +201,8 @@ def errors_left_out(
     used, block = observation.seen & model.known, np.full(len(vertices), -1)
     cells = np.floor(vertices[used] / _BLOCK_MM).astype(np.int64)
     block[used] = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
-    count, folds = int(block.max(initial=-1)) + 1, 3
+    count = int(block.max(initial=-1)) + 1
+    folds = 3
     fold_of = np.random.default_rng(0).permutation(count) % folds
     errors: dict[str, FloatArray] = {}
     tried = [("mean", model.mean_only()), ("person", model)][: 1 if normal_error else 2]

@@ -140,7 +140,8 @@ def refine_geometry(
         term_over = partial(terms.photometric_term, image, matrix, shape_model.faces, reflectance, sent)
     elif not len(seen):
         raise ReflectanceError("no landmark is seen, no reflectance given: undetermined; give one of both")
-    converged, iterations = True, 0
+    converged = True
+    iterations = 0
     name = "reflectance.geometry.landmarks"
     plan = [PlanStep(name, False, "no landmark is seen")]
     if len(seen):

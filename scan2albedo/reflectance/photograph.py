@@ -92,7 +92,8 @@ def light_transfer(
             specular[block, k] = (s + 2) / (8 * np.pi) * n_h**s @ weighted
 
     each_block(sum_up, blocks(len(xyz), BLOCK))
-    diffuse[bare], specular[bare] = 0.0, 0.0
+    diffuse[bare] = 0.0
+    specular[bare] = 0.0
     return LightResponse(diffuse, specular)
 
 

@@ -160,7 +160,8 @@ def fit_reflectance(
     if options.most_albedo is not None:
         too_bright = (estimate[:, :3] > options.most_albedo).any(1)
         impossible[rows] = too_bright
-        identified[impossible], low[too_bright] = False, 0.0
+        identified[impossible] = False
+        low[too_bright] = 0.0
     over_peak = np.where(samples.lobes[..., 1:] > 0, n_h[..., None] ** EXPONENTS, 0.0)
     spread = partial(among_all, rows, count)
     return ReflectanceFit(

@@ -33,7 +33,10 @@ def add_normal_equations(observed, precision, lobes, bounce, weight, rows, norma
     normal[:] = 0.0
     for j in range(observed.shape[0]):
         for i in range(len(rows)):
-            v, one, precisions, products = rows[i], normal[i], 0.0, 0.0
+            v = rows[i]
+            one = normal[i]
+            precisions = 0.0
+            products = 0.0
             for k in range(3):
                 p = weight[j, v] * precision[j, v, k]
                 if p == 0.0:
@@ -173,7 +176,9 @@ def reweigh(  # type: ignore[no-untyped-def]
     for j in range(count):
         for i in range(len(rows)):
             v = rows[i]
-            direct, total, channels = lobes[j, v, 0], 0.0, 0
+            direct = lobes[j, v, 0]
+            total = 0.0
+            channels = 0
             gloss = lobes[j, v, 1] * estimate[v, 3] + lobes[j, v, 2] * estimate[v, 4]
             gloss += lobes[j, v, 3] * estimate[v, 5]
             for k in range(3):
@@ -192,7 +197,9 @@ def reweigh(  # type: ignore[no-untyped-def]
             if len(seen):
                 scale[v] = min(scale[v], max(1.0, np.sqrt(np.median(seen)) / UNIT_MEDIAN))
         threshold = (width * scale[v]) ** 2
-        total, squares, weights = 0.0, 0.0, 0.0
+        total = 0.0
+        squares = 0.0
+        weights = 0.0
         for n in range(6):
             total += 0.5 * prior[n] * (estimate[v, n] - mean[n]) ** 2
         for j in range(count):
@@ -206,7 +213,8 @@ def reweigh(  # type: ignore[no-untyped-def]
                 u = 1.0 / np.sqrt(1.0 + t)
                 cost = threshold * t * u / (1.0 + u)
             else:
-                u, cost = 1.0, 0.5 * q
+                u = 1.0
+                cost = 0.5 * q
             weight[j, v] = u
             total += size[i, j] * cost
             squares += u * size[i, j] * q
@@ -241,7 +249,8 @@ def add_tilt_equations(  # type: ignore[no-untyped-def]
             h0 = steep * (slopes[j, v, 2] / half - t0 * inverse)
             h1 = steep * (slopes[j, v, 3] / half - t1 * inverse)
             first, second = equations[i, 0], equations[i, 1]
-            sum0, sum1 = 0.0, 0.0
+            sum0 = 0.0
+            sum1 = 0.0
             for k in range(3):
                 p = u * precision[j, v, k]
                 if p == 0.0:
@@ -287,7 +296,8 @@ def step_tilts(normal, equations, prior, tilt_prior, damping, rows, estimate, ti
     for i in range(len(rows)):
         v = rows[i]
         _add_priors(normal[i], equations[i], prior, tilt_prior[v], matrix, right, least)
-        right[:6], held[:6] = 0.0, estimate[v] == 0.0
+        right[:6] = 0.0
+        held[:6] = estimate[v] == 0.0
         for k in range(2):
             matrix[6 + k, 6 + k] *= 1.0 + damping[v]
             right[6 + k] = equations[i, k, 8] - tilt_prior[v] * tilt[v, k]

@@ -68,7 +68,9 @@ class DepthDerivativeObjective:
 
     def pose(self, parameters: FloatArray) -> Similarity:
         """Return the start moved so, and in depth by the weighted median of scan minus model."""
-        image, start, z_mm = self._draw(parameters), self._start, 0.0
+        image = self._draw(parameters)
+        start = self._start
+        z_mm = 0.0
         common = np.isfinite(image) & np.isfinite(self._scan) & (self._weights > 0)
         if common.any():
             difference, weights = self._scan[common] - image[common], self._weights[common]

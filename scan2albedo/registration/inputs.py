@@ -93,7 +93,9 @@ def prepared_scan(scan: RawScan, options: RegistrationOptions) -> PreparedScan:
 
     Raises `RegistrationError` when it has too few vertices or too little surface, or is larger than a room.
     """
-    fewest, face_mm, largest_mm = 50, 200, 6000
+    fewest = 50
+    face_mm = 200
+    largest_mm = 6000
     if (count := len(scan.vertices)) < fewest:
         advice = f"at least {fewest} are needed; scan the whole face"
         raise RegistrationError(f"{scan.name}: {count} vertices cannot show a face, {advice}")

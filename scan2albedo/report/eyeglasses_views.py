@@ -184,7 +184,8 @@ def key_point_chart(
         ),
     )
     figure = Figure(figsize=(12, 10), dpi=100, layout="constrained")
-    size, line = 1400, {"arrowstyle": "-", "color": "gray", "shrinkB": 0}
+    size = 1400
+    line = {"arrowstyle": "-", "color": "gray", "shrinkB": 0}
     for axes, (title, view, names) in zip(figure.subplots(2, 1), pictures, strict=True):
         axes.imshow(render_mesh(vertices, faces, view=view, size=size))
         axes.set_title(title, fontsize=12)

@@ -160,7 +160,9 @@ def geometry_image_of_scan(scan: RawScan, size: int = 512) -> GeometryImage:
     LAST_ATLAS[:] = [atlas := xatlas.Atlas()]
     atlas.add_mesh(placed.astype(np.float32), faces.astype(np.uint32))
     pack = xatlas.PackOptions()
-    pack.resolution, pack.padding, pack.create_image = size, 2, False
+    pack.resolution = size
+    pack.padding = 2
+    pack.create_image = False
     atlas.generate(xatlas.ChartOptions(), pack)
     chart_vertex, chart_faces, uv = atlas[0]
     chart_vertex, chart_faces = chart_vertex.astype(np.int64), chart_faces.astype(np.int64)

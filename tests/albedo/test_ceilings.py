@@ -93,7 +93,9 @@ def _log_odds(estimate, part):
 
 @pytest.mark.slow
 def test_lamps_are_counted_and_no_evidence_is_told_for_absent_parts_on_forty_scenes():
-    counted, absent, unsupported = 0, 0, 0
+    counted = 0
+    absent = 0
+    unsupported = 0
     for seed in range(40):
         scene, present = _random_scene(seed)
         error, estimate = _error(scene)

@@ -69,7 +69,8 @@ def test_only_sources_are_copied(damaged):
     _, broken, target = damaged
     source = ~target
     poisoned = broken.copy()
-    source[:, 100:], poisoned[:, 100:] = False, 50.0
+    source[:, 100:] = False
+    poisoned[:, 100:] = 50.0
     assert resynthesize(poisoned, target, source)[target].max() < 2
 
 

@@ -155,7 +155,8 @@ def test_the_value_follows_the_brightest_channel_and_leaves_unusable_texels_out(
     texture = np.zeros((32, 32, 3), np.float32)
     texture[:, :16], texture[:, 16:] = (0.2, 0.5, 0.1), (0.6, 0.3, 0.1)
     usable = np.ones((32, 32), bool)
-    texture[4:12, :4, 2], usable[4:12, :4] = 1.0, False
+    texture[4:12, :4, 2] = 1.0
+    usable[4:12, :4] = False
     assert brightest_around(texture, usable)[usable] == pytest.approx(texture.max(-1)[usable])
 
 
@@ -164,7 +165,8 @@ def test_cells_lie_on_the_face_and_are_as_small_as_those_of_a_face_alone(make_im
     on_face = np.zeros(whole.shape, bool)
     on_face[40:90, 40:90] = whole.mask[40:90, 40:90]
     other = whole.texture_linear.copy()
-    other[:24], other[:, 106:] = 0.9, 0.1  # beside the face, beyond the windows in which colours are compared
+    other[:24] = 0.9
+    other[:, 106:] = 0.1  # beside the face, beyond the windows in which colours are compared
     one, other = (make_image(128, on_face=on_face, texture_linear=t) for t in (whole.texture_linear, other))
     level = build_level(one, usable_texels(one), 16)
     row, column = level.center.T.astype(int)

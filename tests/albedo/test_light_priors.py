@@ -28,7 +28,8 @@ def _x(model, seed=0):
 @pytest.mark.parametrize("skin", [False, True])
 def test_slope_and_curvature_are_those_of_the_cost(skin):
     model = _model(2, *PARTS)
-    x, step = _x(model), 1e-4
+    x = _x(model)
+    step = 1e-4
 
     def at(y):
         return light_prior(model, y, *LEVEL, skin, 1.3)

@@ -77,7 +77,8 @@ def test_gradient_is_the_slope_of_the_cost_with_the_albedo_following(bumps, scen
     scene, problem = posed(bumps.image)
     model = _model(scene, lights, *parts)
     point = _settled(_start(problem, model, _x(model, scenes)))
-    gradient, step = point.quadratic()[1] - point.prior.slope, 1e-4
+    gradient = point.quadratic()[1] - point.prior.slope
+    step = 1e-4
     slopes = []
     for k in range(len(point.x)):
         ahead, behind = (_settled(point.moved(s * step * np.eye(len(point.x))[k]), 3) for s in (1, -1))

@@ -154,7 +154,8 @@ def test_visibility_is_continuous_in_direction_and_nearness(lattice):
 
 
 def test_visibility_has_the_derivatives_by_direction(lattice):
-    x, step = np.array([0.71, 0.13, 0.0, 0.07]), 1e-3
+    x = np.array([0.71, 0.13, 0.0, 0.07])
+    step = 1e-3
     slopes = lattice.visibility(MODEL, x)[1][0]
     for k in (0, 1):
         moved = [lattice.visibility(MODEL, x + sign * step * np.eye(4)[k])[0][0] for sign in (1, -1)]
@@ -191,7 +192,8 @@ def test_at_a_node_the_rays_of_one_node_serve(make_image, monkeypatch):
 
 def test_blurred_outlines_are_means_over_the_cells_that_are_there(make_image):
     """Weights are normalised: the rim, beyond which nothing is known, is no darker."""
-    image, blur = make_image("bumps"), 0.05
+    image = make_image("bumps")
+    blur = 0.05
     level = build_level(image, image.mask & (np.hypot(*np.indices((64, 64)) - 31.5) < 28), 32)
     lattice = ShadowLattice(level, RayCaster(*image.occluder_mesh()))
     at = np.array([*lattice.nearest(np.array([0.71, 0.13])), 0.0, 0.0])

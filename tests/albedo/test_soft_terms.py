@@ -23,7 +23,9 @@ def _model(lights, **parts):
 def surface(scenes):
     """Return (N, 3) normals, and the terms of points of which something is hidden, among 20 patches."""
     _, normal, mask = scenes.hemisphere_geometry(24)
-    normal, rng, patches = normal[mask], np.random.default_rng(0), 20
+    normal = normal[mask]
+    rng = np.random.default_rng(0)
+    patches = 20
     up = sparse.csr_matrix(rng.uniform(0, 1, (len(normal), patches)) ** 8)
     up = sparse.csr_matrix(up / up.sum(1))
     factors = rng.uniform(0, 0.3 / patches, (patches, patches))

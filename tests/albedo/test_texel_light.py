@@ -167,7 +167,9 @@ def test_colour_tells_which_part_of_a_lamp_reaches_a_texel_whose_brightness_does
     soft, lamp = np.ones((400, 3)), np.array([[[0.02, 0.6, 1.0]]]) * np.ones((1, 400, 1))
     known = _Expected.__new__(_Expected)
     known.point = SimpleNamespace(problem=SimpleNamespace(blur=0.1))
-    known.coloured, known.usable, known.lead = True, np.ones(400, bool), 0
+    known.coloured = True
+    known.usable = np.ones(400, bool)
+    known.lead = 0
     known.first, known.level, known.ratios = np.arange(3) == 0, np.zeros(400), np.zeros((400, 3))
     known.texels = (soft + part[:, None] * lamp[0]).astype(np.float32)
     # The traced shadow is known only by half: every second row.

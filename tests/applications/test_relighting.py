@@ -59,7 +59,8 @@ def test_ten_new_lights_against_the_independent_renderer(person, scene, material
 def test_colours_of_lamps_and_of_soft_light_add_up(person):
     face = person(0)
     coefficients = np.zeros((9, 3))
-    coefficients[0], coefficients[1] = (0.9, 1.0, 1.2), 0.3
+    coefficients[0] = (0.9, 1.0, 1.2)
+    coefficients[1] = 0.3
     soft = EnvironmentLight(coefficients, fill=0.3)
     lamp = replace(light_at(30, 20), color_linear=(1.5, 1.0, 0.5))
     dark = relight(face, ambient=0)

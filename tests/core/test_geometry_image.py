@@ -18,7 +18,8 @@ def image(camera=None, positions=None):
 
 def test_texels_look_toward_their_camera_and_others_along_the_view_direction():
     camera = np.full(SHAPE, NO_CAMERA)
-    camera[0], camera[1] = 0, 1
+    camera[0] = 0
+    camera[1] = 1
     places = np.array([[0, 0, 900.0], [700, 0, 600]])
     made = image(camera, places)
     toward = np.zeros((*SHAPE, 3))

@@ -84,7 +84,8 @@ def test_explicit_euler_blows_up_where_the_implicit_step_does_not():
 
 
 def test_small_steps_follow_the_exact_oscillator():
-    stiffness, time_step = sparse.csr_matrix([[4.0]]), 1e-4
+    stiffness = sparse.csr_matrix([[4.0]])
+    time_step = 1e-4
     system = implicit(stiffness, time_step)
     state = State(np.ones((1, 3)), np.zeros((1, 3)))
     for _ in range(5000):
@@ -106,7 +107,9 @@ def test_the_resting_place_is_where_stiffness_and_force_balance(log_stiffness, l
 
 
 def test_springs_far_stiffer_than_the_preconditioner_knows_stay_stable():
-    count, goal, stiff = 30, np.ones((30, 3)), np.logspace(-3, 5, 30)[:, None]
+    count = 30
+    goal = np.ones((30, 3))
+    stiff = np.logspace(-3, 5, 30)[:, None]
     system = implicit(chain(count, 1e-6), 1e3, springs=1e-3, mass=1e-9)
     state, energies = State(np.zeros((count, 3)), np.zeros((count, 3))), []
     for _ in range(60):

@@ -68,7 +68,8 @@ def test_noise_averages_out_with_curvature_kept():
 
 
 def test_a_mesh_of_uneven_density_does_not_shrink():
-    size, radius = 121, 80.0
+    size = 121
+    radius = 80.0
     u = 2 * np.linspace(0, 1, size) - 1
     x, y = np.meshgrid(45 * u**3, 45 * u**3)
     dome = np.column_stack([x.ravel(), y.ravel(), np.sqrt(radius**2 - x.ravel() ** 2 - y.ravel() ** 2)])

@@ -17,7 +17,8 @@ RNG = np.random.default_rng(8)
 
 
 def picture(complete=True):
-    height, width = 12, 20
+    height = 12
+    width = 20
     mask = np.ones((height, width), bool)
     mask[0], mask[:, :3] = False, False
     position = np.where(mask[..., None], RNG.normal(0, 60, (height, width, 3)), 0)

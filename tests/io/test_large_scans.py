@@ -24,7 +24,8 @@ def write_ply(path, vertices, faces):
         f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
     )
     rows = np.zeros(len(faces), [("n", "u1"), ("i", "<i4", 3)])
-    rows["n"], rows["i"] = 3, faces
+    rows["n"] = 3
+    rows["i"] = faces
     path.write_bytes(head.encode() + vertices.astype("<f4").tobytes() + rows.tobytes())
 
 

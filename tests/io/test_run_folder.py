@@ -130,7 +130,9 @@ def full_disk():
 
 @pytest.mark.parametrize("interruption", [ctrl_c, full_disk])
 def test_an_error_at_any_operation_leaves_the_old_or_the_new_result(tmp_path, interruption, monkeypatch):
-    folder, step, found = with_an_old_result(tmp_path), 0, set()
+    folder = with_an_old_result(tmp_path)
+    step = 0
+    found = set()
     while True:
         step += 1
         with monkeypatch.context() as patch:
@@ -157,7 +159,10 @@ def in_a_child(work):
 
 
 def test_a_process_that_ends_at_any_operation_leaves_the_old_or_the_new_result(tmp_path, monkeypatch):
-    folder, step, found, killed = with_an_old_result(tmp_path), 0, set(), 1
+    folder = with_an_old_result(tmp_path)
+    step = 0
+    found = set()
+    killed = 1
     while killed:
         step += 1
 

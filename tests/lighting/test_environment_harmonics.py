@@ -28,7 +28,8 @@ def test_light_from_above_is_a_series_in_y_alone():
 
 def test_a_smooth_map_gives_back_its_coefficients():
     truth = np.random.default_rng(0).normal(size=(81, 3))
-    height, width = 128, 256
+    height = 128
+    width = 256
     polar = (np.arange(height)[:, None] + 0.5) * np.pi / height
     azimuth = ((np.arange(width) + 0.5) / width - 0.5) * 2 * np.pi
     image = harmonics(map_directions(polar, azimuth)) @ truth

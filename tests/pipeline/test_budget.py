@@ -36,7 +36,9 @@ class Run:
     """A run whose stages take the seconds that are expected of them, on a clock that nothing else moves."""
 
     def __init__(self, monkeypatch, pace=1.0):
-        self.now, self.pace, self.lit = 0.0, pace, []
+        self.now = 0.0
+        self.pace = pace
+        self.lit = []
         monkeypatch.setattr(clocks, "time", SimpleNamespace(perf_counter=lambda: self.now))
         tile = SimpleNamespace(seen=np.ones(1))
         baked = SimpleNamespace(tiles=(tile,), parts=())
@@ -61,7 +63,8 @@ class Run:
 
     def __call__(self, budget, unlit, tiles, maps, side, texture_size, skip):
         """Return the names of what is made, and the plan; `now` is then the time with all files written."""
-        self.now, self.lit = 0.0, []
+        self.now = 0.0
+        self.lit = []
         texture = None if side == 0 else SimpleNamespace(shape=(side, side, 3))
         scan = SimpleNamespace(
             texture_linear=texture, uv=squares(1) if side else None, vertices=range(100_000)

@@ -76,7 +76,8 @@ def test_a_resample_counts_claims_as_if_they_were_repeated():
 
 def test_intervals_hold_the_truth_and_shrink_with_persons():
     # Of two normals 1.5 apart the area is the normal distribution at 1.5 / sqrt(2).
-    covered, widths = 0, {}
+    covered = 0
+    widths = {}
     for persons in (20, 80):
         sets = [build_identification(seed, persons, 1) for seed in range(30)]
         curves = [roc_curve(found, resamples=100, false_accept_rates=[0.1]) for found in sets]

@@ -20,7 +20,10 @@ from scan2albedo.recognition import (
 
 def reference(a, b, weight_a, weight_b, window=5, k=1e-3):
     """CW-SSIM of coefficients (O, h, w) by weights (h, w), 0 outside the masks, window by window."""
-    a, b, total, norm = a.astype(complex), b.astype(complex), 0.0, 0.0
+    a = a.astype(complex)
+    b = b.astype(complex)
+    total = 0.0
+    norm = 0.0
     for row in range(a.shape[1] - window + 1):
         for column in range(a.shape[2] - window + 1):
             here = slice(row, row + window), slice(column, column + window)

@@ -79,7 +79,8 @@ def test_a_change_that_harms_is_not_taken(model, lighting, monkeypatch):
 def test_the_closed_form_is_ridge_regression_over_all_unknowns(model, lighting):
     shots = pictures(3, 1, BEARD)
     fits = [fit_image(shot, model, lighting) for shot in shots]
-    m, n = 0.1, 0.3
+    m = 0.1
+    n = 0.3
     change = best_change(model, shots, fits, mean_change=m, basis_change=n)
     response = BALL.response
     for vertex in np.flatnonzero(SEEN)[[3, 50]]:

@@ -129,7 +129,8 @@ def terms(model, face):
 
 def test_colours_differ_by_the_derivative_when_vertices_move(model, face):
     photometric = terms(model, face)[1]
-    vertices, h = states(model, face).vertices, 1e-6
+    vertices = states(model, face).vertices
+    h = 1e-6
     found = photometric.linearized(vertices)
     off = photometric.differences(vertices).ravel()
     np.testing.assert_allclose(found.slope, found.curvature * off, rtol=1e-12)

@@ -188,7 +188,8 @@ def test_faces_without_lobes_stay_without(lighting):
 
 def test_numbers_that_are_not_seen_do_not_matter(fit, model, lighting):
     color, normals = np.asarray(IMAGE.observed_linear).copy(), BALL.normals.copy()
-    color[~SEEN], normals[~SEEN] = np.nan, 0.0
+    color[~SEEN] = np.nan
+    normals[~SEEN] = 0.0
     other = fit_image(ImageObservation(color, normals, BALL.view, SEEN), model, lighting)
     np.testing.assert_array_equal(other.face.coefficients, fit.face.coefficients)
 

@@ -49,7 +49,8 @@ def test_shadows_of_a_ball_are_those_of_the_formula(monkeypatch):
     x, z = (grid.ravel() for grid in np.meshgrid(np.linspace(-60, 60, 4), np.linspace(-60, 60, 4)))
     floor = np.stack([x, np.zeros_like(x), z], 1)
     dense = distant_directions(3000)
-    centre, radius = np.array([10.0, 45.0, 5.0]), 30.0
+    centre = np.array([10.0, 45.0, 5.0])
+    radius = 30.0
     vertices = np.vstack([floor, centre + radius * dense])
     n = np.vstack([np.tile([0.0, 1.0, 0.0], (16, 1)), dense])
     v = np.tile(np.array([0.6, 0.8, 0.0]), (len(n), 1))
@@ -96,7 +97,8 @@ def test_the_same_input_gives_the_same_bits():
 
 def test_vertices_without_a_surface_receive_nothing():
     normals, view = BALL.copy(), VIEW.copy()
-    normals[3], view[3] = 0.0, np.nan
+    normals[3] = 0.0
+    view[3] = np.nan
     transfer = light_transfer(80 * BALL, FACES, normals, view, directions=64)
     assert (transfer.diffuse[3] == 0).all()
     assert (transfer.specular[3] == 0).all()

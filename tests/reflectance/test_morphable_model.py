@@ -240,7 +240,8 @@ def test_vertices_with_little_weight_count_little():
 def test_reliability_falls_with_the_interval():
     sample = faces(1)[0]
     std = np.zeros((60, 6))
-    std[0, 1], std[1, :3] = 0.08, 10.0
+    std[0, 1] = 0.08
+    std[1, :3] = 10.0
     weight = reliability(sample, std)
     assert weight[0] == pytest.approx(0.5, abs=0.05)  # as wide as people differ: a fifth of 0.4
     assert weight[1] < 1e-3

@@ -71,7 +71,8 @@ def test_black_pixels_have_a_sigma():
 
 def test_saturation_takes_the_channel_and_leaves_the_others(shown):
     flash, room = shown
-    flash[0, 3, 4, 0], room[5, 6, 1] = 1.0, 1.0
+    flash[0, 3, 4, 0] = 1.0
+    room[5, 6, 1] = 1.0
     olat = extract_olat(flash, room)
     assert olat.saturated[0, 3, 4].tolist() == [True, False, False]
     assert olat.valid[0, 3, 4].tolist() == [False, True, True]
@@ -117,7 +118,8 @@ def test_exchanged_pictures_are_left_out_by_name(shown):
 
 def test_a_patch_brighter_in_the_room_is_told_and_kept(shown):
     flash, room = shown
-    flash[0, :4], room = 0.1, np.maximum(room, 0.3)
+    flash[0, :4] = 0.1
+    room = np.maximum(room, 0.3)
     olat = extract_olat(flash, room)
     told = [d for d in olat.diagnostics if d.name == "room_brighter_than_flash" and d.pair == 0]
     assert told[0].part >= 0.2
@@ -165,7 +167,8 @@ def test_options_outside_their_range_are_refused(wrong):
 
 def test_pairs_that_share_a_picture_of_the_room_are_less_sure_together():
     """The mean over a camera's pairs has the spread that independent sigmas foretell."""
-    rng, pairs = np.random.default_rng(5), 8
+    rng = np.random.default_rng(5)
+    pairs = 8
     flash = 0.5 + 0.02 * rng.standard_normal((pairs, 100, 100, 3))
     means = []
     for rooms in ((), (pairs,)):

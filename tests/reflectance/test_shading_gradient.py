@@ -31,7 +31,9 @@ def along_sphere(unit, seed):
 )
 @pytest.mark.parametrize("straight", [False, True])
 def test_derivatives_agree_with_finite_differences(skin, straight):
-    normals, view, h = NORMALS, NORMALS.copy() if straight else VIEW, 1e-6
+    normals = NORMALS
+    view = NORMALS.copy() if straight else VIEW
+    h = 1e-6
 
     def radiance(n, v):
         return shade_environment(skin, normalized(n), normalized(v), LIGHT).radiance_linear

@@ -12,7 +12,8 @@ PIXELS = np.random.default_rng(1).uniform([0, 0], [29, 19], size=(200, 2))
 
 @pytest.mark.parametrize("blur", [0.0, 1.5])
 def test_the_gradient_agrees_with_finite_differences(blur):
-    image, h = SmoothImage(IMAGE, None, blur), 1e-7
+    image = SmoothImage(IMAGE, None, blur)
+    h = 1e-7
     gradient = image.gradient(PIXELS)
     for axis in range(2):
         step = h * np.eye(2)[axis]

@@ -131,7 +131,8 @@ def test_sampling_is_the_same_far_from_the_origin(scene, look_up, samples):
 
 
 def test_a_bad_pixel_takes_its_neighbours_channel_only(look_up, olat, samples):
-    rows, columns = 80, 90
+    rows = 80
+    columns = 90
     valid = olat.valid.copy()
     valid[:, rows, columns, 1] = False
     found = look_up(replace(olat, valid=valid))
@@ -151,7 +152,8 @@ def test_sigma_follows_the_weights_of_pixels_where_the_position_is_known(look_up
 
 def test_sigma_grows_with_the_slope_of_the_picture(monkeypatch):
     # One picture whose light rises by 0.02 a pixel to the right, of a square seen from straight ahead.
-    size, slope = 41, 0.02
+    size = 41
+    slope = 0.02
     linear = np.broadcast_to(slope * np.arange(size)[None, :, None], (size, size, 3)).astype(np.float32)[None]
     sigma, valid = np.full(linear.shape, 1e-6, np.float32), np.ones(linear.shape, bool)
     olat = OlatImages(linear, sigma, valid, ~valid)

@@ -83,7 +83,8 @@ def test_labels_are_green_and_outliers_red(frame, views):
     labels = views[1][2].copy()
     labels[0] += 90
     errors, inliers = frame.label_errors_px.copy(), frame.inliers.copy()
-    errors[1, 0], inliers[1, 0] = 127.0, False
+    errors[1, 0] = 127.0
+    inliers[1, 0] = False
     wrong = replace(frame, label_errors_px=errors, inliers=inliers)
     panel = registration_panels(wrong, [views[0], (views[1][0], None, labels), views[2]])[1]
     assert "1 outliers" in panel.title

@@ -218,7 +218,9 @@ def test_presets_expose_themselves_and_left_is_the_subjects(opened):
 
 def test_soft_light_is_shown_with_what_the_face_hides_of_it(browser, write_scan, tmp_path):
     coefficients = np.zeros((9, 3))
-    coefficients[0], coefficients[1, 0], coefficients[3, 2] = (0.8, 1.0, 1.2), 0.3, 0.3
+    coefficients[0] = (0.8, 1.0, 1.2)
+    coefficients[1, 0] = 0.3
+    coefficients[3, 2] = 0.3
     soft = EnvironmentLight(coefficients)
     folder = write_scan(tmp_path / "soft", size=128, lights=(), environment=soft)
     browser.look(1400, 1000)

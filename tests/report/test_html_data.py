@@ -112,7 +112,8 @@ def test_textures_hold_the_linear_values_to_8_bits_of_srgb():
 
 def test_textures_are_carried_on_beyond_the_mask_and_may_be_black():
     linear, mask = np.zeros((8, 8, 3)), np.zeros((8, 8), bool)
-    mask[:, :4], linear[:, :4] = True, 0.5
+    mask[:, :4] = True
+    linear[:, :4] = 0.5
     assert (pixels(texture_entry(linear, mask, 8)) == 255).all()
     black = texture_entry(np.zeros((8, 8, 3)), mask, 8)
     assert black["factor"] == 1.0

@@ -266,7 +266,8 @@ def test_texels_of_the_default_model_know_their_own_places():
     vertices, faces = model.surface(1)
     fitted = Patch(vertices, faces, model.refined_uv(1), np.eye(4))
     assert geometry_image(fitted, None, 40).face_chart is None
-    fitted.model, fitted.levels = model, 1
+    fitted.model = model
+    fitted.levels = 1
     fitted.region = model.region[model.subdivision(1).parent]
     image = geometry_image(fitted, None, 40)
     own = (np.moveaxis(np.indices((40, 40)), 0, 2) + 0.5) / 40
@@ -326,7 +327,8 @@ def test_vertex_colours_are_those_of_the_faces_near_the_points():
     faces = np.array([[0, 1, 2], [0, 2, 3]])
     vertices = np.concatenate([square + 500, square])
     colors = np.zeros((8, 3), np.float32)
-    colors[:4, 0], colors[4:, 1:] = 1, square[:, :2] / 9
+    colors[:4, 0] = 1
+    colors[4:, 1:] = square[:, :2] / 9
     scan = RawScan(vertices, np.concatenate([faces, faces + 4]), vertex_color_linear=colors)
     points = np.random.default_rng(0).uniform(1, 8, (40, 3)) * (1, 1, 0)
     found = sample_colors(scan, points, np.tile((0.0, 0, 1), (40, 1)), np.zeros((40, 3, 2)))

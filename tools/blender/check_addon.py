@@ -107,9 +107,12 @@ def brightness(lights: list[dict], ambient: float, out: Path) -> float:
     bpy.data.collections["x light of the scan"].hide_render = False
     camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
     scene.collection.objects.link(camera)
-    camera.location, camera.rotation_euler, camera.data.lens = (0, -0.5, 0), (np.pi / 2, 0, 0), 400
+    camera.location = (0, -0.5, 0)
+    camera.rotation_euler = (np.pi / 2, 0, 0)
+    camera.data.lens = 400
     scene.camera = camera
-    scene.render.engine, scene.cycles.samples = "CYCLES", 64
+    scene.render.engine = "CYCLES"
+    scene.cycles.samples = 64
     scene.render.resolution_x = scene.render.resolution_y = 8
     scene.view_settings.view_transform = "Raw"
     scene.render.image_settings.file_format = "OPEN_EXR"

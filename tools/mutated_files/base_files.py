@@ -127,9 +127,11 @@ def _ply_files() -> Iterator[BaseFile]:
 
     for layout, order in (("binary_little_endian", "<"), ("binary_big_endian", ">")):
         vertex = np.zeros(len(xyz), [("xyz", order + "f4", 3), ("rgb", "u1", 3)])
-        vertex["xyz"], vertex["rgb"] = xyz, 128
+        vertex["xyz"] = xyz
+        vertex["rgb"] = 128
         rows = np.zeros(len(faces), [("n", "u1"), ("i", order + "i4", 3)])
-        rows["n"], rows["i"] = 3, faces
+        rows["n"] = 3
+        rows["i"] = faces
         body = vertex.tobytes() + rows.tobytes()
         yield _scan(f"ply, {layout}", "face.ply", whole(layout, body, PLY_COLORS))
     body = xyz.astype("<f4").tobytes()

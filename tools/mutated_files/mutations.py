@@ -181,7 +181,8 @@ def _in_json_of_glb(data: bytes, mutation: Mutation, rng: np.random.Generator) -
 
 
 def _in_chunk_of_png(data: bytes, mutation: Mutation, rng: np.random.Generator) -> bytes:
-    chunks, place = [], 8
+    chunks = []
+    place = 8
     while place < len(data):
         length = int.from_bytes(data[place : place + 4], "big")
         chunks.append((data[place + 4 : place + 8], data[place + 8 : place + 8 + length]))

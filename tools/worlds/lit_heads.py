@@ -72,7 +72,8 @@ class Surface:
 
 def slopes(points: FloatArray, seed: list[int], lengths_mm: tuple[float, float]) -> tuple[FloatArray, ...]:
     """Return heights (N,) and their gradient (N, 3) of a smooth random field, its slope's RMS `SLOPE`."""
-    random, waves = np.random.default_rng(seed), 60
+    random = np.random.default_rng(seed)
+    waves = 60
     k = (
         2
         * np.pi

@@ -72,7 +72,8 @@ def thinned_chart(image: GeometryImage, most: int = 60_000) -> FaceMesh:
     Blocks inside the mask become two triangles; those at the rim and at seams keep all their triangles, so
     that no gap opens.
     """
-    full, step = FaceMesh.of_chart(image), 1
+    full = FaceMesh.of_chart(image)
+    step = 1
     while int(image.mask.sum()) / step**2 > most:
         step += 1
     if step == 1:

@@ -63,7 +63,8 @@ def scan_section(
             except OSError:
                 files.append((file, "", "missing"))
         total = sum(record.timings_s.values())
-        times, start = [], 0.0
+        times = []
+        start = 0.0
         for stage, seconds in record.timings_s.items():
             share = seconds / total if total > 0 else 0.0
             bar = {"stage": stage.replace("_", " "), "text": seconds_text(seconds)}

@@ -125,7 +125,9 @@ def read_frame(
     told: list[str] = []
     usual = WIDTHS_MM if widths_mm is None else widths_mm
     low, high = (np.array(PLAUSIBLE_GLASSES_MM) * usual / WIDTHS_MM).tolist()
-    marks_mm, scale, ratio = MM_PER_UNIT.get(marks_unit, 0.0), 0.0, 1.0
+    marks_mm = MM_PER_UNIT.get(marks_unit, 0.0)
+    scale = 0.0
+    ratio = 1.0
 
     def decide(parsed: ParsedMesh, components: IntArray) -> tuple[float, str]:
         nonlocal scale, ratio, marks

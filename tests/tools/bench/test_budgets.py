@@ -44,7 +44,8 @@ def test_reached_and_overrun(start, found, wall_s, cpu_s, reached, over_s):
 
 def obedient(budget, on_progress):
     """Halve an error of 8 every 10 ms until it is 0.01 or the budget ends."""
-    begin, error = time.perf_counter(), 8.0
+    begin = time.perf_counter()
+    error = 8.0
     while error > 0.01 and (budget is None or time.perf_counter() - begin < budget):
         time.sleep(0.01)
         error /= 2

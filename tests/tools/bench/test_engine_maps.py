@@ -35,7 +35,8 @@ def test_likeness_is_psnr_of_srgb_after_the_best_exposure():
 
 def test_radiance_of_an_environment():
     coefficients = np.zeros((9, 3))
-    coefficients[0], coefficients[1] = 1.0, [0.1, 0.2, 0.3]
+    coefficients[0] = 1.0
+    coefficients[1] = [0.1, 0.2, 0.3]
     up, down = radiance_of(EnvironmentLight(coefficients), np.array([[0.0, 1, 0], [0, -1, 0]]))
     # Y_1 / Y_0 along +y is the square root of 3.
     np.testing.assert_allclose(up, 1 + np.sqrt(3) * coefficients[1])
@@ -88,7 +89,8 @@ def test_mitsuba_reads_maps_and_light_as_they_are_meant():
     np.testing.assert_allclose(seen("", (), EnvironmentLight.constant()), 0.5, rtol=0.02)
     # A sky with a dark side below 0: the light on a board is c_0 + 2/3 c_1 Y_1 / Y_0.
     coefficients = np.zeros((9, 3))
-    coefficients[0], coefficients[2] = 1.0, 0.8
+    coefficients[0] = 1.0
+    coefficients[2] = 0.8
     expected = 0.5 * (1 + 2 / 3 * 0.8 * np.sqrt(3))
     np.testing.assert_allclose(seen("", (), EnvironmentLight(coefficients)), expected, rtol=0.02)
     surface = face.material(color, lambert=True)

@@ -93,7 +93,8 @@ def test_an_edge_that_the_texture_has_is_not_invented():
 
 def test_outlines_beside_the_mask_do_not_count():
     shading, mask = np.ones((256, 256)), np.ones((256, 256), bool)
-    shading[:, 128:], mask[:, 128:] = 0.5, False
+    shading[:, 128:] = 0.5
+    mask[:, 128:] = False
     assert invented_outlines(shading, shading, np.ones_like(shading), mask).edges == 0
 
 
@@ -120,7 +121,10 @@ def test_harmonics_take_off_a_soft_light_and_each_channel_its_own():
 
 def test_the_truth_of_a_scan_is_looked_up_on_its_surface():
     albedo = np.zeros((2, 2, 3))
-    albedo[0, 0], albedo[0, 1], albedo[1, 0], albedo[1, 1] = 0.1, 0.2, 0.3, 0.4
+    albedo[0, 0] = 0.1
+    albedo[0, 1] = 0.2
+    albedo[1, 0] = 0.3
+    albedo[1, 1] = 0.4
     truth = ScanTruth(
         np.array([[0.0, 0, 0], [10, 0, 0], [0, 10, 0]]),
         np.array([[0, 1, 2]]),

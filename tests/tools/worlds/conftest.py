@@ -9,7 +9,8 @@ from scan2albedo.synthetic.sitter import grid_faces
 @pytest.fixture(scope="session")
 def head() -> tuple[np.ndarray, np.ndarray]:
     """An ellipsoid with a nose on +z: the least that raw_like needs."""
-    rows, columns = 60, 120
+    rows = 60
+    columns = 120
     polar, around = np.meshgrid(
         np.linspace(0, np.pi, rows), np.linspace(0, 2 * np.pi, columns), indexing="ij"
     )

@@ -119,7 +119,9 @@ def block_residual(
 
     a_b = sum w (T - I_s) I / sum w I^2. What a highlight exceeds its texel by costs `EXCESS` times more.
     """
-    rest, count, total = value - specular, int(blocks.max()) + 1, 0.0
+    rest = value - specular
+    count = int(blocks.max()) + 1
+    total = 0.0
     for block in blocks:
         top = np.bincount(block, weight * rest * light, count)
         bottom = np.bincount(block, weight * light * light, count)
