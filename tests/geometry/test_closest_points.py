@@ -128,3 +128,10 @@ def test_thousands_of_coincident_triangles_and_slivers_are_searched_as_any():
 def test_no_points_have_no_answers():
     vertices, faces = bumpy_grid(4)
     assert ClosestPointQuery(vertices, faces).query(np.empty((0, 3))).distance.shape == (0,)
+
+
+def test_a_degenerate_triangle_gives_finite_answers():
+    vertices, faces = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]), np.array([[0, 1, 2]])
+    hits = NearestSurface(vertices, faces).query(np.array([[1.5, 1.0, 0.0]]))
+    np.testing.assert_allclose(hits.distance, 1.0)
+    assert np.isfinite(hits.barycentric).all()

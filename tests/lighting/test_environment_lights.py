@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from scan2albedo.eyeglasses.lenses.scenes import radiance_at
 from scan2albedo.lighting.environment import (
     DistantLights,
     distant_directions,
@@ -142,3 +143,24 @@ def test_important_directions_of_a_fine_map_are_those_of_a_coarse_one():
 def test_important_directions_of_no_light_are_even():
     np.testing.assert_array_equal(important_directions(np.zeros((4, 8, 3)), 9), distant_directions(9))
     assert important_directions(np.ones((1, 1, 3)), 1).shape == (1, 3)
+
+
+def test_a_lamp_in_the_map_is_the_light_in_its_direction():
+    image = np.zeros((64, 128, 3))
+    toward = np.array([0.6, 0.5, np.sqrt(1 - 0.61)])
+    row = int(np.arccos(toward[1]) / np.pi * 64)
+    column = int((np.arctan2(toward[0], toward[2]) / (2 * np.pi) + 0.5) * 128)
+    image[row, column] = [100, 50, 0]
+    assert radiance_at(image, toward[None])[0, 0] > 20
+    directions = distant_directions(50)
+    weights = environment_weights(image, directions)
+    assert np.flatnonzero(weights.any(1)).tolist() == [int((directions @ toward).argmax())]
+
+
+def test_weights_are_linear_in_the_map():
+    rng = np.random.default_rng(2)
+    first, second = rng.random((2, 16, 32, 3))
+    directions = distant_directions(30)
+    together = environment_weights(2 * first + second, directions)
+    apart = 2 * environment_weights(first, directions) + environment_weights(second, directions)
+    np.testing.assert_allclose(together, apart, rtol=1e-13)

@@ -137,3 +137,9 @@ def test_highlights_peak_in_the_mirror_direction_for_any_exponent(exponent):
     assert abs(np.linspace(-1.5, 1.5, 401)[np.argmax(gloss)] - half_angle) < 0.01
     assert gloss.max() == pytest.approx(0.6, rel=0.3)
     assert np.isfinite(gloss).all()
+
+
+def test_sigma_zero_equals_lambert_to_the_last_bit():
+    position, normal, _ = _points()
+    rough = shade_points(position, normal, LIGHTS, Reflectance("oren-nayar", 0.0))
+    assert np.array_equal(rough.light, shade_points(position, normal, LIGHTS, Reflectance("lambert")).light)
