@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.eyeglasses import posed, volume
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.core import Budget
 from scan2albedo.errors import EyeglassesError
@@ -33,7 +34,7 @@ TRANSLATED = CanonicalizationOptions(mode="mean", handles="translated")
 
 def rigid_free_error(found, glasses, mean):
     """Distances from the unbent frame where its key points are the mean."""
-    np.testing.assert_allclose(mean, glasses.rest_keypoints, atol=1e-9)
+    assert_allclose(mean, glasses.rest_keypoints, atol=1e-9)
     return np.linalg.norm(found.vertices - glasses.rest_vertices, axis=1)
 
 
@@ -92,7 +93,7 @@ def test_turning_key_points_beat_shifted_ones(weighted, name):
     aligned = transform_points(result.frames[0].canonical_from_frame, posed(glasses.vertices, 1))
     points = transform_points(result.frames[0].canonical_from_frame, posed(glasses.keypoints, 1))
     by_hand = aligned + weights @ (glasses.rest_keypoints - points)
-    np.testing.assert_allclose(result.frames[0].vertices, by_hand, atol=1e-9)
+    assert_allclose(result.frames[0].vertices, by_hand, atol=1e-9)
 
 
 @pytest.mark.slow
@@ -108,8 +109,8 @@ def test_the_way_back_is_exact(weighted):
     glasses, weights = weighted(SMALL["opened"])
     found = straightened(glasses, weights).frames[0]
     given = posed(glasses.vertices, 1)
-    np.testing.assert_allclose(found.apply(given), found.vertices, atol=1e-12)
-    np.testing.assert_allclose(found.uncanonicalize(found.vertices), given, atol=1e-9)
+    assert_allclose(found.apply(given), found.vertices, atol=1e-12)
+    assert_allclose(found.uncanonicalize(found.vertices), given, atol=1e-9)
     with pytest.raises(ValueError, match="vertices is"):
         found.uncanonicalize(given[:5])
 
@@ -129,9 +130,7 @@ def test_a_set_meets_at_its_mean_whatever_its_poses_and_order(weighted):
     assert not result.plan.ran("eyeglasses.units")
     for frame, p in zip(result.frames, points, strict=True):
         carried = np.einsum("kij,kj->ki", frame.handle_transforms[:, :3, :3], p)
-        np.testing.assert_allclose(
-            carried + frame.handle_transforms[:, :3, 3], result.mean_keypoints, atol=1e-9
-        )
+        assert_allclose(carried + frame.handle_transforms[:, :3, 3], result.mean_keypoints, atol=1e-9)
         assert 0.5 < frame.residual < 15
     back = canonicalize(
         [(posed(v, 9), f) for v, f in meshes[::-1]],
@@ -139,8 +138,8 @@ def test_a_set_meets_at_its_mean_whatever_its_poses_and_order(weighted):
         weights=weights[::-1],
         options=MEAN,
     )
-    np.testing.assert_allclose(back.mean_keypoints, result.mean_keypoints, atol=1e-8)
-    np.testing.assert_allclose(back.frames[2].vertices, result.frames[0].vertices, atol=1e-8)
+    assert_allclose(back.mean_keypoints, result.mean_keypoints, atol=1e-8)
+    assert_allclose(back.frames[2].vertices, result.frames[0].vertices, atol=1e-8)
     at = dict(zip(KEY_POINT_NAMES, result.mean_keypoints, strict=True))
     assert at["left_hinge"][0] > 50 > -50 > at["right_hinge"][0]
     assert at["left_hinge"][2] > at["left_temple_tip"][2] + 100
@@ -170,12 +169,12 @@ def test_the_mean_of_one_shape_in_many_poses_is_that_shape(weighted):
     meshes = [(posed(glasses.vertices, i), glasses.faces) for i in range(3)]
     result = canonicalize(meshes, [posed(glasses.keypoints, i) for i in range(3)], weights=[weights] * 3)
     same = transform_points(procrustes(glasses.keypoints, result.mean_keypoints), glasses.keypoints)
-    np.testing.assert_allclose(result.mean_keypoints, same, atol=1e-9)
+    assert_allclose(result.mean_keypoints, same, atol=1e-9)
     flip = np.array([-1.0, 1, 1])
-    np.testing.assert_allclose(result.mean_keypoints[list(MIRROR)], result.mean_keypoints * flip, atol=1e-9)
+    assert_allclose(result.mean_keypoints[list(MIRROR)], result.mean_keypoints * flip, atol=1e-9)
     for frame in result.frames:
         assert frame.residual < 1e-9
-        np.testing.assert_allclose(frame.vertices, result.frames[0].vertices, atol=1e-9)
+        assert_allclose(frame.vertices, result.frames[0].vertices, atol=1e-9)
 
 
 def test_other_units_are_brought_to_one(weighted):
@@ -187,15 +186,13 @@ def test_other_units_are_brought_to_one(weighted):
         weights=weights,
     )
     assert mixed.plan.ran("eyeglasses.units")
-    np.testing.assert_allclose([f.scale for f in mixed.frames], [1, 1e3, 1e-3])
+    assert_allclose([f.scale for f in mixed.frames], [1, 1e3, 1e-3])
     for a, b in zip(mixed.frames, plain.frames, strict=True):
-        np.testing.assert_allclose(a.vertices, b.vertices, atol=1e-8)
-    np.testing.assert_allclose(
-        mixed.frames[1].uncanonicalize(mixed.frames[1].vertices), 1e-3 * meshes[1][0], atol=1e-11
-    )
+        assert_allclose(a.vertices, b.vertices, atol=1e-8)
+    assert_allclose(mixed.frames[1].uncanonicalize(mixed.frames[1].vertices), 1e-3 * meshes[1][0], atol=1e-11)
     in_metres = canonicalize([(1e-3 * v, f) for v, f in meshes], [1e-3 * p for p in points], weights=weights)
     assert not in_metres.plan.ran("eyeglasses.units")
-    np.testing.assert_allclose(1e3 * in_metres.mean_keypoints, plain.mean_keypoints, atol=1e-8)
+    assert_allclose(1e3 * in_metres.mean_keypoints, plain.mean_keypoints, atol=1e-8)
 
 
 def test_a_frame_of_no_width_of_spectacles_is_refused(weighted):
@@ -208,7 +205,7 @@ def test_a_frame_of_no_width_of_spectacles_is_refused(weighted):
     assert rest.numbers == (0, 2)
     assert "units wide" in rest.failures[1]
     alone = canonicalize(meshes[::2], points[::2], weights=weights[::2])
-    np.testing.assert_array_equal(rest.mean_keypoints, alone.mean_keypoints)
+    assert_array_equal(rest.mean_keypoints, alone.mean_keypoints)
     # A child's frame, which the caller vouches for.
     small = [(0.72 * meshes[0][0], meshes[0][1])], [0.72 * points[0]]
     admitted = CanonicalizationOptions(widths_mm=(90.0, 170.0))
@@ -245,7 +242,7 @@ def test_missing_key_points_are_done_without():
     assert np.isfinite(lacking.vertices).all()
     assert np.flatnonzero(np.isnan(lacking.keypoints).any(1)).tolist() == [1, 5, 12]
     assert (lacking.weights[:, [1, 5, 12]] == 0).all()
-    np.testing.assert_allclose(lacking.vertices, whole.vertices, atol=1e-6)
+    assert_allclose(lacking.vertices, whole.vertices, atol=1e-6)
 
 
 COARSE = {"spacing": 3.0, "options": MEAN}
@@ -287,7 +284,7 @@ def test_a_budget_that_ends_early_still_brings_the_key_points_together(weighted)
     assert "cut short" in short.plan[0].reason
     for frame, p in zip(short.frames, marks, strict=True):
         carried = np.einsum("kij,kj->ki", frame.handle_transforms[:, :3, :3], p)
-        np.testing.assert_allclose(carried + frame.handle_transforms[:, :3, 3], frame.keypoints, atol=1e-9)
+        assert_allclose(carried + frame.handle_transforms[:, :3, 3], frame.keypoints, atol=1e-9)
     apart = [np.abs(a.vertices - b.vertices).max() for a, b in zip(short.frames, whole.frames, strict=True)]
     assert 1e-6 < max(apart) < 5
 
@@ -316,7 +313,7 @@ def test_a_frame_that_cannot_be_done_need_not_take_the_others_down(weighted):
     assert "left_rim_bridge" in result.failures[1]
     assert "2 key points" in result.failures[2]
     alone = canonicalize([meshes[0]] * 2, [points[0]] * 2, **COARSE)
-    np.testing.assert_array_equal(result.mean_keypoints, alone.mean_keypoints)
+    assert_array_equal(result.mean_keypoints, alone.mean_keypoints)
     assert [s.reason[:8] for s in result.plan if not s.ran and s.stage == "eyeglasses.weights"] == [
         "frame 1:",
         "frame 2:",

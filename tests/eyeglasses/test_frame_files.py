@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from helpers.schemas import check_schema
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import (
@@ -47,7 +48,7 @@ def test_registered_frames_come_back(glasses, cameras, tmp_path):
     found = read_registered(tmp_path / "a.npz")
     for name, value in vars(made).items():
         if name not in ("plan", "trace") and not name.startswith("proposed"):
-            np.testing.assert_array_equal(getattr(found, name), value)
+            assert_array_equal(getattr(found, name), value)
             assert np.asarray(getattr(found, name)).dtype == np.asarray(value).dtype
     assert len(found.plan) == len(found.trace) == len(found.proposed_labels) == 0
     assert found.unobserved == made.unobserved
@@ -87,8 +88,8 @@ def test_starts_come_back_in_mm(tmp_path):
     for unit, mm in (("mm", 1), ("cm", 10), ("m", 1000)):
         write_start(tmp_path / "start.json", pose, unit=unit)
         found = read_start(tmp_path / "start.json")
-        np.testing.assert_array_equal(found[:3, :3], pose[:3, :3])
-        np.testing.assert_allclose(found[:3, 3], mm * pose[:3, 3], rtol=1e-15)
+        assert_array_equal(found[:3, :3], pose[:3, :3])
+        assert_allclose(found[:3, 3], mm * pose[:3, 3], rtol=1e-15)
     check_schema(tmp_path / "start.json", "eyeglasses_start")
 
 
@@ -105,7 +106,7 @@ def test_shapes_tell_what_lies_outside_of_pictures_without_masks(glasses, camera
     pixels = project(cameras[0], glasses.vertices)[0]
     width = int(np.median(pixels[:, 0]))
     cut = registered(glasses, cameras, shapes=[(300, width), SHAPE])
-    np.testing.assert_array_equal(cut.visible[0], pixels[:, 0] <= width - 0.5)
+    assert_array_equal(cut.visible[0], pixels[:, 0] <= width - 0.5)
     assert registered(glasses, cameras).visible.all()
     with pytest.raises(ValueError, match="one entry for each of 2 cameras, got 1"):
         registered(glasses, cameras, shapes=[SHAPE])

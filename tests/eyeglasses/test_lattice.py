@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.eyeglasses.lattice import (
     Lattice,
@@ -35,12 +36,12 @@ def test_surface_cells_are_those_that_clipping_finds(seed):
     triangle = rng.uniform(-4, 4, (3, 3)) * ([1, 1, 0.05] if seed % 3 == 0 else [1, 1, 1])
     box = np.stack(np.meshgrid(*[np.arange(-5, 5)] * 3, indexing="ij"), -1).reshape(-1, 3)
     wanted = np.array([cell for cell in box if clipped(triangle, cell)])
-    np.testing.assert_array_equal(surface_cells(triangle[None], 10_000), wanted)
+    assert_array_equal(surface_cells(triangle[None], 10_000), wanted)
 
 
 def test_triangles_without_area_leave_the_cells_of_their_corners():
     line = np.array([[[0.5, 0.5, 0.5], [3.5, 0.5, 0.5], [7.5, 0.5, 0.5]]])
-    np.testing.assert_array_equal(surface_cells(line, 100), [[0, 0, 0], [3, 0, 0], [7, 0, 0]])
+    assert_array_equal(surface_cells(line, 100), [[0, 0, 0], [3, 0, 0], [7, 0, 0]])
 
 
 def test_too_many_cells_end_the_search():
@@ -50,7 +51,7 @@ def test_too_many_cells_end_the_search():
 def test_enclosed_cells_need_closed_walls():
     block = np.argwhere(np.ones((5, 5, 5), bool)).astype(np.int64)
     inner = ((block > 0) & (block < 4)).all(1)
-    np.testing.assert_array_equal(enclosed_cells(block[~inner]), block[inner])
+    assert_array_equal(enclosed_cells(block[~inner]), block[inner])
     door = (block == [0, 2, 2]).all(1)
     assert len(enclosed_cells(block[~inner & ~door])) == 0
 
@@ -65,7 +66,7 @@ def test_laplacian_is_symmetric_an_m_matrix_and_knows_the_volume(lattice):
     laplacian = lattice_laplacian(lattice)
     assert abs(laplacian - laplacian.T).max() == 0
     assert (laplacian - np.diag(laplacian.diagonal())).max() <= 0
-    np.testing.assert_allclose(laplacian @ np.ones(len(lattice.nodes)), 0, atol=1e-14)
+    assert_allclose(laplacian @ np.ones(len(lattice.nodes)), 0, atol=1e-14)
     for axis in range(3):  # the integral of |grad x|^2
         x = lattice.nodes[:, axis]
         assert x @ (laplacian @ x) == pytest.approx(len(lattice.cells))
@@ -88,13 +89,13 @@ def test_interpolation_is_exact_for_linear_fields_and_convex(lattice):
     rng = np.random.default_rng(0)
     points = lattice.cells[rng.integers(0, len(lattice.cells), 50)] + rng.random((50, 3))
     matrix = lattice.interpolation(points)
-    np.testing.assert_allclose(matrix @ lattice.nodes, points, atol=1e-12)
+    assert_allclose(matrix @ lattice.nodes, points, atol=1e-12)
     assert matrix.min() >= 0
-    np.testing.assert_allclose(matrix.sum(1), 1, atol=1e-15)
+    assert_allclose(matrix.sum(1), 1, atol=1e-15)
 
 
 def test_points_outside_take_the_nearest_place(lattice):
-    np.testing.assert_allclose(
+    assert_allclose(
         lattice.interpolation(np.array([[-7.0, -1.5, -1.25]])) @ lattice.nodes, [[-2, -1.5, -1.25]]
     )
 
@@ -105,4 +106,4 @@ def test_parts_in_reach_are_joined_and_others_left():
     parts = joined.cell_components[joined.find(cells)]
     assert len(set(parts[:4])) == 1
     assert parts[4] not in parts[:4]
-    np.testing.assert_array_equal(join_parts(cells, 1.0), cells)
+    assert_array_equal(join_parts(cells, 1.0), cells)

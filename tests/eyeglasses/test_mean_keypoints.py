@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.mean_keypoints import (
@@ -60,9 +61,9 @@ def test_the_width_tells_the_unit(factor, exponent):
 
 
 def test_frames_of_one_unit_stay_in_it():
-    np.testing.assert_array_equal(unit_factors([3, 3], None), [1, 1])
-    np.testing.assert_array_equal(unit_factors([3, 1, 0], None), [1000, 10, 1])
-    np.testing.assert_array_equal(unit_factors([0, -3], 3), [1e-3, 1e-6])
+    assert_array_equal(unit_factors([3, 3], None), [1, 1])
+    assert_array_equal(unit_factors([3, 1, 0], None), [1000, 10, 1])
+    assert_array_equal(unit_factors([0, -3], 3), [1e-3, 1e-6])
 
 
 def test_no_width_of_spectacles_is_refused():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from scan2albedo.eyeglasses import skin
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
@@ -32,13 +33,13 @@ def test_one_transform_for_all_is_that_transform(points, shares):
     move = compose(rotation_from_vector([0.3, -0.2, 0.9]), [1, 2, 3])
     for maps in (np.stack([move] * 3), np.stack([move[:3]] * 3)):
         moved = skin(points, shares, maps)
-        np.testing.assert_allclose(moved, transform_points(move, points), atol=1e-12)
+        assert_allclose(moved, transform_points(move, points), atol=1e-12)
 
 
 def test_vertices_are_means_of_where_the_handles_would_take_them(points, shares):
     maps = np.stack([affine(k) for k in range(3)])
     each = np.stack([transform_points(m, points) for m in maps], 1)
-    np.testing.assert_allclose(skin(points, shares, maps), np.einsum("vk,vki->vi", shares, each), atol=1e-12)
+    assert_allclose(skin(points, shares, maps), np.einsum("vk,vki->vi", shares, each), atol=1e-12)
 
 
 def test_shapes_that_do_not_fit_are_named(points, shares):
@@ -58,7 +59,7 @@ def carried(transforms, points):
 @pytest.mark.parametrize("make", [translations, turned_translations])
 def test_key_points_meet_their_targets(make):
     target = eyeglasses(3, bend=GlassesBend(20, 5, 5)).keypoints
-    np.testing.assert_allclose(carried(make(POINTS, target), POINTS), target, atol=1e-11)
+    assert_allclose(carried(make(POINTS, target), POINTS), target, atol=1e-11)
 
 
 def test_a_turn_of_one_side_turns_its_key_points():
@@ -67,14 +68,14 @@ def test_a_turn_of_one_side_turns_its_key_points():
     target = np.where(left[:, None], POINTS @ turn.T, POINTS)
     found = turned_translations(POINTS, target)
     for name in ("left_temple_tip", "left_ear_bend", "left_rim_outer", "left_rim_top"):
-        np.testing.assert_allclose(found[KEY_POINT_NAMES.index(name), :3, :3], turn, atol=5e-3)
-    np.testing.assert_allclose(found[KEY_POINT_NAMES.index("right_rim_top"), :3, :3], np.eye(3), atol=5e-3)
+        assert_allclose(found[KEY_POINT_NAMES.index(name), :3, :3], turn, atol=5e-3)
+    assert_allclose(found[KEY_POINT_NAMES.index("right_rim_top"), :3, :3], np.eye(3), atol=5e-3)
 
 
 def test_a_moderate_rigid_motion_is_met():
     motion = compose(rotation_from_vector([0.2, -0.3, 0.1]), [5.0, 6, 7])
     found = turned_translations(POINTS, transform_points(motion, POINTS))
-    np.testing.assert_allclose(found, np.tile(motion, (20, 1, 1)), atol=1e-6)
+    assert_allclose(found, np.tile(motion, (20, 1, 1)), atol=1e-6)
 
 
 def test_turns_go_with_the_frames_of_reference():
@@ -83,7 +84,7 @@ def test_turns_go_with_the_frames_of_reference():
     plain = turned_translations(POINTS, target)[:, :3, :3]
     world = random_rotation(np.random.default_rng(4))
     turned = turned_translations(POINTS @ world.T, target @ world.T)[:, :3, :3]
-    np.testing.assert_allclose(turned, world @ plain @ world.T, atol=1e-10)
+    assert_allclose(turned, world @ plain @ world.T, atol=1e-10)
 
 
 def test_bones_with_missing_ends_do_not_count():
@@ -91,8 +92,8 @@ def test_bones_with_missing_ends_do_not_count():
     target[[4, 11]] = np.nan
     found = turned_translations(POINTS, target)
     kept = np.isfinite(target).all(1)
-    np.testing.assert_allclose(found[kept, :3, :3], np.tile(np.eye(3), (18, 1, 1)), atol=1e-12)
-    np.testing.assert_allclose(carried(found, POINTS)[kept], target[kept], atol=1e-12)
+    assert_allclose(found[kept, :3, :3], np.tile(np.eye(3), (18, 1, 1)), atol=1e-12)
+    assert_allclose(carried(found, POINTS)[kept], target[kept], atol=1e-12)
 
 
 def test_what_nothing_fixes_stays():
@@ -104,6 +105,6 @@ def test_what_nothing_fixes_stays():
     target = points.copy()
     target[temple] += [[0.0, 0, 0], [2, 0, 0], [3, 0, 0]]
     found = turned_translations(points, target)[temple]
-    np.testing.assert_allclose(carried(found, points[temple]), target[temple], atol=1e-11)
+    assert_allclose(carried(found, points[temple]), target[temple], atol=1e-11)
     spread = rotation_from_vector([0, np.arctan2(-2, 60), 0])
-    np.testing.assert_allclose(found[:, :3, :3], np.tile(spread, (3, 1, 1)), atol=2e-3)
+    assert_allclose(found[:, :3, :3], np.tile(spread, (3, 1, 1)), atol=2e-3)

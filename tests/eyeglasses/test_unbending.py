@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.eyeglasses import CanonicalizationOptions, bounded_biharmonic_weights, canonicalize
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR
@@ -68,16 +69,16 @@ def test_rims_keep_their_shape_and_the_bend_goes(pair, unbent):
         assert np.sqrt((before**2).mean()) > 1.5
         assert np.sqrt((after**2).mean()) < 0.2
         assert frame.unbent
-        np.testing.assert_allclose(frame.uncanonicalize(frame.vertices), vertices, atol=1e-9)
+        assert_allclose(frame.uncanonicalize(frame.vertices), vertices, atol=1e-9)
         flip = np.array([-1.0, 1, 1])
-        np.testing.assert_allclose(frame.keypoints[list(MIRROR)], frame.keypoints * flip, atol=0.1)
+        assert_allclose(frame.keypoints[list(MIRROR)], frame.keypoints * flip, atol=0.1)
 
 
 def test_the_mean_gives_all_frames_its_proportions(pair, unbent):
     meshes = [(vertices, glasses.faces) for glasses, vertices, _, _ in pair]
     options = CanonicalizationOptions(mode="mean")
     found = canonicalize(meshes, [p for _, _, p, _ in pair], weights=[w for *_, w in pair], options=options)
-    np.testing.assert_array_equal(found.mean_keypoints, unbent.mean_keypoints)
+    assert_array_equal(found.mean_keypoints, unbent.mean_keypoints)
     heights = [np.ptp(f.vertices[lens_edges(g)[0], 1]) for (g, *_), f in zip(pair, found.frames, strict=True)]
     assert abs(heights[0] - heights[1]) < 4 < 12 < ROUND.lens_height - FLAT.lens_height
     assert not found.frames[0].unbent
@@ -112,10 +113,10 @@ def test_what_both_sides_are_bent_to_alike_stays():
     # Rims: degrees, those of designs, their deviation, bend, its deviation. Temples: degrees, mm at the ends,
     # mm of the bow, degrees of designs, their deviation, mm of the bend, its deviation.
     out, inward, folded = (said[name] - said["none"] for name in ("out", "in", "folded"))
-    np.testing.assert_allclose(out[[0, 3, 6, 10]], [0, 0, 8, 8], atol=0.5)
-    np.testing.assert_allclose(inward[[0, 3, 6, 10]], [0, 0, -8, -8], atol=0.5)
+    assert_allclose(out[[0, 3, 6, 10]], [0, 0, 8, 8], atol=0.5)
+    assert_allclose(inward[[0, 3, 6, 10]], [0, 0, -8, -8], atol=0.5)
     assert out[7] < -0.7 < 0.7 < inward[7]
-    np.testing.assert_allclose(folded[[0, 3, 5]], [4, 4, -4], atol=0.2)
+    assert_allclose(folded[[0, 3, 5]], [4, 4, -4], atol=0.2)
     assert said["none"][[1, 2, 8, 9]].tolist() == [10.0, 5.8, 2.5, 4.3]
 
 

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from helpers.schemas import check_schema
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import EyeglassesError, OutputError
 from scan2albedo.eyeglasses import (
@@ -44,7 +45,7 @@ def test_labels_come_back_and_fit_their_schema(tmp_path):
     write_labels(tmp_path / "labels.json", labels, ["front", "left eye", "r"])
     found = read_labels(tmp_path / "labels.json")
     assert found.camera_names == ("front", "left eye", "r")
-    np.testing.assert_array_equal(found.pixels, labels)
+    assert_array_equal(found.pixels, labels)
     check_schema(
         tmp_path / "labels.json",
         "eyeglasses_labels",
@@ -61,7 +62,7 @@ def test_labels_follow_the_order_of_the_cameras(tmp_path):
     labels = np.random.default_rng(0).uniform(0, 1000, (2, 20, 2))
     write_labels(tmp_path / "labels.json", labels, ["a", "b"])
     found = read_labels(tmp_path / "labels.json").of_cameras(["b", "other", "a"])
-    np.testing.assert_array_equal(found[[0, 2]], labels[[1, 0]])
+    assert_array_equal(found[[0, 2]], labels[[1, 0]])
     assert np.isnan(found[1]).all()
     with pytest.raises(EyeglassesError, match="labels of a camera 'b', but the cameras are a"):
         read_labels(tmp_path / "labels.json").of_cameras(["a"])
@@ -99,12 +100,12 @@ def test_cameras_come_back_in_mm_and_fit_their_schema(tmp_path, unit, mm):
     found = read_cameras(tmp_path / "cameras.json")
     assert [(c.name, c.shape) for c in found] == [("front", SHAPE), ("side", SHAPE)]
     for a, b in zip(found, cameras, strict=True):
-        np.testing.assert_allclose(a.matrix, b.matrix, rtol=1e-15)
+        assert_allclose(a.matrix, b.matrix, rtol=1e-15)
     # What is in the file takes points in the file's unit to the same pixels.
     stored = np.array(json.loads((tmp_path / "cameras.json").read_text())["cameras"][1]["matrix"])
     points = np.random.default_rng(0).normal(0, 50, (5, 3))
     expected = project(normalized_cameras([cameras[1].matrix])[0], points)[0]
-    np.testing.assert_allclose(project(normalized_cameras([stored])[0], points / mm)[0], expected, atol=1e-9)
+    assert_allclose(project(normalized_cameras([stored])[0], points / mm)[0], expected, atol=1e-9)
     check_schema(tmp_path / "cameras.json", "cameras", {"unit": "unknown"}, {"cameras": []})
 
 
@@ -143,7 +144,7 @@ def test_masks_come_back(tmp_path):
     write_masks(tmp_path / "masks", masks, cameras)
     assert sorted(p.name for p in (tmp_path / "masks").iterdir()) == ["front.png", "small.png"]
     for found, mask in zip(read_masks(tmp_path / "masks", cameras), masks, strict=True):
-        np.testing.assert_array_equal(found, mask)
+        assert_array_equal(found, mask)
     # Any value but 0 in any channel counts, as label pictures have it.
     colors = np.zeros((5, 7, 3), np.uint8)
     colors[2, 3], colors[4, 6] = (0, 0, 1), (255, 0, 0)

@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from helpers.chart_distortion import chart_distortion
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -60,8 +61,8 @@ def test_triangles_are_well_shaped(model):
 
 def test_mirror_symmetry_of_everything(model):
     mirror = mirror_of(model.control_vertices)
-    np.testing.assert_array_equal(mirror[mirror], np.arange(len(mirror)))
-    np.testing.assert_allclose(model.uv[mirror], model.uv * [-1, 1] + [1, 0], atol=1e-12)
+    assert_array_equal(mirror[mirror], np.arange(len(mirror)))
+    assert_allclose(model.uv[mirror], model.uv * [-1, 1] + [1, 0], atol=1e-12)
     swapped = {
         tuple(sorted(f)): r for f, r in zip(mirror[model.control_faces].tolist(), model.region, strict=True)
     }
@@ -77,7 +78,7 @@ def test_mirror_symmetry_of_everything(model):
 def test_frame(model):
     surface, faces = model.surface(2)
     centroid = np.average(surface[faces].mean(1), axis=0, weights=face_areas(surface, faces))
-    np.testing.assert_allclose(centroid, 0, atol=1e-9)
+    assert_allclose(centroid, 0, atol=1e-9)
     assert model.landmarks[42, 0] > 0 > model.landmarks[39, 0]  # the left eye lies at +x
     assert model.landmarks[27, 1] > model.landmarks[8, 1]
     assert np.argmax(model.landmarks[:, 2]) == 30
@@ -86,8 +87,8 @@ def test_frame(model):
 def test_landmarks_are_symmetric_and_ordered(model):
     points = model.landmarks
     for left, right in LEFT_TO_RIGHT:
-        np.testing.assert_allclose(points[left] * [-1, 1, 1], points[right], atol=1e-9)
-    np.testing.assert_allclose(points[list(MIDDLE), 0], 0, atol=1e-9)
+        assert_allclose(points[left] * [-1, 1, 1], points[right], atol=1e-9)
+    assert_allclose(points[list(MIDDLE), 0], 0, atol=1e-9)
     assert len(LEFT_TO_RIGHT) * 2 + len(MIDDLE) == 68
     for first, last in ((1, 15), (17, 26), (31, 35), (36, 39), (42, 45), (48, 54), (60, 64)):
         assert np.all(np.diff(points[first : last + 1, 0]) > 0)

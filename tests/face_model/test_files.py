@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.errors import ModelError, OutputError
@@ -23,7 +24,7 @@ def saved(tmp_path: Path) -> Path:
 def test_round_trip_keeps_every_bit(saved: Path):
     model, again = AnnotatedFaceModel.default(), AnnotatedSurface.load(saved)
     for name in ("control_vertices", "control_faces", "uv", "region", "landmarks"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(model, name))
+        assert_array_equal(getattr(again, name), getattr(model, name))
     assert dict(again.regions) == dict(model.regions)
     assert again.name == model.name
     assert again.template_points is None
@@ -43,11 +44,11 @@ def test_round_trip_keeps_a_dense_template(tmp_path: Path):
     model.save(tmp_path / "t.json")
     again = AnnotatedSurface.load(tmp_path / "t.json")
     assert again.landmarks is None
-    np.testing.assert_array_equal(again.template_points.face, points.face)
-    np.testing.assert_array_equal(again.template_points.barycentric, points.barycentric)
-    np.testing.assert_array_equal(again.template_offset, model.template_offset)
-    np.testing.assert_array_equal(again.template_faces, [[0, 1, 2]])
-    np.testing.assert_array_equal(again.template_uv, model.template_uv)
+    assert_array_equal(again.template_points.face, points.face)
+    assert_array_equal(again.template_points.barycentric, points.barycentric)
+    assert_array_equal(again.template_offset, model.template_offset)
+    assert_array_equal(again.template_faces, [[0, 1, 2]])
+    assert_array_equal(again.template_uv, model.template_uv)
 
 
 def test_a_dense_template_of_points_alone_is_read_again(tmp_path: Path):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 from scipy import sparse
 
 from scan2albedo.errors import FitError
@@ -90,7 +91,7 @@ def test_small_steps_follow_the_exact_oscillator():
     state = State(np.ones((1, 3)), np.zeros((1, 3)))
     for _ in range(5000):
         state = stepped(system, state, np.zeros((1, 3)), no_springs)
-    np.testing.assert_allclose(state.q, np.cos(2 * 0.5), atol=2e-3)
+    assert_allclose(state.q, np.cos(2 * 0.5), atol=2e-3)
 
 
 @settings(max_examples=25, deadline=None)
@@ -103,7 +104,7 @@ def test_the_resting_place_is_where_stiffness_and_force_balance(log_stiffness, l
     for _ in range(400):
         state = stepped(system, state, goal - state.q, unit_springs)
     expected = np.linalg.solve(stiffness.toarray() + np.eye(8), goal)
-    np.testing.assert_allclose(state.q, expected, atol=1e-3)
+    assert_allclose(state.q, expected, atol=1e-3)
 
 
 def test_springs_far_stiffer_than_the_preconditioner_knows_stay_stable():
@@ -126,7 +127,7 @@ def test_conjugate_gradients_end_at_the_solution_of_the_coupled_system():
     solved = conjugate_gradients(
         lambda x: (matrix @ x.ravel()).reshape(x.shape), right, lambda x: x.copy(), 200, 1e-12
     )
-    np.testing.assert_allclose(solved.ravel(), np.linalg.solve(matrix, right.ravel()), atol=1e-8)
+    assert_allclose(solved.ravel(), np.linalg.solve(matrix, right.ravel()), atol=1e-8)
 
 
 def test_factorisation_solves_badly_scaled_systems():
@@ -134,7 +135,7 @@ def test_factorisation_solves_badly_scaled_systems():
     matrix = (scale @ chain(30, 1.0) @ scale).tocsr()
     x = np.random.default_rng(3).normal(size=(30, 3))
     solved = factorized(matrix)(matrix @ x)
-    np.testing.assert_allclose(scale @ solved, scale @ x, rtol=1e-6, atol=1e-9)
+    assert_allclose(scale @ solved, scale @ x, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 0.0])

@@ -3,6 +3,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from worlds.raw_like import raw_like
 
 from scan2albedo import AnnotatedFaceModel
@@ -43,7 +44,7 @@ def test_another_shape_is_reached(mask_fit, mask_scan):
 
 def test_result_is_consistent(mask_fit, mask_model):
     subdivision = mask_model.subdivision(mask_fit.levels)
-    np.testing.assert_allclose(mask_fit.vertices, subdivision.matrix @ mask_fit.control_points)
+    assert_allclose(mask_fit.vertices, subdivision.matrix @ mask_fit.control_points)
     assert mask_fit.residual_mm.shape == (len(mask_fit.vertices),)
     assert mask_fit.uv.shape == (len(mask_fit.vertices), 2)
     assert mask_fit.region.shape == (len(mask_fit.faces),)
@@ -60,9 +61,9 @@ def test_result_is_consistent(mask_fit, mask_model):
 def test_inputs_stay_as_they_were_and_the_answer_repeats(mask_fit, mask_model, mask_scan):
     before = mask_scan.scan.vertices.copy(), mask_model.control_vertices.copy()
     again = fit(mask_scan.scan, mask_model, SimpleNamespace(model_from_scan=mask_scan.model_from_scan))
-    np.testing.assert_array_equal(mask_scan.scan.vertices, before[0])
-    np.testing.assert_array_equal(mask_model.control_vertices, before[1])
-    np.testing.assert_array_equal(again.vertices, mask_fit.vertices)
+    assert_array_equal(mask_scan.scan.vertices, before[0])
+    assert_array_equal(mask_model.control_vertices, before[1])
+    assert_array_equal(again.vertices, mask_fit.vertices)
 
 
 def test_a_template_fits_itself_with_nothing_to_do(mask_model):
@@ -90,7 +91,7 @@ def test_the_scan_may_lie_anywhere(mask_fit, mask_model, mask_scan):
     world_from_scan = compose(rotation_from_vector([0.3, -2.0, 1.0]), [1e6, -2e6, 3e5])
     moved = RawScan(transform_points(world_from_scan, mask_scan.scan.vertices), mask_scan.scan.faces)
     fitted = fit(moved, mask_model, invert_rigid(world_from_scan))
-    np.testing.assert_allclose(fitted.vertices, mask_fit.vertices, atol=0.02)
+    assert_allclose(fitted.vertices, mask_fit.vertices, atol=0.02)
 
 
 def test_a_hole_has_no_residual_and_keeps_its_shape(mask_model, mask_scan):

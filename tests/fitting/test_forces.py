@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.fitting.forces import ForceGates, robust_weights, scan_forces, springs
@@ -35,8 +36,8 @@ def test_springs_are_the_plain_matrices():
     force, stiffness = springs(offset, normal, across, along)
     for i in range(7):
         matrix = across[i] * np.outer(normal[i], normal[i]) + along[i] * np.eye(3)
-        np.testing.assert_allclose(force[i], matrix @ offset[i])
-        np.testing.assert_allclose(stiffness[i], matrix[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
+        assert_allclose(force[i], matrix @ offset[i])
+        assert_allclose(stiffness[i], matrix[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
 
 
 def test_spring_product_is_the_plain_product(mask_model):
@@ -48,7 +49,7 @@ def test_spring_product_is_the_plain_product(mask_model):
     x = rng.normal(size=(samples.matrix.shape[1], 3))
     expected = samples.matrix.T @ np.einsum("nij,nj->ni", full, samples.matrix @ x)
     packed = full[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    np.testing.assert_allclose(samples.product(packed)(x), expected, atol=1e-9)
+    assert_allclose(samples.product(packed)(x), expected, atol=1e-9)
 
 
 def test_a_sheet_hidden_behind_another_is_not_pulled_through_it():

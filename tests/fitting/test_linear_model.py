@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo import AnnotatedFaceModel, Budget, RawScan, fit
 from scan2albedo.core import Meter
@@ -78,10 +79,10 @@ def test_the_mean_is_placed_whatever_its_axes_and_unit(linear):
     assert placed.mm_per_unit == pytest.approx(1000)
     assert (places.face >= 0).all()
     assert places.barycentric.any(1).mean() > 0.8
-    np.testing.assert_array_equal(placed.faces, linear.faces)
+    assert_array_equal(placed.faces, linear.faces)
     inside_out = replace(linear, faces=linear.faces[:, ::-1], uv=np.zeros((len(linear.faces), 3, 2)))
     placed = linear_model_places(inside_out, AnnotatedFaceModel.default())[0]
-    np.testing.assert_array_equal(placed.faces, linear.faces)
+    assert_array_equal(placed.faces, linear.faces)
     with pytest.raises(ModelError, match="linear model: bumps"):
         linear_model_places(replace(linear, mean=linear.mean * [1, 1, 0.01]), AnnotatedFaceModel.default())
 
@@ -102,14 +103,14 @@ def test_coefficients_of_its_own_shapes_come_back(linear):
     assert (len(record.shape), len(record.expression)) == (12, 3)
     again = transform_points(np.array(record.scan_from_model), linear.at(found.coefficients))
     direct = transform_points(invert_rigid(fitted.model_from_scan), found.vertices)
-    np.testing.assert_allclose(again, direct, atol=1e-6)
+    assert_allclose(again, direct, atol=1e-6)
 
 
 def test_a_jaw_that_is_open_is_turned(jointed):
     truth, turns = np.random.default_rng(7).normal(size=15) * 0.7, np.array([[0.0, 0, 0], [0.2, 0, 0]])
     scan, true, pose = scanned(jointed, truth, turns)
     fitted, found = fitted_to(scan, pose, jointed)
-    np.testing.assert_allclose(found.rotations, turns, atol=0.05)
+    assert_allclose(found.rotations, turns, atol=0.05)
     assert np.median(vertex_errors(found, fitted, pose, true)) < 0.3
     assert len(found.deviation) == 7 + 3 + 15
     assert list(found.record(np.eye(4)).joint_deviations_rad) == ["jaw"]
@@ -149,7 +150,7 @@ def test_a_budget_ends_with_the_best_so_far(linear):
 def test_the_same_scan_gives_the_same_bits(linear):
     scan, _, pose = scanned(linear, np.ones(15))
     first, second = (fitted_to(scan, pose, linear)[1] for _ in range(2))
-    np.testing.assert_array_equal(first.coefficients, second.coefficients)
+    assert_array_equal(first.coefficients, second.coefficients)
 
 
 def test_the_gradient_is_that_of_the_cost(jointed):

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from worlds.raw_like import raw_like
 
 from scan2albedo import fit
@@ -40,10 +41,10 @@ def test_a_pair_of_eyes_pulls_lids_to_their_holes(model, middles):
     assert len(found.targets) == 6
     assert found.still.all()
     assert (found.axes == (1, 1, 0)).all()
-    np.testing.assert_allclose(found.targets[[0, 3], :2], np.array(middles)[:2, :2] + beside[:2], atol=1.5)
-    np.testing.assert_allclose(found.matrix @ model.control_vertices[:], _points(model), atol=1e-6)
+    assert_allclose(found.targets[[0, 3], :2], np.array(middles)[:2, :2] + beside[:2], atol=1.5)
+    assert_allclose(found.matrix @ model.control_vertices[:], _points(model), atol=1e-6)
     ends = found.targets[[1, 2, 4, 5], 0] - np.repeat(found.targets[[0, 3], 0], 2)
-    np.testing.assert_allclose(ends, [-13, 13, -13, 13], atol=2.0)
+    assert_allclose(ends, [-13, 13, -13, 13], atol=2.0)
 
 
 def _points(model):

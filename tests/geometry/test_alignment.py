@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from helpers.meshes import bumpy_samples
+from numpy.testing import assert_allclose
 
 from scan2albedo.geometry.alignment import Alignment, NearestGrid, Pairs, align, align_on_grid
 from scan2albedo.geometry.mesh import normalized
@@ -34,7 +35,7 @@ def test_known_pairs_give_pose_and_size(bumpy):
     found = align(bumpy.points, bumpy.areas, to(targets, normals), REST, steps=20, settled=1e-6)
     assert found.converged
     assert found.steps < 20
-    np.testing.assert_allclose(found.pose.matrix(), truth.matrix(), atol=1e-6)
+    assert_allclose(found.pose.matrix(), truth.matrix(), atol=1e-6)
     kept = align(bumpy.points, bumpy.areas, to(targets, normals), REST, steps=20, scale_range=(1.0, 1.05))
     assert kept.pose.scale == pytest.approx(1.05)
 
@@ -45,7 +46,7 @@ def test_modes_are_found_and_held_by_their_prior(bumpy):
     drawn = np.array([1.0, -2.0, 0.5, 0.0])
     pairs = to(bumpy.points + modes @ drawn, bumpy.normals, noise=1.0)
     free = align(bumpy.points, bumpy.areas, pairs, REST, steps=6, modes=modes)
-    np.testing.assert_allclose(free.coefficients, drawn, atol=1e-6)
+    assert_allclose(free.coefficients, drawn, atol=1e-6)
     start = Alignment(REST, drawn)
     assert align(bumpy.points, bumpy.areas, pairs, start, steps=1, modes=modes).moved < 1e-6
     held = align(bumpy.points, bumpy.areas, pairs, REST, steps=6, modes=modes, precision=1e3 * np.eye(5))
@@ -64,7 +65,7 @@ def test_points_slide_along_their_planes_unless_held(bumpy):
         np.abs(align(bumpy.points, bumpy.areas, to(shifted, flat), REST, steps=3).pose.translation[0]) < 1e-6
     )
     held = align(bumpy.points, bumpy.areas, to(shifted, flat, along=0.1), REST, steps=3)
-    np.testing.assert_allclose(held.pose.translation, [2, 0, 0], atol=1e-6)
+    assert_allclose(held.pose.translation, [2, 0, 0], atol=1e-6)
 
 
 def test_without_pairs_it_stays(bumpy):
@@ -89,8 +90,8 @@ def test_the_compiled_step_is_that_of_align(bumpy):
     expected = align(bumpy.points, bumpy.areas, pairs, start, steps=1, scale_range=(1.0, 1.0)).pose
     rotations, translations = start.rotation[None].copy(), start.translation[None].copy()
     align_on_grid(grid, bumpy, rotations, translations, steps=1, sigma=(sigma, sigma))
-    np.testing.assert_allclose(rotations[0], expected.rotation, atol=1e-7)
-    np.testing.assert_allclose(translations[0], expected.translation, atol=1e-5)
+    assert_allclose(rotations[0], expected.rotation, atol=1e-7)
+    assert_allclose(translations[0], expected.translation, atol=1e-5)
 
 
 def test_icp_walks_back_from_twenty_degrees(bumpy):
@@ -110,7 +111,7 @@ def test_icp_walks_back_from_twenty_degrees(bumpy):
     assert np.median(errors) < 2
     assert np.linalg.norm(translations - truth[:3, 3], axis=1).max() < 2
     assert scores.min() > 0.4
-    np.testing.assert_allclose(np.linalg.det(rotations), 1)
+    assert_allclose(np.linalg.det(rotations), 1)
 
 
 def test_a_model_far_from_everything_scores_zero_and_stays_finite(bumpy):

@@ -2,6 +2,7 @@ import igl
 import numpy as np
 import pytest
 from helpers.meshes import grid
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.geometry.closest_points import (
     ClosestPointQuery,
@@ -26,8 +27,8 @@ def test_barycentric_coordinates_rebuild_the_points():
         NearestSurface(vertices, faces).query(points),
     ):
         rebuilt = np.einsum("nk,nkj->nj", hits.barycentric, vertices[faces[hits.face]])
-        np.testing.assert_allclose(rebuilt, hits.points, atol=1e-9)
-        np.testing.assert_allclose(np.linalg.norm(points - hits.points, axis=1), hits.distance, atol=1e-9)
+        assert_allclose(rebuilt, hits.points, atol=1e-9)
+        assert_allclose(np.linalg.norm(points - hits.points, axis=1), hits.distance, atol=1e-9)
 
 
 def test_nearest_surface_is_exact_near_a_well_shaped_mesh():
@@ -51,7 +52,7 @@ def test_a_walk_downhill_ends_at_the_vertex_of_a_full_search():
     found = [walk_downhill(*place, v, xyz, near, near_start) for place, v in zip(moved, before, strict=True)]
     nearest = surface.nearest_vertices(moved)
     assert (nearest != before).any()
-    np.testing.assert_array_equal(found, nearest)
+    assert_array_equal(found, nearest)
 
 
 @pytest.mark.parametrize(
@@ -61,7 +62,7 @@ def test_one_triangle_in_every_voronoi_region(point):
     vertices, faces = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]])
     exact = ClosestPointQuery(vertices, faces).query([point])
     near = NearestSurface(vertices, faces).query(np.array([point], float))
-    np.testing.assert_allclose(near.points, exact.points, atol=1e-12)
+    assert_allclose(near.points, exact.points, atol=1e-12)
 
 
 def test_query_facing_chooses_the_sheet_that_looks_the_right_way():
@@ -84,7 +85,7 @@ def test_triangles_without_area_or_with_coincident_corners_have_closest_points_t
     points = np.array([[0.0, 0, 0], [0.5, 1, 0], [1, 0, 0], [0, 0, 2], [3, 0, 1], [0, 0, 0]])
     hits = NearestSurface(vertices, faces).query(points)
     assert np.isfinite(hits.points).all()
-    np.testing.assert_allclose(hits.barycentric.sum(1), 1)
+    assert_allclose(hits.barycentric.sum(1), 1)
     for corners in vertices[faces]:
         for order in ([0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1]):
             weights = weights_nearest_origin(*(corners[order] - points[1]).ravel())
@@ -109,10 +110,8 @@ def test_the_exact_query_agrees_with_libigl_in_any_unit_and_place(scale, offset)
     vertices = scale * vertices + offset
     hits = ClosestPointQuery(vertices, faces).query(points)
     tolerance = 1e-9 * (scale + offset)
-    np.testing.assert_allclose(hits.distance, libigl_distance(vertices, faces, points), atol=tolerance)
-    np.testing.assert_allclose(
-        np.linalg.norm(points - hits.points, axis=1), hits.distance, rtol=1e-6, atol=tolerance
-    )
+    assert_allclose(hits.distance, libigl_distance(vertices, faces, points), atol=tolerance)
+    assert_allclose(np.linalg.norm(points - hits.points, axis=1), hits.distance, rtol=1e-6, atol=tolerance)
 
 
 def test_thousands_of_coincident_triangles_and_slivers_are_searched_as_any():
@@ -120,7 +119,7 @@ def test_thousands_of_coincident_triangles_and_slivers_are_searched_as_any():
     faces = np.concatenate([np.tile([0, 1, 2], (5000, 1)), [[0, 1, 3], [4, 4, 4]]])
     points = np.array([[0.2, 0.2, 1.0], [9e5, 0, 2], [5, 5, 6], [-1, 0, 0]])
     hits = ClosestPointQuery(vertices, faces).query(points)
-    np.testing.assert_allclose(hits.distance, [1, 2, 1, 1], atol=1e-5)
+    assert_allclose(hits.distance, [1, 2, 1, 1], atol=1e-5)
     assert hits.face[2] == 5001
     assert np.isfinite(hits.barycentric).all()
 
@@ -133,5 +132,5 @@ def test_no_points_have_no_answers():
 def test_a_degenerate_triangle_gives_finite_answers():
     vertices, faces = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]]), np.array([[0, 1, 2]])
     hits = NearestSurface(vertices, faces).query(np.array([[1.5, 1.0, 0.0]]))
-    np.testing.assert_allclose(hits.distance, 1.0)
+    assert_allclose(hits.distance, 1.0)
     assert np.isfinite(hits.barycentric).all()

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints, limit_matrix, refine
 
@@ -39,9 +40,9 @@ RING = {23, 25, 17, 31, 18, 30}
 def test_rows_sum_to_one(levels):
     _, faces = lattice()
     subdivision = LoopSubdivision.of(49, faces, levels)
-    np.testing.assert_allclose(subdivision.matrix.sum(1), 1, atol=1e-14)
+    assert_allclose(subdivision.matrix.sum(1), 1, atol=1e-14)
     assert len(subdivision.faces) == len(faces) * 4**levels
-    np.testing.assert_array_equal(np.bincount(subdivision.parent), 4**levels)
+    assert_array_equal(np.bincount(subdivision.parent), 4**levels)
 
 
 def test_regular_limit_stencil_is_half_and_twelfths():
@@ -79,7 +80,7 @@ def test_boundary_follows_the_cubic_spline_of_the_boundary_alone():
     on_edge = np.abs((subdivision.matrix @ points)[:, 1]) < 1e-12
     # The spline rounds the corners, so only the middle of the side stays straight.
     assert on_edge.sum() >= 4 * 4 + 1
-    np.testing.assert_allclose((subdivision.matrix @ moved)[on_edge], (subdivision.matrix @ points)[on_edge])
+    assert_allclose((subdivision.matrix @ moved)[on_edge], (subdivision.matrix @ points)[on_edge])
 
 
 def test_limit_does_not_move_under_refinement():
@@ -87,20 +88,20 @@ def test_limit_does_not_move_under_refinement():
     coarse = LoopSubdivision.of(12, faces, 0).matrix @ vertices
     for levels in (1, 2, 3):
         fine = LoopSubdivision.of(12, faces, levels).matrix @ vertices
-        np.testing.assert_allclose(fine[:12], coarse, atol=1e-13)
+        assert_allclose(fine[:12], coarse, atol=1e-13)
 
 
 def test_valence_five_keeps_the_icosahedrons_symmetry():
     vertices, faces = icosahedron()
     limit = LoopSubdivision.of(12, faces, 0).matrix @ vertices
     radius = np.linalg.norm(limit, axis=1)
-    np.testing.assert_allclose(radius, radius[0])
-    np.testing.assert_allclose(limit / radius[:, None], vertices / np.linalg.norm(vertices[0]), atol=1e-13)
+    assert_allclose(radius, radius[0])
+    assert_allclose(limit / radius[:, None], vertices / np.linalg.norm(vertices[0]), atol=1e-13)
     # Closed form: ring average of the icosahedron lies at 1 / sqrt(5) of the vertex.
     n_beta = 0.625 - (0.375 + 0.25 * np.cos(2 * np.pi / 5)) ** 2
     share = 5 / (0.375 * 5 / n_beta + 5)
     expected = np.linalg.norm(vertices[0]) * (1 - share + share / np.sqrt(5))
-    np.testing.assert_allclose(radius[0], expected)
+    assert_allclose(radius[0], expected)
 
 
 def test_mirrored_mesh_has_the_mirrored_limit():
@@ -111,7 +112,7 @@ def test_mirrored_mesh_has_the_mirrored_limit():
     left, right = plain.matrix @ vertices, flipped.matrix @ (vertices * [-1, 1, 1])
     order = np.lexsort(np.round(left, 9).T)
     other = np.lexsort(np.round(right * [-1, 1, 1], 9).T)
-    np.testing.assert_allclose(left[order], (right * [-1, 1, 1])[other], atol=1e-12)
+    assert_allclose(left[order], (right * [-1, 1, 1])[other], atol=1e-12)
 
 
 def test_children_lie_in_their_parents():
@@ -119,7 +120,7 @@ def test_children_lie_in_their_parents():
     _, children = refine(49, faces)
     for parent in (0, 17):
         corners = children[4 * parent : 4 * parent + 3]
-        np.testing.assert_array_equal(corners[np.arange(3), np.arange(3)], faces[parent])
+        assert_array_equal(corners[np.arange(3), np.arange(3)], faces[parent])
         middle = set(children[4 * parent + 3].tolist())
         assert middle == {int(v) for c in corners for v in c} - set(faces[parent].tolist())
 
@@ -144,17 +145,17 @@ def test_points_matrix_sums_to_one_and_control_points_undo_the_descent(rows, lev
     u = np.array([[min(a, b), abs(a - b), 1 - max(a, b)] for _, a, b in rows])
     refined = SurfacePoints(np.array([r[0] for r in rows]) * 4**levels + 4**levels // 2, u)
     control = subdivision.control_points(refined)
-    np.testing.assert_array_equal(control.face, [r[0] for r in rows])
-    np.testing.assert_allclose(control.barycentric.sum(1), 1, atol=1e-12)
+    assert_array_equal(control.face, [r[0] for r in rows])
+    assert_allclose(control.barycentric.sum(1), 1, atol=1e-12)
     matrix = subdivision.points_matrix(control)
-    np.testing.assert_allclose(matrix.sum(1), 1, atol=1e-12)
+    assert_allclose(matrix.sum(1), 1, atol=1e-12)
     vertices = np.random.default_rng(0).normal(size=(49, 3))
     direct = np.einsum("nk,nkj->nj", u, (subdivision.matrix @ vertices)[subdivision.faces[refined.face]])
-    np.testing.assert_allclose(matrix @ vertices, direct, atol=1e-11)
+    assert_allclose(matrix @ vertices, direct, atol=1e-11)
 
 
 def test_unreferenced_vertices_stay():
     points, faces = lattice()
     subdivision = LoopSubdivision.of(50, faces, 1)
     moved = subdivision.matrix @ np.vstack([points, [[9.0, 9.0]]])
-    np.testing.assert_allclose(moved[49], [9, 9])
+    assert_allclose(moved[49], [9, 9])

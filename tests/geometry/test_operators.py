@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from helpers.meshes import grid
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision
@@ -41,7 +42,7 @@ def test_operators_are_positive_semi_definite_even_on_slivers():
     for matrix in (laplacian(vertices, faces), bending(vertices, faces)):
         dense = matrix.toarray()
         assert np.isfinite(dense).all()
-        np.testing.assert_allclose(dense, dense.T, atol=1e-9 * np.abs(dense).max())
+        assert_allclose(dense, dense.T, atol=1e-9 * np.abs(dense).max())
         u = rng.normal(size=(len(vertices), 10))
         assert (np.einsum("ij,ij->j", u, dense @ u) >= -1e-9 * np.abs(dense).max()).all()
 
@@ -58,8 +59,8 @@ def test_a_cut_of_zero_weight_lets_two_halves_move_apart():
 
 def test_vertex_reductions():
     faces = np.array([[0, 1, 2], [2, 1, 3]])
-    np.testing.assert_allclose(vertex_average(5, faces, np.array([1.0, 3.0])), [1, 2, 2, 3, 0])
-    np.testing.assert_allclose(vertex_minimum(5, faces, np.array([1.0, 3.0])), [1, 1, 1, 3, 0])
+    assert_allclose(vertex_average(5, faces, np.array([1.0, 3.0])), [1, 2, 2, 3, 0])
+    assert_allclose(vertex_minimum(5, faces, np.array([1.0, 3.0])), [1, 1, 1, 3, 0])
 
 
 def test_linear_refinement_numbers_vertices_as_subdivision_does():
@@ -67,7 +68,7 @@ def test_linear_refinement_numbers_vertices_as_subdivision_does():
     subdivision = LoopSubdivision.of(len(vertices), faces, 2)
     fine = linear_refinement(len(vertices), faces, 2) @ vertices
     areas = face_areas(fine, subdivision.faces)
-    np.testing.assert_allclose(areas, areas[0])
+    assert_allclose(areas, areas[0])
     assert areas.sum() == pytest.approx(1)
 
 
@@ -95,7 +96,7 @@ def test_the_integral_and_the_range_stay():
     values = np.random.default_rng(0).uniform(2, 3, (len(vertices), 2))
     smooth = surface_diffusion(vertices, faces, 8.0)(values)
     area = vertex_areas(vertices, faces)
-    np.testing.assert_allclose(area @ smooth, area @ values)
+    assert_allclose(area @ smooth, area @ values)
     assert smooth.min() >= 2
     assert smooth.max() <= 3
     assert smooth.std() < 0.5 * values.std()
@@ -106,8 +107,8 @@ def test_vertices_that_stand_alone_keep_what_they_have():
     vertices = np.vstack([vertices, [[0, 0, 50.0]]])
     values = np.random.default_rng(0).normal(size=(26, 4, 2))
     smooth = surface_diffusion(vertices, faces, 20.0)(values)
-    np.testing.assert_array_equal(smooth[-1], values[-1])
-    np.testing.assert_array_equal(surface_diffusion(vertices, faces, 0.0)(values), values)
+    assert_array_equal(smooth[-1], values[-1])
+    assert_array_equal(surface_diffusion(vertices, faces, 0.0)(values), values)
 
 
 def test_slivers_and_long_distances_stay_finite():
@@ -138,16 +139,16 @@ def test_it_agrees_with_finite_differences(scale):
         ahead, behind = (vertex_normals(vertices + h * direction, FACES) for h in (step, -step))
         expected = (ahead - behind) / (2 * step)
         found = (jacobian @ direction.ravel()).reshape(-1, 3)
-        np.testing.assert_allclose(found, expected, atol=1e-7 * np.abs(expected).max())
+        assert_allclose(found, expected, atol=1e-7 * np.abs(expected).max())
 
 
 def test_shifts_and_scale_turn_nothing_and_turns_turn_alike():
     jacobian = vertex_normal_jacobian(VERTICES, FACES)
-    np.testing.assert_allclose(jacobian @ np.tile([1.0, 2, 3], len(VERTICES)), 0, atol=1e-12)
-    np.testing.assert_allclose(jacobian @ VERTICES.ravel(), 0, atol=1e-11)
+    assert_allclose(jacobian @ np.tile([1.0, 2, 3], len(VERTICES)), 0, atol=1e-12)
+    assert_allclose(jacobian @ VERTICES.ravel(), 0, atol=1e-11)
     axis = np.array([0.3, -0.2, 0.5])
     turned = (jacobian @ np.cross(axis, VERTICES).ravel()).reshape(-1, 3)
-    np.testing.assert_allclose(turned, np.cross(axis, vertex_normals(VERTICES, FACES)), atol=1e-11)
+    assert_allclose(turned, np.cross(axis, vertex_normals(VERTICES, FACES)), atol=1e-11)
 
 
 def test_vertices_without_area_have_no_derivative():
@@ -160,4 +161,4 @@ def test_vertices_without_area_have_no_derivative():
 
 def test_cross_matrices_are_cross_products():
     a, b = np.random.default_rng(0).normal(size=(2, 5, 3))
-    np.testing.assert_allclose(np.einsum("nij,nj->ni", cross_matrices(a), b), np.cross(a, b))
+    assert_allclose(np.einsum("nij,nj->ni", cross_matrices(a), b), np.cross(a, b))

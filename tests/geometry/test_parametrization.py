@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from helpers.chart_distortion import chart_distortion
+from numpy.testing import assert_allclose
 
 from scan2albedo.errors import ModelError
 from scan2albedo.geometry.loop_subdivision import refine
@@ -44,7 +45,7 @@ def test_chart_of_a_dome_is_flip_free_symmetric_and_fills_the_square(dome):
     assert quality.coverage > 0.75
     assert quality.area < 0.25
     assert quality.conformal < 1.6
-    np.testing.assert_allclose(uv[mirror], uv * [-1, 1] + [1, 0], atol=1e-12)
+    assert_allclose(uv[mirror], uv * [-1, 1] + [1, 0], atol=1e-12)
     assert uv.min() >= 0
     assert uv.max() <= 1
 
@@ -75,7 +76,7 @@ def test_slim_lowers_the_distortion_of_tutte(dome):
 
 def test_chart_does_not_depend_on_unit_or_place(dome):
     v, f, _ = dome
-    np.testing.assert_allclose(parametrize_disc(v, f), parametrize_disc(v * 1e3 + 1e4, f), atol=1e-5)
+    assert_allclose(parametrize_disc(v, f), parametrize_disc(v * 1e3 + 1e4, f), atol=1e-5)
 
 
 def test_tutte_puts_inner_vertices_at_the_mean_of_their_neighbours():
@@ -84,7 +85,7 @@ def test_tutte_puts_inner_vertices_at_the_mean_of_their_neighbours():
     uv = tutte(len(v), f, loop, v[loop, :2] ** 3)
     centre = 12
     ring = np.setdiff1d(np.unique(f[(f == centre).any(1)]), [centre])
-    np.testing.assert_allclose(uv[centre], uv[ring].mean(0), atol=1e-12)
+    assert_allclose(uv[centre], uv[ring].mean(0), atol=1e-12)
 
 
 def test_no_disc_is_refused_with_the_reason():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from scan2albedo.geometry.pinhole import (
     camera_centers,
@@ -19,7 +20,7 @@ CAMERA = look_at([120, 60, 500], [5, -3, 10], focal_px=900, shape=(480, 640), ro
 def test_the_target_lies_in_the_middle_and_up_is_up():
     level = look_at([120, 60, 500], [5, -3, 10], focal_px=900, shape=(480, 640))
     pixels, depth = project(level, np.array([[5.0, -3, 10], [5, 7, 10]]))
-    np.testing.assert_allclose(pixels[0], [319.5, 239.5], atol=1e-9)
+    assert_allclose(pixels[0], [319.5, 239.5], atol=1e-9)
     assert pixels[1, 1] < pixels[0, 1]
     assert depth[0] == pytest.approx(np.linalg.norm([115, 63, 490]))
 
@@ -28,16 +29,16 @@ def test_rays_through_pixels_lead_back_to_the_points():
     points = np.random.default_rng(0).normal(0, 60, (50, 3))
     pixels, depth = project(CAMERA, points)
     center = camera_centers(CAMERA[None])[0]
-    np.testing.assert_allclose(center, [120, 60, 500], atol=1e-9)
+    assert_allclose(center, [120, 60, 500], atol=1e-9)
     rays = pixel_directions(CAMERA, pixels)
     away = points - center
-    np.testing.assert_allclose(rays, away / np.linalg.norm(away, axis=1)[:, None], atol=1e-12)
+    assert_allclose(rays, away / np.linalg.norm(away, axis=1)[:, None], atol=1e-12)
     assert (depth > 0).all()
 
 
 @pytest.mark.parametrize("factor", [1.0, -1.0, 1e-6, -250.0])
 def test_scale_and_sign_of_a_camera_do_not_matter(factor):
-    np.testing.assert_allclose(normalized_cameras(factor * CAMERA[None])[0], CAMERA, rtol=1e-12, atol=1e-9)
+    assert_allclose(normalized_cameras(factor * CAMERA[None])[0], CAMERA, rtol=1e-12, atol=1e-9)
 
 
 def test_points_behind_have_no_pixel():

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from helpers.meshes import sphere
+from numpy.testing import assert_allclose
 
 from scan2albedo.geometry.rigid import compose, in_principal_frame, random_rotation, transform_points
 
@@ -22,17 +23,15 @@ def test_any_pose_arrives_at_the_same_coordinates(lump, seed, reach_mm):
     pose = compose(random_rotation(rng), rng.uniform(-reach_mm, reach_mm, 3))
     rest, _ = in_principal_frame(vertices, faces)
     moved, prepared_from_scan = in_principal_frame(transform_points(pose, vertices), faces)
-    np.testing.assert_allclose(moved, rest, atol=1e-14 * reach_mm + 1e-9)
-    np.testing.assert_allclose(
-        prepared_from_scan[:3, :3] @ prepared_from_scan[:3, :3].T, np.eye(3), atol=1e-12
-    )
+    assert_allclose(moved, rest, atol=1e-14 * reach_mm + 1e-9)
+    assert_allclose(prepared_from_scan[:3, :3] @ prepared_from_scan[:3, :3].T, np.eye(3), atol=1e-12)
     assert np.linalg.det(prepared_from_scan[:3, :3]) == pytest.approx(1)
 
 
 def test_the_matrix_and_the_points_agree(lump):
     vertices, faces = lump
     moved, prepared_from_scan = in_principal_frame(vertices, faces)
-    np.testing.assert_allclose(transform_points(prepared_from_scan, vertices), moved, atol=1e-10)
+    assert_allclose(transform_points(prepared_from_scan, vertices), moved, atol=1e-10)
 
 
 def test_a_surface_without_area_is_only_moved():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from scan2albedo.geometry.rasterization import interpolate, pixels_from_uv, rasterize, rasterize_uv
 
@@ -35,7 +36,7 @@ def test_a_covered_square_has_no_gaps(size):
     uv, faces = split_square()
     raster = rasterize_uv(uv, faces, size)
     assert raster.covered.all()
-    np.testing.assert_allclose(raster.barycentric.sum(-1), 1)
+    assert_allclose(raster.barycentric.sum(-1), 1)
     assert raster.barycentric.min() > -1e-8
 
 
@@ -62,7 +63,7 @@ def test_interpolation_reproduces_linear_functions_exactly():
     image = interpolate(raster, faces, linear)
     u, v = np.meshgrid((np.arange(40) + 0.5) / 40, 1 - (np.arange(24) + 0.5) / 24)
     expected = np.stack([2 * u + 0.5 * v + 0.25, -u + 3 * v - 4], -1)
-    np.testing.assert_allclose(image, expected, atol=1e-12)
+    assert_allclose(image, expected, atol=1e-12)
 
 
 def test_the_nearest_surface_wins_whatever_the_order_or_winding():
@@ -86,7 +87,7 @@ def test_what_lies_outside_is_clipped_and_slivers_are_harmless():
 
 def test_texel_centres_follow_the_documented_convention():
     pixels = pixels_from_uv([[0.5 / 4, 1 - 0.5 / 2], [1.0, 0.0]], (2, 4))
-    np.testing.assert_allclose(pixels, [[0, 0], [3.5, 1.5]])
+    assert_allclose(pixels, [[0, 0], [3.5, 1.5]])
 
 
 def test_uncovered_texels_are_zero_after_interpolation():

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from helpers.meshes import sphere
+from numpy.testing import assert_allclose
 
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import random_rotation
@@ -30,11 +31,11 @@ def test_rays_at_a_sphere_hit_where_the_quadratic_says():
     hits = RayCaster(vertices, faces).first_hit(origins, [0, 0, -1.0])
     expected = 200 - np.sqrt(np.maximum(50**2 - (offset**2).sum(1), 0))
     assert (hits.face[inside] >= 0).all()
-    np.testing.assert_allclose(hits.distance[inside], expected[inside], atol=0.1)
+    assert_allclose(hits.distance[inside], expected[inside], atol=0.1)
     corners = vertices[faces[hits.face[inside]]]
     points = np.einsum("nk,nkd->nd", hits.barycentric[inside], corners)
     along = origins[inside] - [0, 0, 1.0] * hits.distance[inside, None]
-    np.testing.assert_allclose(points, along, atol=1e-3)
+    assert_allclose(points, along, atol=1e-3)
 
 
 def test_rays_agree_with_brute_force_in_any_direction():
@@ -48,7 +49,7 @@ def test_rays_agree_with_brute_force_in_any_direction():
     expected = [
         nearest_by_brute_force(vertices, faces, o, d) for o, d in zip(origins, directions, strict=True)
     ]
-    np.testing.assert_allclose(hits.distance, expected, atol=1e-5)
+    assert_allclose(hits.distance, expected, atol=1e-5)
     blocked = RayCaster(vertices, faces).occluded(origins, directions)
     assert (blocked == np.isfinite(expected)).all()
     assert 5 < blocked.sum() < 55
@@ -70,7 +71,7 @@ def test_neither_the_origin_nor_the_unit_matters(offset, unit):
     origins = center + np.array([[0, 0, 200.0], [30, 10, 200], [79, 79, 200]]) * unit
     hits = RayCaster(vertices, faces).first_hit(origins, [0, 0, -1.0])
     expected = np.array([120.0, 200 - np.sqrt(80**2 - 1000), np.inf]) * unit
-    np.testing.assert_allclose(hits.distance, expected, rtol=2e-3)
+    assert_allclose(hits.distance, expected, rtol=2e-3)
 
 
 def test_many_rays_across_threads_equal_few():

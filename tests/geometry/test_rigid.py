@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from numpy.testing import assert_allclose
 
 from scan2albedo.geometry import rigid
 
@@ -13,14 +14,14 @@ coordinate = st.floats(-3, 3, allow_nan=False)
 
 def test_rotation_by_a_quarter_turn_about_z():
     quarter = rigid.rotation_from_vector([0, 0, np.pi / 2])
-    np.testing.assert_allclose(quarter @ [1, 0, 0], [0, 1, 0], atol=1e-15)
+    assert_allclose(quarter @ [1, 0, 0], [0, 1, 0], atol=1e-15)
 
 
 @given(arrays(float, 3, elements=coordinate))
 @settings(max_examples=50, deadline=None)
 def test_rotation_from_vector_is_a_rotation_of_that_angle(vector):
     rotation = rigid.rotation_from_vector(vector)
-    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(rotation) == pytest.approx(1)
     angle = np.linalg.norm(vector) % (2 * np.pi)
     assert rigid.rotation_angle_rad(rotation) == pytest.approx(min(angle, 2 * np.pi - angle), abs=1e-7)
@@ -36,17 +37,17 @@ def test_rotation_angle_is_accurate_at_both_ends(angle):
 def test_inverse_and_composition():
     rng = np.random.default_rng(0)
     pose = rigid.compose(rigid.random_rotation(rng), rng.normal(size=3))
-    np.testing.assert_allclose(rigid.invert_rigid(pose) @ pose, np.eye(4), atol=1e-14)
+    assert_allclose(rigid.invert_rigid(pose) @ pose, np.eye(4), atol=1e-14)
     points = rng.normal(size=(7, 3))
     back = rigid.transform_points(rigid.invert_rigid(pose), rigid.transform_points(pose, points))
-    np.testing.assert_allclose(back, points, atol=1e-14)
+    assert_allclose(back, points, atol=1e-14)
     turned = rigid.transform_directions(pose, points)
-    np.testing.assert_allclose(np.linalg.norm(turned, axis=1), np.linalg.norm(points, axis=1))
+    assert_allclose(np.linalg.norm(turned, axis=1), np.linalg.norm(points, axis=1))
 
 
 def test_super_fibonacci_rotations_leave_no_gap_and_do_not_crowd():
     rotations = rigid.super_fibonacci_rotations(300)
-    np.testing.assert_allclose(np.einsum("nij,nkj->nik", rotations, rotations), [np.eye(3)] * 300, atol=1e-12)
+    assert_allclose(np.einsum("nij,nkj->nik", rotations, rotations), [np.eye(3)] * 300, atol=1e-12)
     rng = np.random.default_rng(1)
     probes = np.array([rigid.random_rotation(rng) for _ in range(500)])
     traces = np.einsum("pij,nij->pn", probes, rotations)
@@ -71,7 +72,7 @@ def test_procrustes_finds_the_transform_that_made_the_points(scale):
     source = rng.normal(size=(20, 3))
     truth = rigid.compose(scale * rigid.random_rotation(rng), [5, -2, 1])
     found = rigid.procrustes(source, rigid.transform_points(truth, source), scale=scale != 1)
-    np.testing.assert_allclose(found, truth, atol=1e-12)
+    assert_allclose(found, truth, atol=1e-12)
 
 
 def test_procrustes_never_mirrors():
@@ -86,7 +87,7 @@ def test_procrustes_weights_silence_outliers():
     target = source + [1, 0, 0]
     target[0] += 100
     found = rigid.procrustes(source, target, weights=np.r_[0.0, np.ones(9)])
-    np.testing.assert_allclose(found, rigid.compose(np.eye(3), [1, 0, 0]), atol=1e-12)
+    assert_allclose(found, rigid.compose(np.eye(3), [1, 0, 0]), atol=1e-12)
 
 
 def test_procrustes_far_from_the_origin():

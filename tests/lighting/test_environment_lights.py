@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.eyeglasses.lenses.scenes import radiance_at
 from scan2albedo.lighting.environment import (
@@ -27,7 +28,7 @@ def test_weights_sum_to_the_integral_of_the_map(shape, count):
     image = np.random.default_rng(0).random((*shape, 3))
     weights = environment_weights(image, distant_directions(count))
     integral = (solid_angles(*shape)[..., None] * image).sum((0, 1))
-    np.testing.assert_allclose(weights.sum(0), integral, rtol=1e-12)
+    assert_allclose(weights.sum(0), integral, rtol=1e-12)
     assert (weights >= 0).all()
 
 
@@ -42,13 +43,13 @@ def test_weights_are_the_integrals_over_the_nearest_directions():
     nearest = (sphere.reshape(-1, 3) @ unit.T).argmax(1)
     light = (solid_angles(256, 512)[..., None] * image).reshape(-1, 3)
     expected = np.stack([np.bincount(nearest, light[:, c], minlength=20) for c in range(3)], 1)
-    np.testing.assert_allclose(environment_weights(image, directions), expected, rtol=1e-9)
+    assert_allclose(environment_weights(image, directions), expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("count", [1, 2, 10, 200])
 def test_directions_are_even(count):
     directions = distant_directions(count)
-    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1, rtol=1e-12)
+    assert_allclose(np.linalg.norm(directions, axis=1), 1, rtol=1e-12)
     cells = environment_weights(np.ones((1, 1, 3)), directions)[:, 0]
     assert cells.max() <= 1.5 * cells.min()
 
@@ -58,9 +59,7 @@ def test_an_even_environment_shines_on_every_plate_alike():
     normals = np.random.default_rng(3).normal(size=(200, 3))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     cosines = np.maximum(normals @ lights.directions.T, 0)
-    np.testing.assert_allclose(
-        cosines @ lights.irradiance_linear, np.pi * np.tile([1, 2, 0], (200, 1)), rtol=0.03
-    )
+    assert_allclose(cosines @ lights.irradiance_linear, np.pi * np.tile([1, 2, 0], (200, 1)), rtol=0.03)
 
 
 @pytest.mark.parametrize(
@@ -103,14 +102,14 @@ def lamps():
 def test_important_directions_share_the_light_evenly():
     image = lamps()
     toward = important_directions(image, 128)
-    np.testing.assert_allclose(np.linalg.norm(toward, axis=1), 1, atol=1e-12)
+    assert_allclose(np.linalg.norm(toward, axis=1), 1, atol=1e-12)
     weights = environment_weights(image, toward).mean(1)
     total = (image.mean(2) * texel_solid_angles(64, 128)[:, None]).sum()
     assert weights.sum() == pytest.approx(total)
     assert weights.max() < 3 * weights.mean()
     even = environment_weights(image, distant_directions(128)).mean(1)
     assert even.max() > 15 * even.mean()
-    np.testing.assert_array_equal(toward, important_directions(image, 128))
+    assert_array_equal(toward, important_directions(image, 128))
 
 
 def test_half_shadows_need_fewer_important_lights():
@@ -137,11 +136,11 @@ def test_important_directions_of_a_fine_map_are_those_of_a_coarse_one():
     toward, anew = important_directions(image, 64), important_directions(fine, 64)
     found = [weights.mean(1) for weights in (environment_weights(image, d) for d in (toward, anew))]
     assert found[1].max() < 3 * found[1].mean()
-    np.testing.assert_allclose(np.sort(found[0])[-5:], np.sort(found[1])[-5:], rtol=0.5)
+    assert_allclose(np.sort(found[0])[-5:], np.sort(found[1])[-5:], rtol=0.5)
 
 
 def test_important_directions_of_no_light_are_even():
-    np.testing.assert_array_equal(important_directions(np.zeros((4, 8, 3)), 9), distant_directions(9))
+    assert_array_equal(important_directions(np.zeros((4, 8, 3)), 9), distant_directions(9))
     assert important_directions(np.ones((1, 1, 3)), 1).shape == (1, 3)
 
 
@@ -163,4 +162,4 @@ def test_weights_are_linear_in_the_map():
     directions = distant_directions(30)
     together = environment_weights(2 * first + second, directions)
     apart = 2 * environment_weights(first, directions) + environment_weights(second, directions)
-    np.testing.assert_allclose(together, apart, rtol=1e-13)
+    assert_allclose(together, apart, rtol=1e-13)

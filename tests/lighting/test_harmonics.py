@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.special import sph_harm_y
 
 from scan2albedo.lighting.harmonics import harmonic_degrees, harmonics, harmonics_gradient
@@ -31,7 +32,7 @@ def scipy_harmonics(unit: np.ndarray, order: int) -> np.ndarray:
 
 def test_harmonics_agree_with_scipy_everywhere():
     unit = unit_vectors(500)
-    np.testing.assert_allclose(harmonics(unit), scipy_harmonics(unit, 8), rtol=0, atol=1e-13)
+    assert_allclose(harmonics(unit), scipy_harmonics(unit, 8), rtol=0, atol=1e-13)
 
 
 def test_at_the_poles_only_m_0_is_left():
@@ -41,8 +42,8 @@ def test_at_the_poles_only_m_0_is_left():
     centre[np.arange(9) * np.arange(1, 10)] = True
     assert (values[:, ~centre] == 0).all()
     expected = np.sqrt((2 * np.arange(9) + 1) / (4 * np.pi))
-    np.testing.assert_allclose(values[0, centre], expected, rtol=1e-14)
-    np.testing.assert_allclose(values[1, centre], expected * (-1.0) ** degrees[centre], rtol=1e-14)
+    assert_allclose(values[0, centre], expected, rtol=1e-14)
+    assert_allclose(values[1, centre], expected * (-1.0) ** degrees[centre], rtol=1e-14)
 
 
 def test_gradients_agree_with_finite_differences_along_the_sphere():
@@ -52,8 +53,8 @@ def test_gradients_agree_with_finite_differences_along_the_sphere():
     step = 1e-5
     ahead, behind = (harmonics(np.cos(step) * unit + s * np.sin(step) * tangent) for s in (1, -1))
     slope = np.einsum("vkd,vd->vk", harmonics_gradient(unit), tangent)
-    np.testing.assert_allclose(slope, (ahead - behind) / (2 * step), atol=2e-8)
-    np.testing.assert_allclose(np.einsum("vkd,vd->vk", harmonics_gradient(unit), unit), 0, atol=1e-13)
+    assert_allclose(slope, (ahead - behind) / (2 * step), atol=2e-8)
+    assert_allclose(np.einsum("vkd,vd->vk", harmonics_gradient(unit), unit), 0, atol=1e-13)
 
 
 @pytest.mark.parametrize(

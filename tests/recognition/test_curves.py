@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import binomtest, mannwhitneyu
 
 from scan2albedo.recognition import cmc_curve, identify_by_similarity, roc_curve
@@ -91,7 +92,7 @@ def test_few_claims_that_never_err_have_wide_intervals():
     found = identify_by_similarity(np.eye(3), ["ann", "bob", "cy"], ["ann", "bob", "cy"])
     curve = roc_curve(found, resamples=20)
     exact = binomtest(3, 3).proportion_ci(0.95, "exact")
-    np.testing.assert_allclose(curve.low, exact.low)
+    assert_allclose(curve.low, exact.low)
     assert curve.equal_error_rate == 0
     assert curve.equal_error_interval == (0, pytest.approx(1 - exact.low))
     assert curve.supported.sum() == (curve.false_accept_rate >= 1 / 6).sum()
@@ -100,7 +101,7 @@ def test_few_claims_that_never_err_have_wide_intervals():
 def test_one_seed_gives_one_result():
     found = build_identification()
     first, again, other = (roc_curve(found, resamples=20, seed=seed) for seed in (3, 3, 4))
-    np.testing.assert_array_equal(first.low, again.low)
+    assert_array_equal(first.low, again.low)
     assert first.area_interval == again.area_interval != other.area_interval
 
 
@@ -116,13 +117,13 @@ def test_figures_show_the_curve_with_its_interval():
     found = build_identification()
     curve, roc = cmc_curve(found), roc_curve(found, resamples=20)
     axis = curve_figure("texture", curve).axes[0]
-    np.testing.assert_array_equal(axis.lines[0].get_xydata(), np.stack([curve.rank, curve.rate], 1))
+    assert_array_equal(axis.lines[0].get_xydata(), np.stack([curve.rank, curve.rate], 1))
     bars = np.stack(axis.collections[0].get_segments())
-    np.testing.assert_array_equal(bars[..., 1], np.stack([curve.low, curve.high], 1))
+    assert_array_equal(bars[..., 1], np.stack([curve.low, curve.high], 1))
     assert axis.figure.legends[0].get_texts()[0].get_text().startswith("texture, 40 probes: rank 1")
     axis = curve_figure("texture", roc).axes[0]
     assert axis.get_xscale() == "log"
-    np.testing.assert_array_equal(axis.lines[0].get_ydata(), roc.true_accept_rate[roc.supported])
+    assert_array_equal(axis.lines[0].get_ydata(), roc.true_accept_rate[roc.supported])
     assert axis.lines[0].get_xdata().min() >= 1 / roc.impostors
     assert len(axis.collections[0].get_segments()) == roc.supported.sum()
     text = axis.figure.legends[0].get_texts()[0].get_text()

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from scan2albedo.errors import RecognitionError
 from scan2albedo.recognition import Calibration, albedo_templates, fused, same_person_log_odds
@@ -60,9 +61,9 @@ def test_a_probe_is_compared_by_what_the_whole_gallery_has(calibration):
     albedo = np.array([[0.9, 0.6, np.nan], [0.9, 0.6, 0.7], [0.9, np.nan, 0.7]])
     shape = np.array([[0.7, 0.8, 0.75], [0.7, 0.8, 0.75], [np.nan, 0.8, 0.75]])
     found = fused({"albedo": albedo, "shape": shape}, calibration)
-    np.testing.assert_allclose(found[:1], fused({"shape": shape[:1]}, calibration))
+    assert_allclose(found[:1], fused({"shape": shape[:1]}, calibration))
     parts = log_odds_by_kind({"albedo": albedo[1:2], "shape": shape[1:2]}, calibration)
-    np.testing.assert_allclose(found[1:2], parts["albedo"] + parts["shape"])
+    assert_allclose(found[1:2], parts["albedo"] + parts["shape"])
     assert np.isfinite(found[2]).all()
 
 
@@ -78,7 +79,7 @@ def test_a_texture_that_is_alike_by_its_light_decides_nothing():
 def test_in_one_light_the_shading_counts_for_nothing():
     spread = np.sqrt(CALIBRATION.shading_variance) * np.array([[-0.9, 0.0, 0.9]])
     cues = {"albedo": np.full((1, 3), 0.7), "texture": np.full((1, 3), 0.7), "shading": 0.7 + spread}
-    np.testing.assert_allclose(np.ptp(fused(cues)), 0, atol=1e-9)
+    assert_allclose(np.ptp(fused(cues)), 0, atol=1e-9)
     assert np.ptp(fused(cues | {"shading": 0.7 + 9 * spread})) > 1
 
 
@@ -91,7 +92,7 @@ def test_one_person_or_two_are_told_apart(albedo):
     odds = same_person_log_odds(a, b)
     assert odds.shape == (1, 2)
     assert odds[0, 0] > 0 > odds[0, 1]
-    np.testing.assert_allclose(same_person_log_odds(b, a), odds.T, atol=1e-3)
+    assert_allclose(same_person_log_odds(b, a), odds.T, atol=1e-3)
     with pytest.raises(RecognitionError, match="one set has templates of albedo, the other of nothing"):
         same_person_log_odds(a, {})
 
@@ -110,4 +111,4 @@ def test_pairs_of_no_one_gallery_know_no_level_of_the_shape():
     within = log_odds_by_kind(alike, CALIBRATION)["shape"]
     across = log_odds_by_kind(alike, CALIBRATION, CALIBRATION.shape_variance)["shape"]
     share = CALIBRATION.covariance[2][2] / (CALIBRATION.covariance[2][2] + CALIBRATION.shape_variance)
-    np.testing.assert_allclose(across, share * within)
+    assert_allclose(across, share * within)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import RecognitionError
 from scan2albedo.recognition import albedo_templates, cmc_curve, identify, identify_by_similarity, roc_curve
@@ -28,11 +29,11 @@ def test_several_images_of_a_person_count_by_best_or_mean():
     scores = [[0.1, 0.5, 0.9, 0.6]]
     best = identify_by_similarity(scores, names, ["ann"])
     assert best.persons == ("ann", "bob")
-    np.testing.assert_allclose(best.similarities, [[0.6, 0.9]])
+    assert_allclose(best.similarities, [[0.6, 0.9]])
     assert best.predicted == ("bob",)
     assert best.ranks.tolist() == [2]
     mean = identify_by_similarity(scores, names, ["ann"], combine="mean")
-    np.testing.assert_allclose(mean.similarities, [[0.55, 0.5]])
+    assert_allclose(mean.similarities, [[0.55, 0.5]])
     assert mean.predicted == ("ann",)
 
 
@@ -52,10 +53,10 @@ def test_named_probes_are_as_in_a_closed_set():
     assert found.persons == closed.persons == ("ann", "bob")
     assert found.ranks.tolist() == [2, 0, 1]
     assert found.ranks[found.known].tolist() == closed.ranks.tolist()
-    np.testing.assert_array_equal(found.similarities[found.known], closed.similarities)
+    assert_array_equal(found.similarities[found.known], closed.similarities)
     assert found.rate(1) == closed.rate(1) == 0.5
-    np.testing.assert_array_equal(cmc_curve(found).rate, cmc_curve(closed).rate)
-    np.testing.assert_array_equal(roc_curve(found).low, roc_curve(closed).low)
+    assert_array_equal(cmc_curve(found).rate, cmc_curve(closed).rate)
+    assert_array_equal(roc_curve(found).low, roc_curve(closed).low)
 
 
 def test_everybody_is_taken_for_somebody_and_the_next():
@@ -63,7 +64,7 @@ def test_everybody_is_taken_for_somebody_and_the_next():
     assert not found.known.any()
     assert found.predicted == ("bob", "ann", "bob")
     assert found.order.tolist() == [[1, 0], [0, 1], [1, 0]]
-    np.testing.assert_allclose(found.similarities.max(1), [0.9, 0.6, 0.4])
+    assert_allclose(found.similarities.max(1), [0.9, 0.6, 0.4])
     assert not found.ranks.any()
     for curve in (cmc_curve, roc_curve):
         with pytest.raises(RecognitionError, match="no probe's person is known"):

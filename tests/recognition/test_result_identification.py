@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import RecognitionError
 from scan2albedo.io.geometry_image_files import read_geometry_image, write_geometry_image
@@ -70,8 +71,8 @@ def test_templates_are_those_of_the_texels_that_were_seen(stored, tmp_path):
     expected = albedo_templates(
         [scene.albedo_linear], ["ann"], masks=[scene.image.mask & ~hidden], options=OPTIONS
     )
-    np.testing.assert_array_equal(made.coefficients, expected.coefficients)
-    np.testing.assert_array_equal(made.mask, expected.mask)
+    assert_array_equal(made.coefficients, expected.coefficients)
+    assert_array_equal(made.mask, expected.mask)
     assert made.names == ("ann",)
     assert (made.chart.model, made.chart.shape) == ("default", (64, 64))
 
@@ -84,7 +85,7 @@ def test_a_gallery_kept_in_a_file_gives_the_same(gallery, probes, tmp_path):
         *(f"gallery.{kind}.npz" for kind in ("texture", "shape", "shading")),
     ]
     first, again = identify_results(kept, probes), identify_results(tmp_path / "gallery.npz", probes)
-    np.testing.assert_array_equal(first.matches.similarities, again.matches.similarities)
+    assert_array_equal(first.matches.similarities, again.matches.similarities)
     assert again.gallery.labels == ("cy [0]", "ann [1]", "bob [2]")
     assert set(again.by_kind) == {"albedo", "texture", "shape", "shading"}
     assert again.decided_by == first.decided_by
@@ -101,7 +102,7 @@ def test_several_images_of_a_person_are_combined(people, probes, tmp_path):
     rows = [(name, people / f"{name}{end}") for name in ("ann", "bob", "cy") for end in ("", "-2")]
     both = listed(tmp_path, rows, "both.csv")
     best, mean = (identified(both, probes, combine=c) for c in ("best", "mean"))
-    np.testing.assert_array_equal(identified(both, probes).matches.similarities, mean.matches.similarities)
+    assert_array_equal(identified(both, probes).matches.similarities, mean.matches.similarities)
     assert best.by_kind["albedo"].max(1).min() > 0.999
     assert (mean.matches.similarities.max(1) < best.matches.similarities.max(1)).all()
     assert "3 of 3 probes are in the gallery themselves" in best.notes[0]
@@ -150,7 +151,7 @@ def test_errors_of_the_albedo_are_weights(people, tmp_path):
     write_exr(folder / "expected_error.exr", error)
     for kind in ("albedo", "texture", "shading"):
         face_of = read_face(folder, kind)
-        np.testing.assert_array_equal(face_of.certainty > 0, plain.certainty > 0)
+        assert_array_equal(face_of.certainty > 0, plain.certainty > 0)
         low, high = (
             face_of.certainty[half][face_of.certainty[half] > 0] for half in (slice(32), slice(32, 64))
         )
@@ -233,7 +234,7 @@ def test_a_persons_common_albedo_has_no_texture(people, tmp_path, monkeypatch):
     albedo = read_face(folder, "albedo").values
     assert read_face(folder, "texture").values.shape == albedo.shape
     metrics["person"] = {"scans": ["a", "b"]}
-    np.testing.assert_array_equal(read_face(folder, "albedo").values, albedo)
+    assert_array_equal(read_face(folder, "albedo").values, albedo)
     for kind in ("texture", "shading"):
         with pytest.raises(NothingToCompareError, match="has no texture of its own"):
             read_face(folder, kind)
@@ -256,7 +257,7 @@ def test_scans_without_colour_are_recognised_by_shape(people, tmp_path, gallery)
     assert "1 of 1 probes are compared by shape alone" in found.notes[1]
     assert found.decided_by == ("shape",)
     order = found.by_kind["shape"].argsort(axis=1)
-    np.testing.assert_array_equal(found.matches.similarities.argsort(axis=1), order)
+    assert_array_equal(found.matches.similarities.argsort(axis=1), order)
     assert found.notes[1].endswith("of the gallery gray lacks it")
     write_exr(tmp_path / "ann.exr", face(0, size=64).albedo_linear)
     images = listed(tmp_path, [("ann", "ann.exr")], "images.csv")
@@ -319,7 +320,7 @@ def test_probes_of_one_person_are_one_probe(gallery, people, tmp_path):
     assert together.probes.labels[0] == f"{people / 'bob-2'}, {people / 'bob'}"
     assert together.probes.persons == ("bob", None, None)
     odds = alone.matches.similarities
-    np.testing.assert_allclose(together.matches.similarities, [odds[[0, 2]].mean(0), odds[1], odds[3]])
-    np.testing.assert_allclose(together.by_kind["albedo"][0], alone.by_kind["albedo"][[0, 2]].mean(0))
+    assert_allclose(together.matches.similarities, [odds[[0, 2]].mean(0), odds[1], odds[3]])
+    assert_allclose(together.by_kind["albedo"][0], alone.by_kind["albedo"][[0, 2]].mean(0))
     assert together.matches.predicted == ("bob", "ann", "cy")
     assert len(together.decided_by) == 3

@@ -5,6 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from scan2albedo.errors import RecognitionError
 from scan2albedo.io.images import encode_image, write_exr
@@ -22,11 +23,11 @@ def test_a_folder_gives_albedo_seen_texels_and_chart(stored, tmp_path):
     hidden[30:40, 20:50] = True
     folder = stored(tmp_path / "ann", 0, hidden=hidden, model="mine")
     scene, read = face(0, size=64), read_face(folder)
-    np.testing.assert_array_equal(read.values, scene.albedo_linear)
-    np.testing.assert_array_equal(read.certainty > 0, scene.image.mask & ~hidden)
+    assert_array_equal(read.values, scene.albedo_linear)
+    assert_array_equal(read.certainty > 0, scene.image.mask & ~hidden)
     assert (read.chart.model, read.chart.shape) == ("mine", (64, 64))
     of_file = read_face(folder / "albedo.exr")
-    np.testing.assert_array_equal(of_file.certainty > 0, read.certainty > 0)
+    assert_array_equal(of_file.certainty > 0, read.certainty > 0)
 
 
 def test_of_a_face_that_nothing_shows_nothing_is_certain():
@@ -88,7 +89,7 @@ def test_images_count_where_they_are_opaque_or_not_black(tmp_path):
     )
     for name in ("black.exr", "alpha.exr", "alpha.png"):
         read = read_face(tmp_path / name)
-        np.testing.assert_array_equal(read.certainty > 0, mask, err_msg=name)
+        assert_array_equal(read.certainty > 0, mask, err_msg=name)
         assert (read.chart.model, read.chart.shape) == (None, (64, 64))
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.npz import cut, rewritten
+from numpy.testing import assert_array_equal
 
 from scan2albedo.errors import OutputError, RecognitionError
 from scan2albedo.recognition import Chart, TemplateOptions, albedo_templates, read_templates, write_templates
@@ -25,9 +26,9 @@ def templates(albedo, face_like_mask):
 def test_templates_come_back(tmp_path, templates):
     write_templates(tmp_path / "gallery.npz", templates)
     back = read_templates(tmp_path / "gallery.npz")
-    np.testing.assert_array_equal(back.coefficients, templates.coefficients)
-    np.testing.assert_array_equal(back.mask, templates.mask)
-    np.testing.assert_array_equal(back.weight, templates.weight)
+    assert_array_equal(back.coefficients, templates.coefficients)
+    assert_array_equal(back.mask, templates.mask)
+    assert_array_equal(back.weight, templates.weight)
     assert back.names == templates.names
     assert back.options == templates.options
     assert [p.name for p in tmp_path.iterdir()] == ["gallery.npz"]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import RecognitionError
 from scan2albedo.geometry.rasterization import filled_from_nearest
@@ -25,22 +26,22 @@ def test_smaller_images_stay_as_they_are(albedo):
     given, none = (
         albedo_templates([albedo(0)], ["ann"], options=TemplateOptions(size=s)) for s in (256, None)
     )
-    np.testing.assert_array_equal(given.coefficients, none.coefficients)
+    assert_array_equal(given.coefficients, none.coefficients)
 
 
 def test_averages_take_valid_pixels_only():
     image = np.array([[1.0, 3, 5, 0], [0, 0, 7, 0], [2, 2, 0, 0], [2, 2, 0, 0]])
     mask = np.array([[1, 1, 1, 0], [0, 0, 1, 0], [1, 1, 1, 0], [1, 1, 0, 0]], bool)
     small, valid = averaged_down(np.where(mask, image, 0), mask, 2, "image")
-    np.testing.assert_array_equal(valid, [[True, True], [True, False]])
-    np.testing.assert_allclose(small, [[2, 6], [2, 0]])
+    assert_array_equal(valid, [[True, True], [True, False]])
+    assert_allclose(small, [[2, 6], [2, 0]])
 
 
 def test_of_colours_the_luminance_is_compared(albedo):
     color = np.stack([albedo(0), 0.5 * albedo(1), 0.2 * albedo(2)], axis=2)
     gray = color @ [0.2126, 0.7152, 0.0722]
     of_color, of_gray = (albedo_templates([x], ["ann"]) for x in (color, gray))
-    np.testing.assert_allclose(of_color.coefficients, of_gray.coefficients, atol=1e-7)
+    assert_allclose(of_color.coefficients, of_gray.coefficients, atol=1e-7)
 
 
 def test_a_coefficient_is_valid_when_its_surroundings_are():
@@ -48,7 +49,7 @@ def test_a_coefficient_is_valid_when_its_surroundings_are():
     mask[6, 9] = False
     expected = np.ones((4, 4), bool)
     expected[1:3, 2] = False  # pixel 6 is two away from pixels 4 and 8; 9 is one away from 8, three from 12
-    np.testing.assert_array_equal(supported_mask(mask), expected)
+    assert_array_equal(supported_mask(mask), expected)
 
 
 def test_the_outline_of_a_mask_is_no_feature(face_like_mask):
@@ -135,7 +136,7 @@ def test_small_holes_are_filled_and_large_ones_stay(albedo, monkeypatch):
 def test_a_mask_that_reaches_the_edge_is_not_widened_beyond_it():
     mask = np.zeros((64, 64), bool)
     mask[10:, 5:50] = True
-    np.testing.assert_array_equal(without_holes(mask, 0.1), mask)
+    assert_array_equal(without_holes(mask, 0.1), mask)
 
 
 def test_templates_are_selected_in_order(albedo):
@@ -143,4 +144,4 @@ def test_templates_are_selected_in_order(albedo):
     chosen = both.select([1, 0, 1])
     assert chosen.names == ("bob", "ann", "bob")
     for name, array in chosen.arrays.items():
-        np.testing.assert_array_equal(array, both.arrays[name][[1, 0, 1]])
+        assert_array_equal(array, both.arrays[name][[1, 0, 1]])

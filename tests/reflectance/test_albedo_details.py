@@ -2,6 +2,7 @@
 
 import numpy as np
 from helpers.meshes import grid
+from numpy.testing import assert_allclose
 from worlds.environments import generated_environment
 
 from scan2albedo.lighting.harmonics import project_environment
@@ -76,8 +77,8 @@ def test_details_change_the_diffuse_part_and_highlights_tell_nothing_about_them(
     )
     assert (found.usable == [True, True, False]).all()
     assert found.lit.all()
-    np.testing.assert_allclose(found.log_ratio, 0.0, atol=1e-9)
-    np.testing.assert_allclose(found.left_over(), 0.0, atol=1e-9)
+    assert_allclose(found.log_ratio, 0.0, atol=1e-9)
+    assert_allclose(found.left_over(), 0.0, atol=1e-9)
     field = np.log([0.7, 1.0, 1.2]) * np.ones((3, 1))
     with_field = whole + diffuse * (np.exp(field) - 1)
-    np.testing.assert_allclose(found.left_over(field), np.log(whole / with_field), atol=1e-9)
+    assert_allclose(found.left_over(field), np.log(whole / with_field), atol=1e-9)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from scan2albedo.errors import ReflectanceError
@@ -21,8 +22,8 @@ def test_centres_are_minus_r_transposed_t(poses):
     rotations, shift = poses
     rig = rig_of_head_poses(rotations, shift, INTRINSICS, view=[0, 1, 2, 0], flash=[0, 1, 2, 2])
     centers = np.stack([-r.T @ t for r, t in zip(rotations, shift, strict=True)])
-    np.testing.assert_allclose(rig.camera_positions, centers[[0, 1, 2, 0]], atol=1e-9)
-    np.testing.assert_allclose(rig.light_positions, centers[[0, 1, 2, 2]], atol=1e-9)
+    assert_allclose(rig.camera_positions, centers[[0, 1, 2, 0]], atol=1e-9)
+    assert_allclose(rig.light_positions, centers[[0, 1, 2, 2]], atol=1e-9)
     assert rig.light.tolist() == [0, 1, 2, 2]
 
 
@@ -32,14 +33,14 @@ def test_points_land_where_the_pose_puts_them(poses):
     point = np.array([[10.0, 20, 30]])
     image = INTRINSICS @ (rotations[1] @ point[0] + shift[1])
     pixels, depth = project(rig.cameras[0], point)
-    np.testing.assert_allclose(pixels[0], image[:2] / image[2])
-    np.testing.assert_allclose(depth, image[2])
+    assert_allclose(pixels[0], image[:2] / image[2])
+    assert_allclose(depth, image[2])
 
 
 def test_intrinsics_may_differ_from_camera_to_camera(poses):
     several = np.stack([INTRINSICS, 2 * np.eye(3) * [1, 1, 0.5], INTRINSICS])
     rig = rig_of_head_poses(*poses, several, view=[0, 1], flash=[0, 0])
-    np.testing.assert_allclose(rig.cameras[1, :, :3], several[1] @ poses[0][1])
+    assert_allclose(rig.cameras[1, :, :3], several[1] @ poses[0][1])
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from helpers.lobes import lobes_under
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.lighting.environment import distant_directions
@@ -57,8 +58,8 @@ def test_along_the_normal_every_lobe_is_exact():
     for lobe, horizon in (("full", False), ("tilted", True)):
         shading = shade_environment(reflectance, normals, normals, light, lobe=lobe)
         diffuse, specular = brute_force(reflectance, normals, normals, light, horizon)
-        np.testing.assert_allclose(shading.diffuse_linear, diffuse, rtol=1e-3)
-        np.testing.assert_allclose(shading.specular_linear, specular, rtol=1e-3)
+        assert_allclose(shading.diffuse_linear, diffuse, rtol=1e-3)
+        assert_allclose(shading.specular_linear, specular, rtol=1e-3)
 
 
 def test_diffuse_light_does_not_ask_where_the_camera_is():
@@ -66,7 +67,7 @@ def test_diffuse_light_does_not_ask_where_the_camera_is():
     light = smooth_light(2)
     expected, _ = brute_force(reflectance, normals, view, light)
     shading = shade_environment(reflectance, normals, view, light)
-    np.testing.assert_allclose(shading.diffuse_linear, expected, rtol=1e-3)
+    assert_allclose(shading.diffuse_linear, expected, rtol=1e-3)
 
 
 def test_oblique_views_need_the_true_lobe():
@@ -88,8 +89,8 @@ def test_parts_add_up_and_are_linear_in_the_light():
     light = smooth_light(4)
     once = shade_environment(reflectance, normals, view, light)
     twice = shade_environment(reflectance, normals, view, 2 * light)
-    np.testing.assert_allclose(twice.radiance_linear, 2 * once.radiance_linear, rtol=1e-12)
-    np.testing.assert_array_equal(once.radiance_linear, once.diffuse_linear + once.specular_linear)
+    assert_allclose(twice.radiance_linear, 2 * once.radiance_linear, rtol=1e-12)
+    assert_array_equal(once.radiance_linear, once.diffuse_linear + once.specular_linear)
 
 
 def test_black_channels_and_no_lobes_send_nothing():
@@ -108,7 +109,7 @@ def test_backs_have_no_highlight_and_the_unknown_no_number():
     for lobe in ("tilted", "full"):
         shading = shade_environment(gaps, normals, view, smooth_light(6), lobe=lobe)
         assert (shading.specular_linear[2] == 0).all()
-        np.testing.assert_array_equal(np.isnan(shading.radiance_linear).any(1), ~known)
+        assert_array_equal(np.isnan(shading.radiance_linear).any(1), ~known)
 
 
 UP = np.array([[0.0, 0, 1], [0, 0, 1]])

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.half_ball import HalfBall
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial import ConvexHull
 
 from scan2albedo.core import Budget
@@ -59,9 +60,9 @@ def test_images_of_others_bring_the_model_nearer_to_the_truth(model, lighting, m
         return np.mean([BALL.albedo_error(f.face.reflectance.diffuse_linear, face) for face, f in fits])
 
     assert albedo_error(tuned.model) < 0.95 * albedo_error(model)
-    np.testing.assert_array_equal(tuned.model.basis[..., 4:], model.basis[..., 4:])
+    assert_array_equal(tuned.model.basis[..., 4:], model.basis[..., 4:])
     norms = np.sqrt(np.sum(tuned.model.diffuse.basis**2, axis=(1, 2)))
-    np.testing.assert_allclose(tuned.model.deviation, norms, rtol=1e-12)
+    assert_allclose(tuned.model.deviation, norms, rtol=1e-12)
 
 
 @pytest.mark.slow
@@ -104,7 +105,7 @@ def test_the_closed_form_is_ridge_regression_over_all_unknowns(model, lighting):
         prior = np.outer(scale, np.append(1.0, np.full(8, n))).ravel()
         a, weight = np.array(rows), 1 / np.array(noise)
         expected = np.linalg.solve(a.T @ (weight[:, None] * a) + np.diag(prior**-2), a.T @ (weight * off))
-        np.testing.assert_allclose(change[:, vertex].T, expected.reshape(4, 9), rtol=1e-6, atol=1e-12)
+        assert_allclose(change[:, vertex].T, expected.reshape(4, 9), rtol=1e-6, atol=1e-12)
     assert (change[:, ~SEEN] == 0).all()
 
 
@@ -113,9 +114,9 @@ def test_smoothing_keeps_what_is_even_and_what_stands_alone():
     change = np.ones((9, count, 4))
     change[1:] = np.eye(count)[40, :, None]
     smooth = smoothed(change, surface_diffusion(POINTS, FACES, 0.3))
-    np.testing.assert_allclose(smooth[0], 1, rtol=1e-12)
+    assert_allclose(smooth[0], 1, rtol=1e-12)
     assert smooth[1:].max() < 0.5
-    np.testing.assert_allclose(smooth[4, :, 1], smooth[2, :, 3])
+    assert_allclose(smooth[4, :, 1], smooth[2, :, 3])
     rest = FACES[(FACES != 40).all(1)]
     assert (smoothed(change, surface_diffusion(POINTS, rest, 0.3))[1:, 40] == 1).all()
     assert not smoothed(0 * change, surface_diffusion(POINTS, FACES, 0.3)).any()

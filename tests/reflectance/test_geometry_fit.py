@@ -7,6 +7,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from worlds.environments import generated_environment
 
 from scan2albedo import AnnotatedFaceModel
@@ -133,11 +134,11 @@ def test_colours_differ_by_the_derivative_when_vertices_move(model, face):
     h = 1e-6
     found = photometric.linearized(vertices)
     off = photometric.differences(vertices).ravel()
-    np.testing.assert_allclose(found.slope, found.curvature * off, rtol=1e-12)
+    assert_allclose(found.slope, found.curvature * off, rtol=1e-12)
     for direction in np.random.default_rng(1).normal(size=(3, *vertices.shape)):
         ahead, behind = (photometric.differences(vertices + s * direction) for s in (h, -h))
         expected = ((ahead - behind) / (2 * h)).ravel()
-        np.testing.assert_allclose(found.jacobian @ direction.ravel(), expected, atol=1e-6)
+        assert_allclose(found.jacobian @ direction.ravel(), expected, atol=1e-6)
 
 
 def test_the_gradient_is_that_of_the_objective_by_pose_and_coefficients(model, face):
@@ -173,16 +174,16 @@ def test_photometry_brings_faces_nearer_than_landmarks_alone(model):
 def test_the_result_holds_together(model, face):
     fit = refine(face, model, **LIT)
     made = transform_points(fit.scene_from_model, model.at(np.concatenate([fit.identity, fit.expression])))
-    np.testing.assert_allclose(fit.vertices, made, atol=1e-9)
+    assert_allclose(fit.vertices, made, atol=1e-9)
     turn = fit.scene_from_model[:3, :3]
-    np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
-    np.testing.assert_array_equal(fit.normals, vertex_normals(fit.vertices, FACES))
+    assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
+    assert_array_equal(fit.normals, vertex_normals(fit.vertices, FACES))
     pixels, _ = project(CAMERA, fit.vertices[model.landmark_vertices])
-    np.testing.assert_allclose(fit.landmark_error_px, np.linalg.norm(pixels - face.landmarks, axis=1))
+    assert_allclose(fit.landmark_error_px, np.linalg.norm(pixels - face.landmarks, axis=1))
     assert fit.landmark_rmse_px == pytest.approx(np.sqrt(np.mean(fit.landmark_error_px**2)))
     assert fit.trace.stages == ("reflectance.geometry.landmarks", "reflectance.geometry.photometry")
     again = refine(face, model, **LIT)
-    np.testing.assert_array_equal(again.vertices, fit.vertices)
+    assert_array_equal(again.vertices, fit.vertices)
 
 
 def test_landmarks_alone_descend(model, face):
@@ -201,13 +202,13 @@ def test_exposure_does_not_matter(model, face):
     one = refine(face, model, **LIT)
     bright = dataclasses.replace(face, image=1000 * face.image)
     other = refine(bright, model, reflectance=SKIN, light=1000 * LIGHT)
-    np.testing.assert_allclose(other.vertices, one.vertices, atol=1e-4)
+    assert_allclose(other.vertices, one.vertices, atol=1e-4)
 
 
 def test_neither_the_cameras_scale_nor_its_sign_matters(model, face):
     one = refine_geometry(face.image, CAMERA, face.landmarks, model)
     other = refine_geometry(face.image, -7 * CAMERA, face.landmarks, model)
-    np.testing.assert_allclose(other.vertices, one.vertices, atol=1e-8)
+    assert_allclose(other.vertices, one.vertices, atol=1e-8)
 
 
 def test_without_landmarks_photometry_goes_on_from_the_pose_given(model, face):
@@ -254,7 +255,7 @@ CORNER = (np.arange(SHAPE[0])[:, None] < 5) & (np.arange(SHAPE[1]) < 5)
 def test_colours_that_explain_nothing_change_nothing(model, face, more, brightness):
     alone = refine(face, model)
     lit = refine(dataclasses.replace(face, image=brightness * face.image), model, **(LIT | more))
-    np.testing.assert_array_equal(lit.vertices, alone.vertices)
+    assert_array_equal(lit.vertices, alone.vertices)
     assert not lit.plan.ran("reflectance.geometry.photometry")
     if "light" in more:
         assert lit.photometric_rmse_before > 0.3
@@ -297,7 +298,7 @@ def test_vertices_without_known_reflectance_are_left_out(model, face):
 def test_models_without_directions_move_the_pose_alone(model, face):
     rigid = dataclasses.replace(model, basis=model.basis[:0], identity_components=0)
     fit = refine(face, rigid, **LIT)
-    np.testing.assert_allclose(fit.vertices, transform_points(fit.scene_from_model, model.mean), atol=1e-9)
+    assert_allclose(fit.vertices, transform_points(fit.scene_from_model, model.mean), atol=1e-9)
     expressions = model.basis[model.identity_components :]
     only_expressions = dataclasses.replace(model, basis=expressions, identity_components=0)
     fit = refine(face, only_expressions, **LIT)

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.half_ball import HalfBall
+from numpy.testing import assert_allclose, assert_array_equal
 from worlds.environments import generated_lighting
 
 from scan2albedo.core import Budget, Meter
@@ -84,7 +85,7 @@ def test_derivatives_agree_with_finite_differences(terms):
     jacobian = terms.jacobian(terms.predict(p))
     for direction in np.random.default_rng(2).normal(size=(3, len(p))):
         ahead, behind = (terms.predict(p + h * direction).color for h in (1e-5, -1e-5))
-        np.testing.assert_allclose(jacobian @ direction, (ahead - behind) / 2e-5, rtol=1e-6, atol=1e-7)
+        assert_allclose(jacobian @ direction, (ahead - behind) / 2e-5, rtol=1e-6, atol=1e-7)
 
 
 def test_the_prediction_is_the_shading_of_the_model(terms, model, lighting):
@@ -94,7 +95,7 @@ def test_the_prediction_is_the_shading_of_the_model(terms, model, lighting):
     assert face.clipped_share == 0
     light = lighting.light(g, scale_rgb=np.exp(t))
     expected = shade_environment(face.reflectance, BALL.normals, BALL.view, light).radiance_linear
-    np.testing.assert_allclose(terms.predict(p).color, expected[terms.used], rtol=1e-10)
+    assert_allclose(terms.predict(p).color, expected[terms.used], rtol=1e-10)
 
 
 @pytest.mark.slow
@@ -111,19 +112,19 @@ def test_faces_not_seen_before_are_found_whatever_the_exposure(model, lighting):
 
 
 def test_the_fit_tells_colours_of_what_it_used_and_its_descent(fit, model, lighting):
-    np.testing.assert_array_equal(np.isfinite(fit.radiance_linear).all(1), SEEN)
+    assert_array_equal(np.isfinite(fit.radiance_linear).all(1), SEEN)
     observed = np.asarray(IMAGE.observed_linear)[SEEN]
     off = np.linalg.norm(fit.radiance_linear[SEEN] - observed) / np.linalg.norm(observed)
     assert fit.relative_rmse == pytest.approx(off)
     assert descends(fit)
     again = fit_image(IMAGE, model, lighting)
-    np.testing.assert_array_equal(again.face.coefficients, fit.face.coefficients)
+    assert_array_equal(again.face.coefficients, fit.face.coefficients)
 
 
 def test_exposure_moves_the_scale_and_nothing_else(fit, model, lighting):
     ten = fit_image(coloured(lambda color: np.multiply(color, 10, color)), model, lighting)
-    np.testing.assert_allclose(ten.scale_rgb, 10 * fit.scale_rgb, rtol=1e-6)
-    np.testing.assert_allclose(ten.face.coefficients, fit.face.coefficients, atol=1e-6)
+    assert_allclose(ten.scale_rgb, 10 * fit.scale_rgb, rtol=1e-6)
+    assert_allclose(ten.face.coefficients, fit.face.coefficients, atol=1e-6)
 
 
 @pytest.mark.slow
@@ -163,7 +164,7 @@ def test_some_colours_negative(model, lighting):
 def test_one_vertex(model, lighting):
     one = np.arange(len(SEEN)) == np.flatnonzero(SEEN)[5]
     fit = quiet_fit(replace(IMAGE, seen=one), model, lighting)
-    np.testing.assert_allclose(fit.radiance_linear[one], np.asarray(IMAGE.observed_linear)[one], rtol=0.02)
+    assert_allclose(fit.radiance_linear[one], np.asarray(IMAGE.observed_linear)[one], rtol=0.02)
 
 
 @pytest.mark.parametrize("lights", [0, 30])
@@ -191,7 +192,7 @@ def test_numbers_that_are_not_seen_do_not_matter(fit, model, lighting):
     color[~SEEN] = np.nan
     normals[~SEEN] = 0.0
     other = fit_image(ImageObservation(color, normals, BALL.view, SEEN), model, lighting)
-    np.testing.assert_array_equal(other.face.coefficients, fit.face.coefficients)
+    assert_array_equal(other.face.coefficients, fit.face.coefficients)
 
 
 def test_a_wrong_gamma_makes_errors_larger_but_finite(fit, model, lighting):
@@ -204,9 +205,9 @@ def test_a_transfer_without_shadows_changes_nothing(model, lighting, monkeypatch
     monkeypatch.setattr(image_fit, "PRIOR_WEIGHT", dict.fromkeys((True, False), 1e-3))
     images = IMAGE, replace(IMAGE, transfer=OPEN)
     one, two = (fit_image(image, model, lighting) for image in images)
-    np.testing.assert_array_equal(one.face.coefficients, two.face.coefficients)
+    assert_array_equal(one.face.coefficients, two.face.coefficients)
     changes = [best_change(model, [image], [one], mean_change=0.1, basis_change=0.1) for image in images]
-    np.testing.assert_array_equal(*changes)
+    assert_array_equal(*changes)
 
 
 def test_the_transfer_keeps_shadows_out_of_the_albedo(model, lighting):
@@ -259,7 +260,7 @@ def test_the_size_of_the_perceptual_term_counts(fit, model, lighting):
     assert sizes[0] == pytest.approx(1, abs=0.02)
     assert sizes[0] < sizes[1] < sizes[2]
     assert sizes[2] == pytest.approx(2, abs=0.05)
-    np.testing.assert_array_equal(found[0].face.coefficients, fit.face.coefficients)
+    assert_array_equal(found[0].face.coefficients, fit.face.coefficients)
 
 
 def test_a_gradient_that_is_wrong_never_raises_the_objective(model, lighting):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bench.judging import relative_rmse
+from numpy.testing import assert_allclose
 from worlds.flash_captures import head_capture, samples_of
 
 from scan2albedo.core import Budget
@@ -45,8 +46,8 @@ def test_gains_are_found(capture, gain, shadowed):
     samples = lit_by(capture, gain, noise=0.01, shadowed=shadowed)
     without = fit_reflectance(samples)
     fit = fit_reflectance(samples, options=GAINS)
-    np.testing.assert_allclose(fit.light_gain, gain, atol=0.02 if shadowed else 0.006)
-    np.testing.assert_allclose(fit.light_gain.mean(0), 1)
+    assert_allclose(fit.light_gain, gain, atol=0.02 if shadowed else 0.006)
+    assert_allclose(fit.light_gain.mean(0), 1)
     errors = [
         relative_rmse(one.reflectance.diffuse_linear, capture.truth.diffuse_linear) for one in (fit, without)
     ]
@@ -60,7 +61,7 @@ def test_gains_without_noise_are_exact(capture, gain, monkeypatch):
     monkeypatch.setattr(vertex_fit, "_GAIN_TOLERANCE", 1e-9)
     options = replace(GAINS, loss="squares")
     fit = fit_reflectance(lit_by(capture, gain, said_noise=1e-6), options=options)
-    np.testing.assert_allclose(fit.light_gain, gain, rtol=1e-5)
+    assert_allclose(fit.light_gain, gain, rtol=1e-5)
 
 
 def test_observations_divided_by_gains_keep_their_worth():
@@ -70,7 +71,7 @@ def test_observations_divided_by_gains_keep_their_worth():
     data = Observations(observed, precision, rng.random((3, 4, 4)), np.zeros(6), np.ones(6))
     light = np.array([1, 0, 1])
     divided, model = divided_by_gain(data, light, gain), rng.random((3, 4, 3))
-    np.testing.assert_allclose(
+    assert_allclose(
         divided.precision * (divided.observed - model) ** 2,
         precision * (observed - gain[light][:, None] * model) ** 2,
     )

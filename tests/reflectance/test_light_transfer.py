@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from helpers.lobes import lobes_under
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial import ConvexHull
 from worlds.environments import generated_environment
 
@@ -26,13 +27,13 @@ def brute_force(point, n, v, hidden, count=10_000):
 
 def test_a_convex_surface_has_no_shadows():
     transfer = light_transfer(80 * BALL, FACES, BALL, VIEW)
-    np.testing.assert_allclose(transfer.diffuse, light_response(BALL, VIEW).diffuse, atol=1e-12)
+    assert_allclose(transfer.diffuse, light_response(BALL, VIEW).diffuse, atol=1e-12)
     for vertex in (10, 700, 760):
         expected = brute_force(
             None, BALL[vertex], VIEW[vertex], lambda point, toward: np.zeros(len(toward), bool)
         )
         expected[1:] *= BALL[vertex, 2] > 0
-        np.testing.assert_allclose(transfer.specular[vertex], expected[1:], atol=0.015)
+        assert_allclose(transfer.specular[vertex], expected[1:], atol=0.015)
     assert (transfer.specular[BALL[:, 2] < 0] == 0).all()
 
 
@@ -91,8 +92,8 @@ def test_neither_unit_nor_place_matters(unit, monkeypatch):
 def test_the_same_input_gives_the_same_bits():
     cup = BALL * np.where(BALL[:, 2:] > 0.3, -40.0, 80.0)
     one, two = (light_transfer(cup, FACES, BALL, VIEW, directions=200) for _ in range(2))
-    np.testing.assert_array_equal(one.diffuse, two.diffuse)
-    np.testing.assert_array_equal(one.specular, two.specular)
+    assert_array_equal(one.diffuse, two.diffuse)
+    assert_array_equal(one.specular, two.specular)
 
 
 def test_vertices_without_a_surface_receive_nothing():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from worlds.environments import generated_environment, generated_lighting
 
 from scan2albedo.errors import ReflectanceError
@@ -24,17 +25,17 @@ def test_light_comes_from_above_and_from_any_side(lighting):
 
 def test_the_model_of_the_package_is_what_the_tool_builds(lighting):
     made = generated_lighting()
-    np.testing.assert_allclose(lighting.mean, made.mean, rtol=1e-9, atol=1e-9)
+    assert_allclose(lighting.mean, made.mean, rtol=1e-9, atol=1e-9)
     along = np.einsum("nhc,nhc->n", lighting.basis, made.basis) / (lighting.deviation * made.deviation)
-    np.testing.assert_allclose(np.abs(along), 1, rtol=1e-6)
-    np.testing.assert_allclose(lighting.deviation, made.deviation, rtol=1e-9)
+    assert_allclose(np.abs(along), 1, rtol=1e-6)
+    assert_allclose(lighting.deviation, made.deviation, rtol=1e-9)
 
 
 def test_the_mean_radiance_is_the_scale_and_nothing_else(lighting):
     assert lighting.components == 80
     assert (lighting.basis[:, 0] == 0).all()
     light = lighting.light(np.linspace(-2, 2, 80), scale_rgb=[0.5, 1.0, 3.0])
-    np.testing.assert_allclose(light[0] / np.sqrt(4 * np.pi), [0.5, 1.0, 3.0], rtol=1e-12)
+    assert_allclose(light[0] / np.sqrt(4 * np.pi), [0.5, 1.0, 3.0], rtol=1e-12)
 
 
 def test_places_not_seen_are_near_the_model(lighting):
@@ -53,7 +54,7 @@ def test_few_maps_of_your_own_make_a_small_model():
     assert LightingModel.from_coefficients(project_environment(maps)).components == 1
     one = LightingModel.from_coefficients(project_environment(maps[:1]))
     assert one.components == 0
-    np.testing.assert_allclose(one.light([]) * maps[0].mean(), one.mean * maps[0].mean())
+    assert_allclose(one.light([]) * maps[0].mean(), one.mean * maps[0].mean())
 
 
 DARK = np.zeros((2, 81, 3))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.integrate import quad
 from scipy.special import eval_legendre
 
@@ -10,7 +11,7 @@ from scan2albedo.reflectance.environment_shading import lambert_coefficients, lo
 
 def test_lambert_is_the_clamped_cosine():
     expected = [1, 2 / 3, 1 / 4, 0, -1 / 24, 0, 1 / 64, 0, -1 / 128]
-    np.testing.assert_allclose(lambert_coefficients(), expected, rtol=1e-14, atol=1e-16)
+    assert_allclose(lambert_coefficients(), expected, rtol=1e-14, atol=1e-16)
     assert lambert_coefficients(0).tolist() == [1.0]
 
 
@@ -28,12 +29,12 @@ def integrals(exponent, lowest):
 
 @pytest.mark.parametrize("exponent", [0.5, 1, 8, 64])
 def test_coefficients_are_integrals_of_the_lobe(exponent):
-    np.testing.assert_allclose(lobe_coefficients(exponent), integrals(exponent, -1), atol=1e-10)
+    assert_allclose(lobe_coefficients(exponent), integrals(exponent, -1), atol=1e-10)
 
 
 def test_the_true_lobe_fades_at_grazing_views():
     dc = tilted_lobe(np.radians([0, 30, 60, 80]), 64)[0][:, 0]
-    np.testing.assert_allclose(dc, [1, 0.866, 0.496, 0.170], atol=6e-4)
+    assert_allclose(dc, [1, 0.866, 0.496, 0.170], atol=6e-4)
 
 
 @pytest.mark.parametrize("exponent", [0.0, -1.0, np.nan])
@@ -47,7 +48,7 @@ def test_exponents_that_are_none_are_refused(exponent):
 @pytest.mark.parametrize("exponent", [1, 8, 64])
 def test_tilted_lobes_have_no_light_to_their_side(exponent):
     coefficients, tilt = tilted_lobe(np.radians([0, 20, 60]), exponent)
-    np.testing.assert_allclose(coefficients[0], integrals(exponent, 0), atol=1e-10)
+    assert_allclose(coefficients[0], integrals(exponent, 0), atol=1e-10)
     assert tilt[0] == 0
     nodes, weights = np.polynomial.legendre.leggauss(200)
     t, turn = ((nodes + 1) / 2)[:, None], (np.arange(600) + 0.5) * 2 * np.pi / 600

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from build.reflectance_model import PEOPLE, packed
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance import VertexReflectance
@@ -44,7 +45,7 @@ def test_the_model_of_synthetic_people_has_reflectance_and_shape():
     assert built.shape is not None
     assert len(built.shape.mean) == len(built.model.known) == len(built.mean.vertices)
     again = synthetic_model(20, components=built.model.components)
-    np.testing.assert_array_equal(again.model.diffuse.basis, built.model.diffuse.basis)
+    assert_array_equal(again.model.diffuse.basis, built.model.diffuse.basis)
     with pytest.raises(ReflectanceError, match="2 or more"):
         synthetic_model(1)
 
@@ -54,8 +55,8 @@ def test_the_model_of_the_package_is_whole():
     assert built.model.samples == 200
     assert built.shape is not None
     assert built.shape.mean.shape == built.model.diffuse.mean.shape == (3663, 3)
-    np.testing.assert_allclose(built.model.mean[:, 4:].sum(1), 1, rtol=1e-12)
-    np.testing.assert_allclose(built.model.basis[..., 4:].sum(2), 0, atol=1e-12)
+    assert_allclose(built.model.mean[:, 4:].sum(1), 1, rtol=1e-12)
+    assert_allclose(built.model.basis[..., 4:].sum(2), 0, atol=1e-12)
     assert built.model.sample(0).clipped_share < 0.05
     assert DEFAULT_MODEL_FILE.stat().st_size < 800_000
 
@@ -74,7 +75,7 @@ def test_the_model_of_the_package_is_what_the_command_builds():
             if array.dtype == np.int8:  # rounding may fall to either side on other machines
                 assert np.abs(turned(array.astype(int), stored[name]) - stored[name]).max() <= 1
             else:
-                np.testing.assert_allclose(stored[name], array, rtol=1e-5, atol=1e-6)
+                assert_allclose(stored[name], array, rtol=1e-5, atol=1e-6)
     parts = slice(0, 3), slice(3, 4), slice(4, 7)
     off = [
         np.sqrt(np.mean(np.sum((turned(a, b) - b) ** 2, axis=0)))

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.npz import assert_comes_back, cut, rewritten
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance import MorphableReflectanceModel, VertexReflectance
@@ -37,11 +38,11 @@ def test_directions_are_those_of_a_singular_value_decomposition():
     x = np.stack([s.diffuse_linear.ravel() for s in samples])
     _, values, rows = np.linalg.svd(x - x.mean(0), full_matrices=False)
     assert model.components == 6
-    np.testing.assert_allclose(model.deviation, values[:6] / np.sqrt(6), rtol=1e-10)
-    np.testing.assert_allclose(model.diffuse.mean.ravel(), x.mean(0), rtol=1e-12)
+    assert_allclose(model.deviation, values[:6] / np.sqrt(6), rtol=1e-10)
+    assert_allclose(model.diffuse.mean.ravel(), x.mean(0), rtol=1e-12)
     unit = model.diffuse.basis.reshape(6, -1) / model.deviation[:, None]
-    np.testing.assert_allclose(np.abs(np.einsum("ip,ip->i", unit, rows[:6])), 1, rtol=1e-10)
-    np.testing.assert_allclose(model.explained.sum(), 1, rtol=1e-12)
+    assert_allclose(np.abs(np.einsum("ip,ip->i", unit, rows[:6])), 1, rtol=1e-10)
+    assert_allclose(model.explained.sum(), 1, rtol=1e-12)
 
 
 def albedo_off(model, sample):
@@ -53,8 +54,8 @@ def test_coefficients_of_the_samples_have_unit_variance():
     samples = faces(9)
     model = learned(samples)
     scores = np.stack([model.project(s).coefficients for s in samples])
-    np.testing.assert_allclose(np.cov(scores.T), np.eye(8), atol=1e-10)
-    np.testing.assert_allclose(scores.mean(0), 0, atol=1e-10)
+    assert_allclose(np.cov(scores.T), np.eye(8), atol=1e-10)
+    assert_allclose(scores.mean(0), 0, atol=1e-10)
 
 
 def test_samples_come_back_with_their_weights():
@@ -62,8 +63,8 @@ def test_samples_come_back_with_their_weights():
     model = learned(samples)
     for sample in samples:
         found = model.project(sample)
-        np.testing.assert_allclose(found.reflectance.diffuse_linear, sample.diffuse_linear, atol=1e-12)
-        np.testing.assert_allclose(found.reflectance.weights, sample.weights, atol=1e-12)
+        assert_allclose(found.reflectance.diffuse_linear, sample.diffuse_linear, atol=1e-12)
+        assert_allclose(found.reflectance.weights, sample.weights, atol=1e-12)
         assert found.clipped_share == 0
 
 
@@ -77,7 +78,7 @@ def test_noise_free_samples_of_a_low_rank_need_no_more_directions():
 def test_fewer_components_are_the_first_ones():
     samples = faces(8)
     full, cut = (learned(samples, components=n) for n in (None, 3))
-    np.testing.assert_allclose(cut.diffuse.basis, full.diffuse.basis[:3], rtol=0, atol=1e-14)
+    assert_allclose(cut.diffuse.basis, full.diffuse.basis[:3], rtol=0, atol=1e-14)
     assert cut.explained.sum() < full.explained.sum()
 
 
@@ -85,7 +86,7 @@ def test_one_sample_is_a_mean_and_two_have_one_direction():
     samples = faces(2)
     one = learned(samples[:1])
     assert one.components == 0
-    np.testing.assert_allclose(one.sample(3).reflectance.weights, samples[0].weights, rtol=1e-12)
+    assert_allclose(one.sample(3).reflectance.weights, samples[0].weights, rtol=1e-12)
     assert albedo_off(one, samples[1]) > 0
     two = learned(samples)
     assert two.components == 1
@@ -107,11 +108,11 @@ def test_gaps_neither_move_the_mean_nor_pass_for_numbers():
     assert np.flatnonzero(~model.known).tolist() == [11]
     assert model.support[[9, 10, 11]].tolist() == [6, 4, 2]
     mean = np.mean([s.diffuse_linear[10] for s in samples[2:]], axis=0)
-    np.testing.assert_allclose(model.diffuse.mean[10], mean, rtol=1e-12)
+    assert_allclose(model.diffuse.mean[10], mean, rtol=1e-12)
     made = model.project(samples[4]).reflectance
     assert np.isnan(made.diffuse_linear[11]).all()
-    np.testing.assert_allclose(made.diffuse_linear[10], samples[4].diffuse_linear[10], rtol=1e-9)
-    np.testing.assert_allclose(model.project(samples[0]).reflectance.diffuse_linear[10], mean, rtol=1e-9)
+    assert_allclose(made.diffuse_linear[10], samples[4].diffuse_linear[10], rtol=1e-9)
+    assert_allclose(model.project(samples[0]).reflectance.diffuse_linear[10], mean, rtol=1e-9)
 
 
 def test_a_reflectance_with_gaps_is_projected_from_what_it_knows():
@@ -120,7 +121,7 @@ def test_a_reflectance_with_gaps_is_projected_from_what_it_knows():
     known = np.arange(60) < 20
     part = VertexReflectance(samples[3].diffuse_linear, samples[3].weights, known)
     found = model.project(part).reflectance
-    np.testing.assert_allclose(found.diffuse_linear, samples[3].diffuse_linear, rtol=1e-6)
+    assert_allclose(found.diffuse_linear, samples[3].diffuse_linear, rtol=1e-6)
     single = VertexReflectance(samples[3].diffuse_linear, samples[3].weights, np.arange(60) == 0)
     assert np.abs(model.project(single, prior=1e-6).coefficients).max() < 10
 
@@ -146,14 +147,14 @@ def test_a_lobe_that_one_sample_lacks_is_a_gap_in_its_shares_only():
     samples[0] = dataclasses.replace(samples[0], weights=weights)
     model = learned(samples)
     share = np.mean([s.weights[7] / s.weights[7].sum() for s in samples[1:]], axis=0)
-    np.testing.assert_allclose(model.mean[7, 4:], share, rtol=1e-12)
+    assert_allclose(model.mean[7, 4:], share, rtol=1e-12)
     assert model.mean[7, 3] == pytest.approx(np.mean([s.weights[7].sum() for s in samples]))
-    np.testing.assert_allclose(model.project(samples[0]).reflectance.weights[7], 0, atol=1e-12)
+    assert_allclose(model.project(samples[0]).reflectance.weights[7], 0, atol=1e-12)
 
 
 def test_samples_are_reproducible_and_tell_what_was_clipped():
     model = learned(faces(6))
-    np.testing.assert_array_equal(model.sample(5).coefficients, model.sample(5).coefficients)
+    assert_array_equal(model.sample(5).coefficients, model.sample(5).coefficients)
     assert model.sample(5).clipped_share == 0
     far = model.sample(5, scale=40.0)
     diffuse, total, share = np.split(model.at(far.coefficients), [3, 4], axis=1)

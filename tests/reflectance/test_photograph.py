@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial import ConvexHull
 
 from scan2albedo.errors import ReflectanceError
@@ -82,10 +83,8 @@ def test_tone_and_integers(image):
     ]
     plain = observe(image)
     for one, tolerance in zip(found, (1e-3, 4e-3, 1e-3), strict=True):
-        np.testing.assert_array_equal(one.seen, plain.seen)
-        np.testing.assert_allclose(
-            one.observed_linear[one.seen], plain.observed_linear[one.seen], atol=tolerance
-        )
+        assert_array_equal(one.seen, plain.seen)
+        assert_allclose(one.observed_linear[one.seen], plain.observed_linear[one.seen], atol=tolerance)
 
 
 def test_only_skin_counts_and_neither_saturated_nor_missing_pixels(image):
@@ -106,8 +105,8 @@ def test_the_transfer_is_that_of_the_mesh(image):
     found = observe(image)
     normals, view = np.asarray(found.normals), np.asarray(found.toward_camera)
     expected = light_transfer(VERTICES, FACES, normals, view)
-    np.testing.assert_array_equal(found.transfer.diffuse, expected.diffuse)
-    np.testing.assert_array_equal(found.transfer.specular, expected.specular)
+    assert_array_equal(found.transfer.diffuse, expected.diffuse)
+    assert_array_equal(found.transfer.specular, expected.specular)
 
 
 WALL = np.array([[-900.0, -900, 590], [900, -900, 590], [0, 1500, 590]])

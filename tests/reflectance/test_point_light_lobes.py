@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from worlds.flash_captures import head_capture, radiance
 
 from scan2albedo.reflectance import VertexReflectance, point_light_lobes, point_light_radiance
@@ -11,20 +12,20 @@ def test_radiance_is_that_of_the_equation():
     capture = head_capture(300)
     expected, _ = radiance(capture)
     lobes = point_light_lobes(capture.vertices, capture.normals, capture.cameras, capture.lights)
-    np.testing.assert_allclose(point_light_radiance(capture.truth, lobes), expected, atol=1e-14)
+    assert_allclose(point_light_radiance(capture.truth, lobes), expected, atol=1e-14)
 
 
 def test_a_flash_at_the_camera_makes_the_first_lobe_proportional_to_the_diffuse_one():
     capture = head_capture(100)
     lobes = point_light_lobes(capture.vertices, capture.normals, capture.cameras, capture.cameras)
-    np.testing.assert_allclose(lobes[..., 1], 3 / 8 * lobes[..., 0], rtol=1e-12)
+    assert_allclose(lobes[..., 1], 3 / 8 * lobes[..., 0], rtol=1e-12)
 
 
 def test_light_falls_off_with_the_square_of_its_distance():
     arrays = [[0.0, 0, 0]], [[0.0, 0, 1]], [[0, 0, 500.0], [0, 0, 500]], [[0, 0, 500.0], [0, 0, 1000]]
     near, far = point_light_lobes(*arrays, reference_distance_mm=500)[:, 0]
-    np.testing.assert_allclose(near, 4 * far)
-    np.testing.assert_allclose(near, point_light_lobes(*arrays)[0, 0])
+    assert_allclose(near, 4 * far)
+    assert_allclose(near, point_light_lobes(*arrays)[0, 0])
 
 
 def test_nothing_comes_of_a_light_behind_or_opposite_or_at_the_vertex():

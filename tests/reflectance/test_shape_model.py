@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from helpers.npz import assert_comes_back, rewritten
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance import MorphableShapeModel
@@ -24,19 +25,19 @@ def learned(count=30, expressions=6):
 
 def test_directions_have_the_samples_mean_and_covariance():
     shapes, model = people(30).reshape(30, -1), learned(expressions=0)
-    np.testing.assert_allclose(model.mean.ravel(), shapes.mean(0))
+    assert_allclose(model.mean.ravel(), shapes.mean(0))
     assert model.identity_components == 4
     flat = model.basis[: model.identity_components].reshape(4, -1)
-    np.testing.assert_allclose(flat.T @ flat, np.cov(shapes.T), atol=1e-10)
+    assert_allclose(flat.T @ flat, np.cov(shapes.T), atol=1e-10)
     lengths = np.linalg.norm(flat, axis=1)
     assert (np.diff(lengths) < 0).all()
-    np.testing.assert_allclose(flat @ flat.T, np.diag(lengths**2), atol=1e-9 * lengths[0] ** 2)
+    assert_allclose(flat @ flat.T, np.diag(lengths**2), atol=1e-9 * lengths[0] ** 2)
 
 
 def test_expressions_have_the_covariance_of_offsets_around_the_neutral_face():
     offsets = (people(6, 3) - 50).reshape(6, -1)
     flat = learned().basis[4:].reshape(4, -1)
-    np.testing.assert_allclose(flat.T @ flat, 2 * offsets.T @ offsets / 11, atol=1e-10)
+    assert_allclose(flat.T @ flat, 2 * offsets.T @ offsets / 11, atol=1e-10)
 
 
 def test_a_single_expression_is_kept():
@@ -53,8 +54,8 @@ def test_shapes_are_mean_plus_directions():
     model = learned()
     a, b = np.arange(1.0, 5), np.arange(4.0)
     expected = model.mean + np.tensordot(np.concatenate([a, b]), model.basis, 1)
-    np.testing.assert_allclose(model.at(np.concatenate([a, b])), expected)
-    np.testing.assert_array_equal(model.at(np.zeros(8)), model.mean)
+    assert_allclose(model.at(np.concatenate([a, b])), expected)
+    assert_array_equal(model.at(np.zeros(8)), model.mean)
 
 
 def test_components_are_cut_at_what_there_is():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance.geometry_terms import SmoothImage
@@ -18,14 +19,12 @@ def test_the_gradient_agrees_with_finite_differences(blur):
     for axis in range(2):
         step = h * np.eye(2)[axis]
         expected = (image.look_up(PIXELS + step) - image.look_up(PIXELS - step)) / (2 * h)
-        np.testing.assert_allclose(gradient[:, :, axis], expected, atol=1e-6)
+        assert_allclose(gradient[:, :, axis], expected, atol=1e-6)
 
 
 def test_without_blur_pixels_keep_their_colours():
     image = SmoothImage(IMAGE, None, 0.0)
-    np.testing.assert_array_equal(
-        image.look_up(np.array([[0.0, 0], [29, 19], [7, 3]])), IMAGE[[0, 19, 3], [0, 29, 7]]
-    )
+    assert_array_equal(image.look_up(np.array([[0.0, 0], [29, 19], [7, 3]])), IMAGE[[0, 19, 3], [0, 29, 7]])
 
 
 def test_gaps_are_filled_from_around_and_not_covered():
@@ -35,7 +34,7 @@ def test_gaps_are_filled_from_around_and_not_covered():
     spoilt[10:, :] = 7.0
     mask[10:] = False
     image = SmoothImage(spoilt, mask, 1.0)
-    np.testing.assert_allclose(image.look_up(np.array([[5.0, 5], [9.2, 5.8], [3, 9.9]])), 0.5)
+    assert_allclose(image.look_up(np.array([[5.0, 5], [9.2, 5.8], [3, 9.9]])), 0.5)
     covered = image.covers(np.array([[5.0, 5], [4.5, 5.5], [7, 5], [8.9, 5.9], [3, 8.9], [3, 9.1]]))
     assert covered.tolist() == [False, False, True, False, True, False]
 
@@ -44,7 +43,7 @@ def test_outside_nothing_is_covered_and_the_border_goes_on():
     image = SmoothImage(IMAGE, None, 0.0)
     outside = np.array([[-0.1, 3.0], [29.1, 3.0], [4.0, -5.0], [4.0, 19.5], [np.nan, np.nan]])
     assert not image.covers(outside).any()
-    np.testing.assert_array_equal(image.look_up(outside[2:3]), image.look_up(np.array([[4.0, 0.0]])))
+    assert_array_equal(image.look_up(outside[2:3]), image.look_up(np.array([[4.0, 0.0]])))
     assert (image.gradient(outside[:2])[:, :, 0] == 0).all()
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from bench.flash_captures import design
 from bench.judging import relative_rmse
+from numpy.testing import assert_allclose
 from worlds.flash_captures import head_capture, of_pairs, radiance, samples_of
 
 from scan2albedo.core import Budget
@@ -81,10 +82,10 @@ def test_intervals_are_those_of_the_posterior_before_the_bounds(capture):
         normal = rows.T @ rows + np.diag(precision)
         center = np.linalg.solve(normal, rows.T @ right + precision * mean)
         std = np.sqrt(np.diag(np.linalg.inv(normal))) * max(fit.misfit[v], 1.0) / steepest[v]
-        np.testing.assert_allclose(fit.std[v], std, rtol=1e-6)
+        assert_allclose(fit.std[v], std, rtol=1e-6)
         low = np.clip(center - 1.96 * std, 0, fit.parameters[v])
         high = np.maximum(center + 1.96 * std, fit.parameters[v])
-        np.testing.assert_allclose([fit.low[v], fit.high[v]], [low, high], atol=1e-3 * std.max())
+        assert_allclose([fit.low[v], fit.high[v]], [low, high], atol=1e-3 * std.max())
         bounded += (center < -0.1 * std).sum()
     assert bounded > 5
 
@@ -117,8 +118,8 @@ def test_charbonnier_stands_between(capture):
 def test_pictures_twice_as_bright_give_twice_the_reflectance(noisy, fit):
     brighter = replace(noisy, observed_linear=2 * noisy.observed_linear, sigma=2 * noisy.sigma)
     twice = fit_reflectance(brighter)
-    np.testing.assert_allclose(twice.parameters, 2 * fit.parameters, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(twice.std, 2 * fit.std, rtol=1e-6)
+    assert_allclose(twice.parameters, 2 * fit.parameters, rtol=1e-9, atol=1e-12)
+    assert_allclose(twice.std, 2 * fit.std, rtol=1e-6)
     assert (twice.identified == fit.identified).all()
 
 
@@ -134,7 +135,7 @@ def test_order_of_pictures_and_company_of_vertices_do_not_matter(noisy, monkeypa
     for name in ("PRIOR_MEAN", "PRIOR_STD"):  # the prior's unit is the level of all vertices
         monkeypatch.setattr(vertex_fit, name, level * np.array(getattr(vertex_fit, name)))
     found = fit_reflectance(part, options=options)
-    np.testing.assert_allclose(found.parameters, whole.parameters[few], rtol=1e-6, atol=1e-9)
+    assert_allclose(found.parameters, whole.parameters[few], rtol=1e-6, atol=1e-9)
 
 
 def test_the_same_samples_give_the_same_bits(noisy, fit):
@@ -209,8 +210,8 @@ def test_no_highlight_was_hit(capture, noisy):
     lobes = noisy.lobes.copy()
     lobes[..., 3] = 0.0
     fit = sound(replace(noisy, lobes=lobes))
-    np.testing.assert_allclose(fit.identifiability[:, 5], 1)
-    np.testing.assert_allclose(fit.parameters[:, 5], fit.level * PRIOR_MEAN[5])
+    assert_allclose(fit.identifiability[:, 5], 1)
+    assert_allclose(fit.parameters[:, 5], fit.level * PRIOR_MEAN[5])
     assert (fit.activation[:, 2] == 0).all()
     assert np.isinf(fit.condition).all()
 
@@ -220,7 +221,7 @@ def test_activation_says_how_near_a_highlight_came(fit, noisy, capture):
     for k, exponent in enumerate((1, 8, 64)):
         found = fit.activation[:, k] ** (1 / exponent)
         assert (found <= 1 + 1e-12).all()
-        np.testing.assert_allclose(found, fit.activation[:, 0], rtol=1e-9)
+        assert_allclose(found, fit.activation[:, 0], rtol=1e-9)
     assert seen.any()
     hit = fit.activation[:, 2] > 0.5
     assert fit.identified[hit, 5].all()
@@ -302,8 +303,8 @@ def test_impossible_albedos_are_never_identified(capture):
 
 def test_the_strength_of_the_flashes_changes_no_activation(noisy, fit):
     stronger = fit_reflectance(replace(noisy, lobes=3 * noisy.lobes))
-    np.testing.assert_allclose(stronger.activation, fit.activation, rtol=1e-9)
-    np.testing.assert_allclose(3 * stronger.std, fit.std, rtol=1e-6)
+    assert_allclose(stronger.activation, fit.activation, rtol=1e-9)
+    assert_allclose(3 * stronger.std, fit.std, rtol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from bench.flash_captures import MEAN, PRIOR, design, normal_equations
+from numpy.testing import assert_allclose
 from scipy.optimize import nnls
 from worlds.flash_captures import head_capture, of_pairs, samples_of
 
@@ -32,7 +33,7 @@ def bounded(samples):
 @pytest.mark.parametrize("dark", [0.0, 0.3, 0.8])
 def test_bounded_estimates_are_those_of_nnls(dark, pairs):
     estimate, expected = bounded(random_samples(0, dark=dark, pairs=pairs))
-    np.testing.assert_allclose(estimate, expected, atol=1e-9)
+    assert_allclose(estimate, expected, atol=1e-9)
     assert ((estimate == 0) == (expected == 0)).all()
 
 
@@ -48,7 +49,7 @@ def test_heads_with_black_channels_agree_too():
     capture = of_pairs(head_capture(200, black=0.5), np.arange(0, 99, 4))
     estimate, expected = bounded(samples_of(capture, noise=0.03))
     assert (estimate[:, :3] == 0).any(1).sum() > 20
-    np.testing.assert_allclose(estimate, expected, atol=1e-9)
+    assert_allclose(estimate, expected, atol=1e-9)
 
 
 def test_the_posterior_without_bounds_is_that_of_the_dense_system():
@@ -57,9 +58,9 @@ def test_the_posterior_without_bounds_is_that_of_the_dense_system():
     solve_free(normal_equations(samples), MEAN, PRIOR, center, deviation)
     for v in range(60):
         rows, right = design(samples, v)
-        np.testing.assert_allclose(center[v], np.linalg.lstsq(rows, right)[0], atol=1e-9)
+        assert_allclose(center[v], np.linalg.lstsq(rows, right)[0], atol=1e-9)
         covariance = np.linalg.inv(rows.T @ rows)
-        np.testing.assert_allclose(deviation[v], np.sqrt(np.diag(covariance)), rtol=1e-8)
+        assert_allclose(deviation[v], np.sqrt(np.diag(covariance)), rtol=1e-8)
 
 
 @pytest.mark.parametrize("column", [1, 2, 3])
@@ -84,7 +85,7 @@ def test_observations_beyond_all_precision_keep_the_estimate_finite(column, sigm
     assert (deviation[:, 2 + column] < 1.01 / np.sqrt(PRIOR[2 + column])).all()
     assert (estimate[:, 2 + column] < 2).all()
     radiance = estimate[:, :3] + 3 / 8 * estimate[:, 2 + column, None]
-    np.testing.assert_allclose(radiance, 0.5, rtol=1e-4)
+    assert_allclose(radiance, 0.5, rtol=1e-4)
 
 
 @pytest.mark.parametrize("power", [0.0, 0.5, 1.0])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 from helpers.meshes import sphere
+from numpy.testing import assert_allclose
 
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.oriented_points import SurfaceNoise
@@ -51,14 +52,14 @@ def test_depth_equals_the_first_hit_of_a_ray_from_the_viewer(size):
     both = np.isfinite(image) & np.isfinite(expected)
     # A ray through a silhouette edge may go either way.
     assert (np.isfinite(image) != np.isfinite(expected)).mean() < 0.002
-    np.testing.assert_allclose(image[both], expected[both], atol=2e-3)
+    assert_allclose(image[both], expected[both], atol=2e-3)
 
 
 def test_a_tilted_plane_is_exact():
     vertices = np.array([[-9.0, -9, 0], [9, -9, 18], [9, 9, 18], [-9, 9, 0]])
     image = depth_image(vertices, [[0, 1, 2], [0, 2, 3]], DepthFrame((0.0, 0.0), 10.0, 20))
     x = pixel_centres(DepthFrame((0.0, 0.0), 10.0, 20))[..., 0]
-    np.testing.assert_allclose(image, x + 9, atol=1e-12)
+    assert_allclose(image, x + 9, atol=1e-12)
 
 
 def test_empty_pixels_are_minus_infinity_and_the_limit_looks_through():
@@ -83,8 +84,8 @@ def test_neighbouring_faces_leave_no_pixel_between_them(jitter):
     faces = np.concatenate([np.stack(t, -1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))])
     frame = DepthFrame((0.0, 0.0), 7.0, 7)
     image = depth_image(vertices, faces, frame)
-    np.testing.assert_allclose(image, pixel_centres(frame) @ [0.5, -0.25], atol=1e-9)
-    np.testing.assert_allclose(depth_image(vertices, faces[:, ::-1], frame), image, atol=1e-9)
+    assert_allclose(image, pixel_centres(frame) @ [0.5, -0.25], atol=1e-9)
+    assert_allclose(depth_image(vertices, faces[:, ::-1], frame), image, atol=1e-9)
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import Similarity, random_rotation, rotation_angle_rad, rotation_from_vector
@@ -52,8 +53,8 @@ def test_a_raised_tenth_of_the_surface_does_not_pull(template, samples):
 
 def test_similarity_and_its_inverse():
     pose = Similarity(random_rotation(np.random.default_rng(1)), np.array([1.0, 2.0, 3.0]), 1.07)
-    np.testing.assert_allclose(pose.inverse() @ pose.matrix(), np.eye(4), atol=1e-14)
-    np.testing.assert_allclose(pose.rigid()[:3, 3], pose.matrix()[:3, 3])
+    assert_allclose(pose.inverse() @ pose.matrix(), np.eye(4), atol=1e-14)
+    assert_allclose(pose.rigid()[:3, 3], pose.matrix()[:3, 3])
     assert np.linalg.det(pose.rigid()[:3, :3]) == pytest.approx(1)
 
 
@@ -61,9 +62,9 @@ def test_without_its_scale_a_similarity_keeps_a_point():
     pose = Similarity(random_rotation(np.random.default_rng(2)), np.array([1.0, 2.0, 3.0]), 1.1)
     nose = np.array([1.0, -2.0, 40.0])
     rigid = pose.rigid(nose)
-    np.testing.assert_allclose(pose.apply(nose[None])[0], rigid[:3, :3] @ nose + rigid[:3, 3])
+    assert_allclose(pose.apply(nose[None])[0], rigid[:3, :3] @ nose + rigid[:3, 3])
     again = Similarity.of_rigid(rigid, 1.1, nose)
-    np.testing.assert_allclose(again.matrix(), pose.matrix(), atol=1e-12)
+    assert_allclose(again.matrix(), pose.matrix(), atol=1e-12)
 
 
 def test_nothing_near_is_an_infinite_rms_and_the_worst_cost(template, samples):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from helpers.eyeglasses import volume
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR, SKELETON
 from scan2albedo.geometry.mesh import boundary_vertex_mask, edges_with_faces, face_areas
@@ -32,7 +33,7 @@ def test_every_part_is_closed_and_faces_outward(welded, nose_pads):
 def test_a_second_bridge_is_a_closed_part_above_the_first():
     plain, double = (eyeglasses(1, double_bridge=second) for second in (False, True))
     assert double.part.max() == plain.part.max() + 1
-    np.testing.assert_allclose(double.vertices[double.mirror], double.vertices * [-1, 1, 1], atol=1e-12)
+    assert_allclose(double.vertices[double.mirror], double.vertices * [-1, 1, 1], atol=1e-12)
     apart = double.keypoints - plain.keypoints
     assert np.flatnonzero(np.abs(apart).max(1)).tolist() == [0]
     assert apart[0, 1] > 5
@@ -51,19 +52,19 @@ def test_the_welded_frame_has_two_holes():
 def test_an_unbent_frame_is_symmetric(welded):
     glasses = eyeglasses(2, welded=welded)
     flip = np.array([-1.0, 1, 1])
-    np.testing.assert_array_equal(glasses.vertices[glasses.mirror], glasses.vertices * flip)
-    np.testing.assert_array_equal(glasses.keypoints[list(MIRROR)], glasses.keypoints * flip)
-    np.testing.assert_array_equal(glasses.lens_outlines[1], glasses.lens_outlines[0] * flip)
-    np.testing.assert_array_equal(glasses.vertices, glasses.rest_vertices)
+    assert_array_equal(glasses.vertices[glasses.mirror], glasses.vertices * flip)
+    assert_array_equal(glasses.keypoints[list(MIRROR)], glasses.keypoints * flip)
+    assert_array_equal(glasses.lens_outlines[1], glasses.lens_outlines[0] * flip)
+    assert_array_equal(glasses.vertices, glasses.rest_vertices)
 
 
 def test_topology_and_key_points_are_the_same_for_all_seeds_and_bends():
     first = eyeglasses(0)
     for other in (eyeglasses(5), eyeglasses(7, bend=BEND)):
-        np.testing.assert_array_equal(first.faces, other.faces)
-        np.testing.assert_array_equal(first.keypoint_vertices, other.keypoint_vertices)
+        assert_array_equal(first.faces, other.faces)
+        assert_array_equal(first.keypoint_vertices, other.keypoint_vertices)
     assert np.abs(eyeglasses(5).vertices - first.vertices).max() > 1
-    np.testing.assert_array_equal(eyeglasses(5).vertices, eyeglasses(5).vertices)
+    assert_array_equal(eyeglasses(5).vertices, eyeglasses(5).vertices)
 
 
 @pytest.mark.parametrize("welded", [True, False])
@@ -90,12 +91,12 @@ def test_a_bend_spreads_the_temples_by_what_is_asked_and_keeps_the_volume():
     spread = eyeglasses(4, bend=GlassesBend(temple_spread_mm=8))
     tips = [KEY_POINT_NAMES.index(f"{side}_temple_tip") for side in ("left", "right")]
     moved = (spread.keypoints - straight.keypoints)[tips]
-    np.testing.assert_allclose(moved[:, :2], [[8, 0], [-8, 0]], atol=0.3)
+    assert_allclose(moved[:, :2], [[8, 0], [-8, 0]], atol=0.3)
     # A rod that turns outward reaches less far back; it does not get longer.
     assert (moved[:, 2] > 0.2).all()
     assert (moved[:, 2] < 1.0).all()
     bent = eyeglasses(4, bend=BEND)
-    np.testing.assert_array_equal(bent.rest_vertices, straight.vertices)
+    assert_array_equal(bent.rest_vertices, straight.vertices)
     ratio = volume(bent.vertices, bent.faces) / volume(straight.vertices, straight.faces)
     assert ratio == pytest.approx(1, abs=2e-3)
     edges, _ = edges_with_faces(bent.faces)

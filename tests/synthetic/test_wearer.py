@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.geometry.pinhole import project
 from scan2albedo.geometry.rays import RayCaster
@@ -39,8 +40,8 @@ def test_labels_are_the_key_points_pictures(person):
     for camera, labels, hidden in zip(person.cameras, person.labels, person.hidden, strict=True):
         pixels, _ = project(camera, person.keypoints)
         gone = hidden[person.glasses.keypoint_vertices]
-        np.testing.assert_array_equal(np.isnan(labels).all(1), gone)
-        np.testing.assert_allclose(labels[~gone], pixels[~gone], atol=1e-9)
+        assert_array_equal(np.isnan(labels).all(1), gone)
+        assert_allclose(labels[~gone], pixels[~gone], atol=1e-9)
     assert person.hidden[0].any()
     assert person.hidden[2].any()
 
@@ -65,8 +66,8 @@ def test_noise_is_as_asked():
 
 def test_the_same_seed_gives_the_same_person(person):
     again = wearer(2, **CLEAN)
-    np.testing.assert_array_equal(person.vertices, again.vertices)
-    np.testing.assert_array_equal(person.masks, again.masks)
+    assert_array_equal(person.vertices, again.vertices)
+    assert_array_equal(person.masks, again.masks)
 
 
 def test_a_bend_of_ones_own_is_kept():

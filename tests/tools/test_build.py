@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from build import albedo_prior, lighting_model, reflectance_model
+from numpy.testing import assert_allclose, assert_array_equal
 
 import scan2albedo
 from scan2albedo.albedo.prior import AlbedoPrior
@@ -46,7 +47,7 @@ def test_models_of_reflectance_are_made_again(maker, name, tmp_path):
         assert set(made.files) == set(expected.files)
         for key in expected.files:
             rounded = 1 if expected[key].dtype == np.int8 else 1e-5
-            np.testing.assert_allclose(made[key].astype(float), expected[key], rtol=1e-4, atol=rounded)
+            assert_allclose(made[key].astype(float), expected[key], rtol=1e-4, atol=rounded)
 
 
 def test_a_prior_of_heads_knows_their_mean_and_colours():
@@ -55,7 +56,7 @@ def test_a_prior_of_heads_knows_their_mean_and_colours():
     medians = rng.normal([-1.0, -0.9, -1.4], 0.1, (6, 3))
     heads = [albedo_prior.Head(plain + 0.01 * rng.normal(size=plain.shape), level) for level in medians]
     prior = albedo_prior.learn(heads)
-    np.testing.assert_allclose(prior.mean, plain, atol=0.04)
-    np.testing.assert_array_equal(prior.mean, prior.mean[:, ::-1])
-    np.testing.assert_allclose(prior.chroma[0], medians[:, 1:].mean(0))
+    assert_allclose(prior.mean, plain, atol=0.04)
+    assert_array_equal(prior.mean, prior.mean[:, ::-1])
+    assert_allclose(prior.chroma[0], medians[:, 1:].mean(0))
     assert (prior.deviation < AlbedoPrior.stationary().deviation).all()

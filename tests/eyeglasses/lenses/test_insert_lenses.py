@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from helpers.eyeglasses import angle_deg, conjugate_directions, glazed
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import (
@@ -74,7 +75,7 @@ def test_clear_plane_glass_is_not_seen():
     for options in ({"lights": FRONT}, {"environment_linear": room()}):
         picture = insert(BENT, LensMaterial(), surfaces=[wall(-30.0, waves())], **options)
         assert (picture.lens == 0).sum() > 5000
-        np.testing.assert_array_equal(picture.image_linear, picture.without_lenses_linear)
+        assert_array_equal(picture.image_linear, picture.without_lenses_linear)
     photograph = np.random.default_rng(0).random((*SHAPE, 3))
     for rays in (1, 2, 3):
         picture = insert(
@@ -84,7 +85,7 @@ def test_clear_plane_glass_is_not_seen():
             picture_linear=photograph,
             options=LensPictureOptions(supersampling=rays),
         )
-        np.testing.assert_array_equal(picture.image_linear, photograph)
+        assert_array_equal(picture.image_linear, photograph)
         assert not picture.unknown.any()
 
 
@@ -107,7 +108,7 @@ def test_pictures_under_two_environments_add_up():
     assert {0, 1} <= set(both.lens.ravel().tolist())
     for name in ("image_linear", "without_lenses_linear"):
         apart = getattr(first, name) + getattr(second, name)
-        np.testing.assert_allclose(getattr(both, name), apart, atol=1e-12)
+        assert_allclose(getattr(both, name), apart, atol=1e-12)
 
 
 def test_a_photograph_takes_other_mirror_images():
@@ -135,7 +136,7 @@ def test_an_even_room_is_mirrored_evenly_and_painted_lenses_take_its_light():
     )
     painted = plate.image_linear[plate.lens >= 0]
     # The frame itself takes some of the light.
-    np.testing.assert_allclose(np.median(painted, axis=0), [1.0, 2.0, 0], rtol=0.12)
+    assert_allclose(np.median(painted, axis=0), [1.0, 2.0, 0], rtol=0.12)
     assert (painted.max(0) <= np.array([1.0, 2, 0]) * 1.03).all()
 
 
@@ -148,7 +149,7 @@ def test_a_photograph_shows_what_the_drawn_scene_shows(dioptres):
     drawn = insert(BENT, material, surfaces=surfaces, lights=lights)
     photograph = drawn.without_lenses_linear
     taken = insert(BENT, material, surfaces=surfaces, picture_linear=photograph)
-    np.testing.assert_array_equal(taken.without_lenses_linear, photograph)
+    assert_array_equal(taken.without_lenses_linear, photograph)
     shown = (taken.lens >= 0) & ~taken.unknown
     error = np.abs(taken.image_linear - drawn.image_linear).max(2)
     assert np.quantile(error[shown], 0.97) < 0.01
@@ -204,10 +205,10 @@ def test_each_lens_has_its_own_power_and_an_empty_rim_none():
     columns = np.nonzero(left.lens == 0)[1]
     assert columns.min() > 160
     half = slice(160, None)
-    np.testing.assert_array_equal(left.image_linear[:, half], both.image_linear[:, half])
-    np.testing.assert_array_equal(left.image_linear[:, :150], left.without_lenses_linear[:, :150])
+    assert_array_equal(left.image_linear[:, half], both.image_linear[:, half])
+    assert_array_equal(left.image_linear[:, :150], left.without_lenses_linear[:, :150])
     none = insert(BENT, (None, None), surfaces=surfaces, camera=camera)
-    np.testing.assert_array_equal(none.image_linear, none.without_lenses_linear)
+    assert_array_equal(none.image_linear, none.without_lenses_linear)
     assert "no lens is given" in none.notes[0]
 
 
@@ -238,9 +239,9 @@ def test_the_frames_own_glass_is_left_out_where_a_lens_goes():
     for finish in ({"albedo_linear": (0.1, 0.1, 0.1)}, {"uv": uv, "texture_linear": np.full((4, 4, 3), 0.1)}):
         frame = Surface(vertices, faces, **finish)
         both = insert_lenses(frame, BENT.keypoints, material, camera=camera, **options)
-        np.testing.assert_array_equal(both.lens, bare.lens)
+        assert_array_equal(both.lens, bare.lens)
         # Rims are measured to 0.2 mm, whatever glass they hold.
-        np.testing.assert_allclose(both.image_linear, bare.image_linear, atol=1e-9)
+        assert_allclose(both.image_linear, bare.image_linear, atol=1e-9)
         assert [note for note in both.notes if "own glass there, 144 faces, is left out" in note] == list(
             both.notes
         )
@@ -340,7 +341,7 @@ def test_a_camera_that_sees_no_lens_leaves_the_picture_alone_and_says_so():
         picture = insert(
             FLAT, LensMaterial(-8.0), surfaces=[wall(-30.0)], picture_linear=photograph, camera=camera
         )
-        np.testing.assert_array_equal(picture.image_linear, photograph)
+        assert_array_equal(picture.image_linear, photograph)
         assert (picture.lens == -1).all()
         assert "the left lens: no pixel sees it" in picture.notes
 
@@ -357,8 +358,8 @@ def test_a_frame_may_leave_the_picture():
     camera = before(BENT)
     # The same camera's picture, cut to its upper left part.
     cut = insert(BENT, SUNGLASSES, surfaces=[wall(-30.0, waves())], camera=camera, shape=(110, 170))
-    np.testing.assert_array_equal(cut.lens, wide.lens[:110, :170])
-    np.testing.assert_allclose(cut.image_linear[:-1, :-1], wide.image_linear[:109, :169], atol=1e-12)
+    assert_array_equal(cut.lens, wide.lens[:110, :170])
+    assert_allclose(cut.image_linear[:-1, :-1], wide.image_linear[:109, :169], atol=1e-12)
 
 
 def test_more_rays_smooth_the_edges_only():
@@ -368,7 +369,7 @@ def test_more_rays_smooth_the_edges_only():
     )
     differs = (rough.image_linear != smooth.image_linear).any(2)
     assert 0.005 < differs.mean() < 0.1
-    np.testing.assert_array_equal(rough.lens, smooth.lens)
+    assert_array_equal(rough.lens, smooth.lens)
 
 
 def test_edges_within_one_surface_are_smoothed_too():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import LensMaterial
@@ -54,7 +55,7 @@ def test_a_flat_lens_refracts(dioptres):
     through = disc()
     paths = trace(wall(), [lens], through)
     expected = refract(lens.optics, CAMERA, through)
-    np.testing.assert_allclose(paths.rays.directions, expected.directions, atol=1e-6)
+    assert_allclose(paths.rays.directions, expected.directions, atol=1e-6)
     assert (paths.first == 1).all()
     assert paths.bent.all() == (dioptres != 0)
     assert np.abs(ends(paths)[:, 2] + 30).max() < 1e-9
@@ -87,28 +88,28 @@ def test_a_ray_passes_every_lens_once_and_shares_multiply():
     lenses = [round_lens(0, a, 0.0), round_lens(1, b, -10.0)]
     paths = trace(wall(), lenses, disc(50, radius=20))
     through_b = 0.3 + 0.5 * np.array([0.5, 0.25, 1])
-    np.testing.assert_allclose(paths.share, np.tile(0.6 * through_b, (50, 1)), rtol=1e-12)
+    assert_allclose(paths.share, np.tile(0.6 * through_b, (50, 1)), rtol=1e-12)
     front, back = paths.crossings
-    np.testing.assert_allclose(front.tint_share, 0.3, rtol=1e-12)
-    np.testing.assert_allclose(front.mirror_share, 0.1, rtol=1e-12)
-    np.testing.assert_allclose(back.mirror_share, 0.6 * 0.2, rtol=1e-12)
+    assert_allclose(front.tint_share, 0.3, rtol=1e-12)
+    assert_allclose(front.mirror_share, 0.1, rtol=1e-12)
+    assert_allclose(back.mirror_share, 0.6 * 0.2, rtol=1e-12)
     assert not back.tint_share.any()
     behind, mirrored = np.array([0.2, 0.5, 0.7]), np.array([3.0, 2, 1])
     tint = np.asarray(a.tint_linear)
     one = trace(wall(), lenses[:1], disc(50, radius=20))
     got = one.share * behind + one.crossings[0].tint_share * tint + one.crossings[0].mirror_share * mirrored
-    np.testing.assert_allclose(got, np.tile(0.6 * behind + 0.3 * tint + 0.1 * mirrored, (50, 1)))
+    assert_allclose(got, np.tile(0.6 * behind + 0.3 * tint + 0.1 * mirrored, (50, 1)))
 
 
 @pytest.mark.parametrize(("alpha", "beta"), [(0.0, 0.04), (0.6, 0.4), (0.0, 1.0), (0.5, 0.0)])
 def test_fresnel_keeps_the_light_together_and_grows_towards_the_edge(alpha, beta):
     lens = round_lens(0, LensMaterial(alpha=alpha, beta=beta, fresnel=True, tint_linear=(1, 1, 1)), 0.0)
     straight = trace(wall(), [lens], np.zeros((1, 3)), camera=np.array([0.0, 0, 600]))
-    np.testing.assert_allclose(straight.crossings[0].mirror_share, beta, atol=1e-12)
+    assert_allclose(straight.crossings[0].mirror_share, beta, atol=1e-12)
     slanting = trace(wall(), [lens], disc(50), camera=np.array([600.0, 0, 40]))
     crossing = slanting.crossings[0]
     total = slanting.share + crossing.tint_share + crossing.mirror_share
-    np.testing.assert_allclose(total, 1, rtol=1e-12)
+    assert_allclose(total, 1, rtol=1e-12)
     assert (crossing.mirror_share >= beta).all()
     assert beta == 1 or crossing.mirror_share.min() > beta + 0.15 * (1 - beta)
 
@@ -129,10 +130,10 @@ def test_the_sphere_mirrors_as_spheres_do():
     points = middle + outward * (radius / outward[:, 2])[:, None]
     got = mirror_on_sphere(points, incoming, center, axis, radius)
     heading = incoming / np.linalg.norm(incoming, axis=1)[:, None]
-    np.testing.assert_allclose((got * outward).sum(1), -(heading * outward).sum(1), atol=1e-12)
-    np.testing.assert_allclose(np.cross(got - heading, outward), 0, atol=1e-12)
+    assert_allclose((got * outward).sum(1), -(heading * outward).sum(1), atol=1e-12)
+    assert_allclose(np.cross(got - heading, outward), 0, atol=1e-12)
     flat = mirror_on_sphere(points, incoming, center, 2 * axis, np.inf)
-    np.testing.assert_allclose(flat, heading * [1, 1, -1], atol=1e-15)
+    assert_allclose(flat, heading * [1, 1, -1], atol=1e-15)
 
 
 def test_what_lies_before_the_lens_hides_it():
@@ -166,7 +167,7 @@ def test_rays_bend_where_they_meet_a_lens_that_is_not_flat():
         for start, direction in zip(paths.rays.origins[met], paths.rays.directions[met], strict=True):
             thin = ThinLens([0, 0, start[2]], [0, 0, 1], 10)
             expected = refract(thin, camera, start[None]).directions[0]
-            np.testing.assert_allclose(direction, expected, atol=1e-9)
+            assert_allclose(direction, expected, atol=1e-9)
 
 
 def lens_of(glasses, side=0, **options):
@@ -199,7 +200,7 @@ def test_lenses_sit_in_their_rims(bend):
             offset = moved.optics.center - pupil
             assert np.linalg.norm(np.cross(offset, moved.optics.normal)) < 1e-9
             assert abs((moved.optics.center - lens.optics.center) @ moved.optics.normal) < 1e-9
-            np.testing.assert_array_equal(moved.vertices, lens.vertices)
+            assert_array_equal(moved.vertices, lens.vertices)
 
 
 def test_the_centre_is_the_centroid_and_front_is_away_from_the_temples():

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from brdf_reference import oren_nayar, phong
+from numpy.testing import assert_allclose
 
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.lenses.inserted_lenses import insert_lens
@@ -78,8 +79,8 @@ def test_a_scene_does_what_the_reference_says():
         ways |= set((open_ + through.sum(1) * open_).tolist())
     assert on.sum() > 200
     assert ways >= {0, 1, 2}
-    np.testing.assert_allclose(colors.bare[on], expected_bare[on], rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(colors.shaded[on], expected[on], rtol=1e-9, atol=1e-12)
+    assert_allclose(colors.bare[on], expected_bare[on], rtol=1e-9, atol=1e-12)
+    assert_allclose(colors.shaded[on], expected[on], rtol=1e-9, atol=1e-12)
     assert not colors.unknown.any()
 
 
@@ -91,7 +92,7 @@ def test_a_plate_has_lamberts_radiance_on_both_sides_and_for_any_winding():
         plate = Surface(square(10, 0).vertices, faces, albedo_linear=[0.5, 0.5, 1])
         scene = LensScene(plate, ())
         seen = lit(scene, lights).seen(look_down(scene, xy)).bare
-        np.testing.assert_allclose(seen, np.tile([0.4 / np.pi, 0.8 / np.pi, 2.4 / np.pi], (2, 1)), rtol=1e-12)
+        assert_allclose(seen, np.tile([0.4 / np.pi, 0.8 / np.pi, 2.4 / np.pi], (2, 1)), rtol=1e-12)
     behind = lit(scene, DistantLights(-toward, [1.0])).seen(look_down(scene, xy)).bare
     assert not behind.any()
 
@@ -110,7 +111,7 @@ def test_shadows_fall_where_the_geometry_says():
     clear = np.abs(from_edge) > 0.2
     assert (dark == (from_edge > 0))[clear].all()
     assert dark.sum() > 50
-    np.testing.assert_allclose(seen[~dark], 0.5 * 0.8, rtol=1e-12)
+    assert_allclose(seen[~dark], 0.5 * 0.8, rtol=1e-12)
 
 
 def test_rays_past_everything_see_the_background_and_mirrors_the_environment():
@@ -130,7 +131,7 @@ def test_the_environment_lies_where_its_axes_say():
     azimuth, polar = (column / width - 0.5) * 2 * np.pi, row / height * np.pi
     sphere = np.stack([np.sin(polar) * np.sin(azimuth), np.cos(polar), np.sin(polar) * np.cos(azimuth)], -1)
     directions = np.concatenate([distant_directions(300), np.eye(3), -np.eye(3)])
-    np.testing.assert_allclose(radiance_at(sphere, 7 * directions), directions, atol=0.01)
+    assert_allclose(radiance_at(sphere, 7 * directions), directions, atol=0.01)
     assert not radiance_at(None, directions).any()
 
 
@@ -146,10 +147,10 @@ def test_colours_come_from_vertices_or_textures():
         scene = LensScene(square(1, -50), [surface])
         rays = look_down(scene, xy)
         assert (scene.surface_of_face[rays.hits.face] == 1).all()
-        np.testing.assert_allclose(scene.albedo(rays), bilinear(image, texel), atol=1e-12)
+        assert_allclose(scene.albedo(rays), bilinear(image, texel), atol=1e-12)
     scene = LensScene(painted, ())
     rays = look_down(scene, np.array([[-10.0, -10], [10, -10]]) * 0.999999)
-    np.testing.assert_allclose(scene.albedo(rays), np.eye(3)[:2], atol=1e-5)
+    assert_allclose(scene.albedo(rays), np.eye(3)[:2], atol=1e-5)
 
 
 def test_normals_are_smooth_where_the_winding_is_one():

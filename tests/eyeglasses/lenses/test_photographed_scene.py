@@ -1,6 +1,7 @@
 """Colours looked up in photographs: what is hidden is known to be, and guessed as declared."""
 
 import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.eyeglasses.lenses.scene_colors import PhotographedScene
 from scan2albedo.eyeglasses.lenses.scenes import LensScene, Surface
@@ -52,7 +53,7 @@ def test_points_that_the_camera_saw_have_their_pixels_colour():
     seen = photographed.seen(toward(scene, points))
     assert not seen.unknown.any()
     pixels, _ = project(CAMERA, points)
-    np.testing.assert_allclose(seen.bare, bilinear(photograph(), pixels), atol=1e-9)
+    assert_allclose(seen.bare, bilinear(photograph(), pixels), atol=1e-9)
 
 
 def test_what_stands_behind_the_same_surface_is_hidden():
@@ -64,7 +65,7 @@ def test_what_stands_behind_the_same_surface_is_hidden():
     assert seen.unknown.all()
     # The nearest point of the wall in view lies just beside the strip.
     edge = project(CAMERA, np.array([[10 * 630 / 590, 0, -30]]))[0][0, 0]
-    np.testing.assert_allclose(np.abs(seen.bare[:, 0] * 160 - 79.5), edge - 79.5, atol=1.1)
+    assert_allclose(np.abs(seen.bare[:, 0] * 160 - 79.5), edge - 79.5, atol=1.1)
 
 
 def test_the_frame_hides_what_is_behind_it_and_its_fringe():
@@ -86,8 +87,8 @@ def test_points_outside_the_picture_or_behind_the_camera_are_unknown():
     seen = photographed.seen(rays)
     assert seen.unknown.tolist() == [True, True, False]
     # Of a surface that the photograph does not show at all there is only the albedo.
-    np.testing.assert_allclose(seen.bare[1], 0.3)
-    np.testing.assert_array_equal(photographed.mirrored(rays).unknown, seen.unknown)
+    assert_allclose(seen.bare[1], 0.3)
+    assert_array_equal(photographed.mirrored(rays).unknown, seen.unknown)
 
 
 def test_a_background_that_is_hidden_comes_from_beside_the_lens():
@@ -101,4 +102,4 @@ def test_a_background_that_is_hidden_comes_from_beside_the_lens():
     seen = photographed.seen(rays)
     assert seen.unknown.all()
     at = project(CAMERA, origin)[0][0, 0]
-    np.testing.assert_allclose(seen.bare[0, 0] * 160, at, atol=1.5)
+    assert_allclose(seen.bare[0, 0] * 160, at, atol=1.5)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from helpers.eyeglasses import angle_deg, conjugate_directions
+from numpy.testing import assert_allclose
 
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.lenses.optics import ThinLens, refract
@@ -55,8 +56,8 @@ def test_magnification_of_a_plane_behind_the_lens(dioptres, expected):
         step = (-behind - rays.origins[:, 2]) / rays.directions[:, 2]
         seen.append((rays.origins + step[:, None] * rays.directions)[:, :2])
     ratio = np.linalg.norm(seen[0], axis=1) / np.linalg.norm(seen[1], axis=1)
-    np.testing.assert_allclose(ratio, (1 + 0.05) / (1 + 0.05 - 30 * dioptres / 1000), rtol=1e-12)
-    np.testing.assert_allclose(ratio, expected, atol=5e-4)
+    assert_allclose(ratio, (1 + 0.05) / (1 + 0.05 - 30 * dioptres / 1000), rtol=1e-12)
+    assert_allclose(ratio, expected, atol=5e-4)
 
 
 def test_nothing_is_lost_within_20_dioptres_at_the_poles_of_the_usual_formula():
@@ -69,7 +70,7 @@ def test_nothing_is_lost_within_20_dioptres_at_the_poles_of_the_usual_formula():
             with np.errstate(all="raise", under="ignore"):
                 rays = refract(lens, [7.0, -4, distance], points)
             assert np.isfinite(rays.directions).all()
-            np.testing.assert_allclose(np.linalg.norm(rays.directions, axis=1), 1, atol=1e-14)
+            assert_allclose(np.linalg.norm(rays.directions, axis=1), 1, atol=1e-14)
             assert (rays.directions[:, 2] < 0).all()
 
 
@@ -91,7 +92,7 @@ def test_a_moved_scene_gives_moved_rays_and_either_normal_will_do():
             ThinLens(shift, sign * turn[:, 2], -6.0), turn @ camera + shift, points @ turn.T + shift
         )
         assert angle_deg(moved.directions, still.directions @ turn.T).max() < 1e-9
-        np.testing.assert_allclose(moved.origins, still.origins @ turn.T + shift, atol=1e-8)
+        assert_allclose(moved.origins, still.origins @ turn.T + shift, atol=1e-8)
 
 
 def test_any_point_on_a_ray_names_it():
@@ -99,7 +100,7 @@ def test_any_point_on_a_ray_names_it():
     lens = ThinLens(np.zeros(3), [0, 0, 1], 7.0)
     for along in (0.2, 0.99, 1.01, 3.0):
         rays = refract(lens, camera, camera + along * (points - camera))
-        np.testing.assert_allclose(rays.origins, points, atol=1e-10)
+        assert_allclose(rays.origins, points, atol=1e-10)
         assert angle_deg(rays.directions, refract(lens, camera, points).directions).max() < 1e-10
 
 

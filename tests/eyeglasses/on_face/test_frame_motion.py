@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, FrameState, SkinnedPoints, bend_prior
 from scan2albedo.eyeglasses.skinning import PRIOR, known_bones, skin, turned_translations
@@ -40,7 +41,7 @@ def test_rows_are_the_derivatives(missing):
         there, back = (FrameMotion(keypoints, state.moved(sign * step)).positions(points) for sign in (1, -1))
         differences[:, number] = ((there - back) * slopes).sum(1) / (2 * STEP)
     assert np.abs(rows).max() > 50
-    np.testing.assert_allclose(rows, differences, atol=2e-7 * np.abs(rows).max())
+    assert_allclose(rows, differences, atol=2e-7 * np.abs(rows).max())
 
 
 @pytest.mark.parametrize("missing", [False, True])
@@ -50,7 +51,7 @@ def test_rows_of_a_rigid_frame_are_the_first_ones(missing):
     place = motion.positions(points)
     rows = motion.rows(points, place, slopes)
     assert rows.shape == (30, 66)
-    np.testing.assert_array_equal(motion.rows(points, place, slopes, rigid=True), rows[:, :6])
+    assert_array_equal(motion.rows(points, place, slopes, rigid=True), rows[:, :6])
 
 
 @pytest.mark.parametrize("parameters", [6, 66])
@@ -62,13 +63,13 @@ def test_covariances_are_those_of_differences(parameters):
         there, back = (FrameMotion(keypoints, state.moved(sign * step)).positions(points) for sign in (1, -1))
         spread[:, :, number] = (there - back) / (2 * STEP)
     expected = spread @ spread.transpose(0, 2, 1)
-    np.testing.assert_allclose(motion.covariances(points, root), expected, atol=1e-6 * np.abs(expected).max())
+    assert_allclose(motion.covariances(points, root), expected, atol=1e-6 * np.abs(expected).max())
 
 
 def test_positions_are_those_of_skinning():
     keypoints, state, points, _ = scene(False)
     motion = FrameMotion(keypoints, state)
-    np.testing.assert_allclose(
+    assert_allclose(
         motion.positions(points), skin(points.rest, points.weights, motion.transforms), atol=1e-11
     )
 
@@ -79,7 +80,7 @@ def test_a_step_of_turn_and_translation_is_a_rigid_motion():
     turn = np.array([0.1, -0.2, 0.3])
     after = FrameMotion(keypoints, state.moved(np.concatenate([turn, [1.0, 2, 3]]))).positions(points)
     expected = (before - state.origin) @ rotation_from_vector(turn).T + state.origin + [1, 2, 3]
-    np.testing.assert_allclose(after, expected, atol=1e-11)
+    assert_allclose(after, expected, atol=1e-11)
 
 
 def by_decompositions(source, target, rounds=400):
@@ -108,7 +109,7 @@ def test_rotations_are_those_of_decompositions(size, turned):
         target = target @ random_rotation(rng).T
     target[[3, 11]] = np.nan
     found = turned_translations(POINTS, target)[:, :3, :3]
-    np.testing.assert_allclose(found, by_decompositions(POINTS, target), atol=1e-11)
+    assert_allclose(found, by_decompositions(POINTS, target), atol=1e-11)
 
 
 def test_the_priors_derivatives_hold_where_turns_are_small():
@@ -123,9 +124,9 @@ def test_the_priors_derivatives_hold_where_turns_are_small():
         there, back = (bend_prior(FrameMotion(keypoints, state.moved(sign * step)))[0] for sign in (1, -1))
         differences[:, number] = (there - back) / (2 * STEP)
     assert np.isfinite(value).all()
-    np.testing.assert_allclose(rows, differences, atol=2e-3 * np.abs(rows).max(), rtol=0.02)
+    assert_allclose(rows, differences, atol=2e-3 * np.abs(rows).max(), rtol=0.02)
 
 
 def test_the_prior_of_a_frame_at_rest_is_nothing():
     value, _ = bend_prior(FrameMotion(POINTS, FrameState(np.eye(3), np.zeros(3), np.zeros((20, 3)))))
-    np.testing.assert_allclose(value, 0, atol=1e-9)
+    assert_allclose(value, 0, atol=1e-9)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from scan2albedo.eyeglasses.on_face.outline import MaskDistance, search_edges, trace_outline
 from scan2albedo.geometry.pinhole import look_at
@@ -36,7 +37,7 @@ def test_an_outline_is_where_the_mask_ends_and_looks_outward(seen):
     assert {tuple(p) for p in places[which, ::-1]} <= {tuple(p) for p in expected}
     ahead = np.round(places[which] + 3 * outward).astype(int)
     assert (~shown[ahead[:, 1], ahead[:, 0]]).mean() > 0.9
-    np.testing.assert_allclose(np.linalg.norm(outward, axis=1), 1.0)
+    assert_allclose(np.linalg.norm(outward, axis=1), 1.0)
 
 
 def test_the_border_of_the_picture_is_no_outline():
@@ -47,7 +48,7 @@ def test_the_border_of_the_picture_is_no_outline():
     places = mask_of(seen)[1][which]
     assert set(places[:, 0]) == {60}
     inner = (places[:, 1] > 3) & (places[:, 1] < 296)
-    np.testing.assert_allclose(outward[inner], np.tile([1.0, 0], (292, 1)))
+    assert_allclose(outward[inner], np.tile([1.0, 0], (292, 1)))
 
 
 def test_a_frame_behind_the_camera_or_beside_the_picture_has_no_outline():
@@ -69,8 +70,8 @@ def test_distances_are_zero_on_the_outermost_pixels_and_rise_outward():
     value, slope = MaskDistance.of(bar()).sample(
         np.array([[150.0, 140], [150, 137], [150, 143], [150, 139.5], [199, 145], [210, 145]])
     )
-    np.testing.assert_allclose(value, [0, 3, -3, 0.5, 0, 11], atol=1e-6)
-    np.testing.assert_allclose(slope[[1, 2, 3, 5]], [[0, -1], [0, -1], [0, -1], [1, 0]], atol=1e-6)
+    assert_allclose(value, [0, 3, -3, 0.5, 0, 11], atol=1e-6)
+    assert_allclose(slope[[1, 2, 3, 5]], [[0, -1], [0, -1], [0, -1], [1, 0]], atol=1e-6)
 
 
 def test_distances_far_away_are_not_known():
@@ -84,7 +85,7 @@ def test_the_search_finds_the_end_of_a_bar_and_not_its_side():
     places = np.array([[180.0, 145], [205, 145], [150, 145], [180, 145]])
     outward = np.array([[1.0, 0], [1, 0], [0, -1], [1, 0]])
     found = search_edges(distance, places, outward, np.array([40.0, 40, 40, 10]))
-    np.testing.assert_allclose(found[:3], [19, -6, 5], atol=0.05)
+    assert_allclose(found[:3], [19, -6, 5], atol=0.05)
     assert np.isnan(found[3])
 
 

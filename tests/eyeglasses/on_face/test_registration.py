@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 from helpers.wearers import rest_frame
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.core import Budget
 from scan2albedo.errors import EyeglassesError
@@ -94,7 +95,7 @@ def test_outliers_are_named():
     worn, found = person(1, outliers=3), plain(1, outliers=3)
     off = np.linalg.norm(worn.labels - projected(worn), axis=2)
     labelled = np.isfinite(off)
-    np.testing.assert_array_equal(found.inliers[labelled & (off > 12)], False)
+    assert_array_equal(found.inliers[labelled & (off > 12)], False)
     assert found.inliers[labelled & (off < 4)].all()
 
 
@@ -106,11 +107,11 @@ def projected(worn):
 def test_the_result_fits_together():
     worn, found = person(1, **SMALL), plain(1, **SMALL)
     rest = worn.glasses.rest_vertices
-    np.testing.assert_allclose(skin(rest, found.weights, found.handle_transforms), found.vertices, atol=1e-9)
+    assert_allclose(skin(rest, found.weights, found.handle_transforms), found.vertices, atol=1e-9)
     rigid = found.world_from_glasses
-    np.testing.assert_allclose(rigid[:3, :3] @ rigid[:3, :3].T, np.eye(3), atol=1e-12)
+    assert_allclose(rigid[:3, :3] @ rigid[:3, :3].T, np.eye(3), atol=1e-12)
     bent = worn.glasses.rest_keypoints + found.bend
-    np.testing.assert_allclose(bent @ rigid[:3, :3].T + rigid[:3, 3], found.keypoints, atol=1e-9)
+    assert_allclose(bent @ rigid[:3, :3].T + rigid[:3, 3], found.keypoints, atol=1e-9)
     assert found.visible.shape == (3, len(rest))
     # The bend carries no rigid motion of its own.
     assert np.abs(found.bend.mean(0)).max() < 1e-3
@@ -129,7 +130,7 @@ def test_the_trace_counts_evaluations_and_the_plan_tells_the_stages():
 
 def test_the_same_input_gives_the_same_bits():
     first, second = (register(1, SMALL, budget=Budget(evaluations=12)) for _ in range(2))
-    np.testing.assert_array_equal(first.vertices, second.vertices)
+    assert_array_equal(first.vertices, second.vertices)
     assert [(r.evaluations, r.error) for r in first.trace] == [(r.evaluations, r.error) for r in second.trace]
 
 
@@ -161,8 +162,8 @@ def test_units_do_not_matter(unit):
         head=(unit * worn.head_vertices, worn.head_faces),
     )
     # Labels agree to rounding; a pixel of an outline may fall on the other side of the head's edge.
-    np.testing.assert_allclose(found.vertices / unit, expected.vertices, atol=0.06)
-    np.testing.assert_allclose(found.deviation / unit, expected.deviation, rtol=0.02)
+    assert_allclose(found.vertices / unit, expected.vertices, atol=0.06)
+    assert_allclose(found.deviation / unit, expected.deviation, rtol=0.02)
     assert (found.observed != expected.observed).mean() < 0.01
     labels = register_on_face(
         (unit * vertices, faces, unit * keypoints, weights),
@@ -170,9 +171,7 @@ def test_units_do_not_matter(unit):
         None,
         worn.cameras @ np.diag([1 / unit, 1 / unit, 1 / unit, 1]),
     )
-    np.testing.assert_allclose(
-        labels.vertices / unit, register(1, SMALL, masks=None, head=None).vertices, atol=1e-6
-    )
+    assert_allclose(labels.vertices / unit, register(1, SMALL, masks=None, head=None).vertices, atol=1e-6)
 
 
 def test_where_the_world_lies_does_not_matter():
@@ -184,7 +183,7 @@ def test_where_the_world_lies_does_not_matter():
     head = worn.head_vertices @ move[:3, :3].T + move[:3, 3]
     found = register(1, SMALL, cameras=cameras, head=(head, worn.head_faces))
     back = (found.vertices - move[:3, 3]) @ move[:3, :3]
-    np.testing.assert_allclose(back, expected.vertices, atol=0.05)
+    assert_allclose(back, expected.vertices, atol=0.05)
 
 
 @pytest.mark.parametrize(("seed", "view"), [(1, 0), (1, 1), pytest.param(3, 0, marks=pytest.mark.slow)])
@@ -303,8 +302,8 @@ def test_a_rigid_frame_stays_as_it_is():
     found = register(1, SMALL, options=FaceRegistrationOptions(bend=False))
     vertices = person(1, **SMALL).glasses.rest_vertices
     moved = vertices @ found.world_from_glasses[:3, :3].T + found.world_from_glasses[:3, 3]
-    np.testing.assert_allclose(found.vertices, moved, atol=1e-9)
-    np.testing.assert_array_equal(found.bend, 0)
+    assert_allclose(found.vertices, moved, atol=1e-9)
+    assert_array_equal(found.bend, 0)
 
 
 def test_a_frame_without_temples_needs_no_temples():
@@ -327,7 +326,7 @@ def test_a_frame_without_temples_needs_no_temples():
     )
     errors = np.linalg.norm(found.vertices - worn.vertices[kept], axis=1)
     assert np.sqrt((errors**2).mean()) < 0.8
-    np.testing.assert_array_equal(np.isnan(found.keypoints).all(1), lacking)
+    assert_array_equal(np.isnan(found.keypoints).all(1), lacking)
     assert not set(found.unobserved) & {n for n, gone in zip(KEY_POINT_NAMES, lacking, strict=True) if gone}
 
 
@@ -343,7 +342,7 @@ def test_weights_are_solved_where_there_are_none():
         head=(worn.head_vertices, worn.head_faces),
     )
     assert found.plan.ran("glasses.weights")
-    np.testing.assert_allclose(found.vertices, plain(1, **SMALL).vertices, atol=0.05)
+    assert_allclose(found.vertices, plain(1, **SMALL).vertices, atol=0.05)
 
 
 def test_a_far_start_does_no_harm():
@@ -351,7 +350,7 @@ def test_a_far_start_does_no_harm():
     far = worn.world_from_glasses.copy()
     far[:3, :3] = far[:3, :3] @ rotation_from_vector([0, np.deg2rad(60), 0])
     far[:3, 3] += [0, 0, 150]
-    np.testing.assert_allclose(register(1, SMALL, start=far).vertices, expected.vertices, atol=1e-9)
+    assert_allclose(register(1, SMALL, start=far).vertices, expected.vertices, atol=1e-9)
 
 
 BAD = {
@@ -443,7 +442,7 @@ def test_masks_that_disagree_with_good_labels_are_left_aside():
     worn = person(1)
     found = register(1, {}, masks=[~mask for mask in worn.masks])
     assert any(step.stage == "glasses.masks" and "disagree" in step.reason for step in found.plan)
-    np.testing.assert_array_equal(found.vertices, register(1, {}, masks=None).vertices)
+    assert_array_equal(found.vertices, register(1, {}, masks=None).vertices)
     assert np.isnan(found.iou).all()
 
 
@@ -451,7 +450,7 @@ def test_a_head_turned_inside_out_is_turned_back():
     worn = person(1)
     one = views_of(worn, [1])
     inside_out = (worn.head_vertices, worn.head_faces[:, ::-1])
-    np.testing.assert_allclose(
+    assert_allclose(
         register(1, {}, **one, head=inside_out).vertices, register(1, {}, **one).vertices, atol=0.05
     )
 

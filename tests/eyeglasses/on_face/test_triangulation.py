@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.eyeglasses import triangulate
 from scan2albedo.geometry.rigid import rotation_from_vector
@@ -29,7 +30,7 @@ POINTS = eyeglasses(1).keypoints
 def test_exact_labels_give_exact_points(count):
     cameras = ring_of_cameras(count)
     found = triangulate(seen_by(cameras, POINTS), cameras)
-    np.testing.assert_allclose(found.points, POINTS, atol=1e-8)
+    assert_allclose(found.points, POINTS, atol=1e-8)
     assert found.errors_px.max() < 1e-6
     assert found.inliers.all()
 
@@ -38,9 +39,7 @@ def test_scale_and_sign_of_cameras_do_not_matter():
     cameras = ring_of_cameras(3)
     labels = seen_by(cameras, POINTS) + np.random.default_rng(0).normal(0, 1, (3, 20, 2))
     scaled = cameras * np.array([2.0, -0.1, 30])[:, None, None]
-    np.testing.assert_allclose(
-        triangulate(labels, scaled).points, triangulate(labels, cameras).points, atol=1e-6
-    )
+    assert_allclose(triangulate(labels, scaled).points, triangulate(labels, cameras).points, atol=1e-6)
 
 
 @pytest.mark.parametrize("count", [3, 6])
@@ -78,8 +77,8 @@ def test_missing_labels_leave_gaps_only_where_fewer_than_two_views_see():
     found = triangulate(labels, cameras)
     lost = np.isnan(found.points).all(1)
     assert np.flatnonzero(lost).tolist() == [3, 7]
-    np.testing.assert_allclose(found.points[~lost], POINTS[~lost], atol=1e-8)
-    np.testing.assert_array_equal(np.isnan(found.errors_px), np.isnan(labels).any(2) | lost)
+    assert_allclose(found.points[~lost], POINTS[~lost], atol=1e-8)
+    assert_array_equal(np.isnan(found.errors_px), np.isnan(labels).any(2) | lost)
     assert not found.inliers[:, lost].any()
 
 

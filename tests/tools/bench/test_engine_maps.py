@@ -5,6 +5,7 @@ import os
 import numpy as np
 import pytest
 from bench.engine_maps import PATH, Face, Studio, likeness, radiance_of
+from numpy.testing import assert_allclose
 
 from scan2albedo.applications.template_baking import TemplateTexture, TemplateTile
 from scan2albedo.core.lights import EnvironmentLight, PointLight
@@ -39,8 +40,8 @@ def test_radiance_of_an_environment():
     coefficients[1] = [0.1, 0.2, 0.3]
     up, down = radiance_of(EnvironmentLight(coefficients), np.array([[0.0, 1, 0], [0, -1, 0]]))
     # Y_1 / Y_0 along +y is the square root of 3.
-    np.testing.assert_allclose(up, 1 + np.sqrt(3) * coefficients[1])
-    np.testing.assert_allclose(down, 1 - np.sqrt(3) * coefficients[1])
+    assert_allclose(up, 1 + np.sqrt(3) * coefficients[1])
+    assert_allclose(down, 1 - np.sqrt(3) * coefficients[1])
 
 
 def board(normal, high_mm=0.0, occlusion=1.0):
@@ -75,7 +76,7 @@ def test_mitsuba_reads_maps_and_light_as_they_are_meant():
     studio = Studio(baked.vertices, 16, 256)
     face = Face(studio, baked)
     assert face.displaced[0][:, 2] == pytest.approx(2.0)
-    np.testing.assert_allclose(face.own[1], np.tile((0.0, 0, 1), (len(face.own[1]), 1)), atol=1e-9)
+    assert_allclose(face.own[1], np.tile((0.0, 0, 1), (len(face.own[1]), 1)), atol=1e-9)
     color = np.full((8, 8, 3), 0.5)
     middle = np.s_[4:-4, 4:-4]
 
@@ -84,17 +85,15 @@ def test_mitsuba_reads_maps_and_light_as_they_are_meant():
         return studio.picture(PATH, face=surface, **studio.light(*light))[middle].mean((0, 1))
 
     flat, leaning = (seen(maps, (lamp,), None) for maps in ("", "normals"))
-    np.testing.assert_allclose(flat, 0.5 * 2 * lamp.direction[2] * np.array(lamp.color_linear), rtol=0.02)
-    np.testing.assert_allclose(leaning / flat, normal @ lamp.direction / lamp.direction[2], rtol=0.02)
-    np.testing.assert_allclose(seen("", (), EnvironmentLight.constant()), 0.5, rtol=0.02)
+    assert_allclose(flat, 0.5 * 2 * lamp.direction[2] * np.array(lamp.color_linear), rtol=0.02)
+    assert_allclose(leaning / flat, normal @ lamp.direction / lamp.direction[2], rtol=0.02)
+    assert_allclose(seen("", (), EnvironmentLight.constant()), 0.5, rtol=0.02)
     # A sky with a dark side below 0: the light on a board is c_0 + 2/3 c_1 Y_1 / Y_0.
     coefficients = np.zeros((9, 3))
     coefficients[0] = 1.0
     coefficients[2] = 0.8
     expected = 0.5 * (1 + 2 / 3 * 0.8 * np.sqrt(3))
-    np.testing.assert_allclose(seen("", (), EnvironmentLight(coefficients)), expected, rtol=0.02)
+    assert_allclose(seen("", (), EnvironmentLight(coefficients)), expected, rtol=0.02)
     surface = face.material(color, lambert=True)
     sky = studio.light((), EnvironmentLight(coefficients))
-    np.testing.assert_allclose(
-        studio.picture({"type": "open_sky"}, face=surface, **sky)[middle], expected, rtol=0.2
-    )
+    assert_allclose(studio.picture({"type": "open_sky"}, face=surface, **sky)[middle], expected, rtol=0.2)

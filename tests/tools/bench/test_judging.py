@@ -16,6 +16,7 @@ from bench.judging import (
     simple_peers,
     traced_folder,
 )
+from numpy.testing import assert_allclose, assert_array_equal
 
 import scan2albedo as s2a
 from scan2albedo.synthetic import face, hemisphere, light_at
@@ -54,9 +55,9 @@ def test_a_scene_is_read_as_it_was_written(tmp_path):
     )
     read = load_image(tmp_path, "soft_dome_ball")
     assert read.lamps == []
-    np.testing.assert_allclose(read.image.texture_linear[image.mask], 0.503, atol=1e-3)
-    np.testing.assert_array_equal(read.albedo_linear[image.mask], 0.5)
-    np.testing.assert_array_equal(read.image.occluder_mesh()[1], faces)
+    assert_allclose(read.image.texture_linear[image.mask], 0.503, atol=1e-3)
+    assert_array_equal(read.albedo_linear[image.mask], 0.5)
+    assert_array_equal(read.image.occluder_mesh()[1], faces)
 
 
 def test_the_score_does_not_care_for_one_scale_but_for_color():
@@ -102,8 +103,8 @@ def test_occlusion_and_transfer_of_a_convex_shape_are_those_of_the_open():
     image = hemisphere(size=24).image
     light = received(image)
     front = image.normal[image.mask][:, 2] > 0.6
-    np.testing.assert_allclose(light.open_part[front], 1, atol=0.08)
-    np.testing.assert_allclose(light.shadowed[front], light.plain[front], atol=0.05)
+    assert_allclose(light.open_part[front], 1, atol=0.08)
+    assert_allclose(light.shadowed[front], light.plain[front], atol=0.05)
 
 
 def test_harmonics_take_off_a_soft_light_and_each_channel_its_own():
@@ -135,10 +136,10 @@ def test_the_truth_of_a_scan_is_looked_up_on_its_surface():
         0,
     )
     found, distance = truth.at(np.array([[0.5, 0.5, 1.0], [9, 0.5, 0], [0.5, 9, 0]]))
-    np.testing.assert_allclose(found[:, 0], [0.3, 0.4, 0.1])
-    np.testing.assert_allclose(distance, [1, 0, 0], atol=1e-6)
+    assert_allclose(found[:, 0], [0.3, 0.4, 0.1])
+    assert_allclose(distance, [1, 0, 0], atol=1e-6)
     partly = replace(truth, valid=np.array([[False, True], [True, True]]))
-    np.testing.assert_allclose(partly.at(np.array([[0.5, 0.5, 0], [0.5, 9, 0]]))[0][:, 0], [0.3, np.nan])
+    assert_allclose(partly.at(np.array([[0.5, 0.5, 0], [0.5, 9, 0]]))[0][:, 0], [0.3, np.nan])
 
 
 def test_flashes_count_where_they_explain_a_texel(tmp_path):
@@ -161,7 +162,7 @@ def test_flashes_count_where_they_explain_a_texel(tmp_path):
     (name,) = scene_names(tmp_path, "flashes")
     (scene,) = load_flashes(tmp_path, name)
     assert scene.name == "yaleB01_A+000"
-    np.testing.assert_array_equal(scene.judged, np.arange(4)[:, None] * np.ones(4) > 0)
+    assert_array_equal(scene.judged, np.arange(4)[:, None] * np.ones(4) > 0)
     assert scene.albedo_linear.shape == (4, 4, 3)
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from worlds.population import Population, population_scan, random_lights
 
 from scan2albedo import AnnotatedFaceModel
@@ -25,7 +26,7 @@ def first():
 def test_a_person_keeps_the_skin_and_the_session_has_its_light(first):
     scan, truth = first
     again, later = scanned(0, 1)
-    np.testing.assert_array_equal(truth.albedo_linear, later.albedo_linear)
+    assert_array_equal(truth.albedo_linear, later.albedo_linear)
     assert truth.lights != later.lights
     assert scan.name == "person-0-session-0"
     assert again.name == "person-0-session-1"
@@ -58,8 +59,8 @@ def test_less_individuality_makes_people_more_alike():
 def test_same_seed_same_scan_and_another_population_is_another(first):
     scan, _ = first
     same, _ = scanned(0, 0)
-    np.testing.assert_array_equal(scan.vertices, same.vertices)
-    np.testing.assert_array_equal(scan.texture_linear, same.texture_linear)
+    assert_array_equal(scan.vertices, same.vertices)
+    assert_array_equal(scan.texture_linear, same.texture_linear)
     _, foreign = population_scan(0, 0, seed=1, population=Population(scanner=SMALL))
     assert foreign.lights != first[1].lights
 
@@ -79,7 +80,7 @@ def test_a_room_has_one_weak_lamp_and_light_of_its_own(first):
     scan, truth = scanned(0, 0, light="room")
     (lamp,) = truth.lights
     assert 0.3 <= lamp.intensity <= 1.0
-    np.testing.assert_array_equal(truth.albedo_linear, first[1].albedo_linear)
+    assert_array_equal(truth.albedo_linear, first[1].albedo_linear)
     colored, _ = scanned(0, 0, light="room", lamp_colors=0.3)
     bright = scan.texture_linear.min(-1) > 0.1
     tint = np.log(colored.texture_linear[bright] / scan.texture_linear[bright])

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import trimesh
+from numpy.testing import assert_allclose
 from worlds.rooms import Room, random_room, room_light_on
 
 from scan2albedo.lighting.environment import distant_directions
@@ -27,11 +28,11 @@ def ball():
 
 
 def test_nothing_shadows_a_ball(ball):
-    np.testing.assert_allclose(lit(ball.vertices, ball.faces, ball.vertices / 80, EVEN), 1.0, atol=0.01)
+    assert_allclose(lit(ball.vertices, ball.faces, ball.vertices / 80, EVEN), 1.0, atol=0.01)
     # Half of the directions shine, of which those around the top see all and those around the bottom none.
     sky = Room(np.zeros(3), np.array([[0.0, 1, 0]]), np.array([2.0]), np.array([[1.0, 2, 3]]))
     light = lit(ball.vertices, ball.faces, ball.vertices / 80, sky)
-    np.testing.assert_allclose(light[:, 2], 3 * light[:, 0], rtol=1e-6)
+    assert_allclose(light[:, 2], 3 * light[:, 0], rtol=1e-6)
     # At the top: 2 integral_0^1 exp(2 (t - 1)) t dt = (1 + exp(-2)) / 2.
     assert light[:, 0].max() == pytest.approx((1 + np.exp(-2)) / 2, rel=0.02)
 
@@ -41,17 +42,17 @@ def test_a_bowl_hides_half_of_the_room_from_itself_and_throws_its_colour_back(ba
     deep = ball.vertices[:, 1] < -20
     light = lit(ball.vertices, faces, -ball.vertices / 80, EVEN, albedo=(0.8, 0.4, 0.0))[deep]
     # All of the bowl sees half of the room, and the bowl in the other half.
-    np.testing.assert_allclose(light.mean(0), [0.5 + 0.2, 0.5 + 0.1, 0.5], rtol=0.02)
+    assert_allclose(light.mean(0), [0.5 + 0.2, 0.5 + 0.1, 0.5], rtol=0.02)
     assert light.std(0).max() < 0.03
 
 
 def test_rooms_shine_with_a_mean_of_one_in_colours_of_their_own():
     toward = distant_directions(2000)
     rooms = [random_room(np.random.default_rng(seed), 0.3).radiance(toward) for seed in range(20)]
-    np.testing.assert_allclose([radiance.mean() for radiance in rooms], 1.0, rtol=1e-3)
+    assert_allclose([radiance.mean() for radiance in rooms], 1.0, rtol=1e-3)
     assert min(radiance.min() for radiance in rooms) > 0
     red = [np.log(radiance[:, 0] / radiance[:, 1]) for radiance in rooms]
     assert np.std([tint.mean() for tint in red]) > 0.05
     assert np.mean([tint.std() for tint in red]) > 0.05
     grey = random_room(np.random.default_rng(0), 0.0).radiance(toward)
-    np.testing.assert_allclose(grey, grey[:, :1].repeat(3, 1))
+    assert_allclose(grey, grey[:, :1].repeat(3, 1))

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from worlds.sitters import Person, fringe, gloss_map, jaw_weight, opened, painted, seated, stubble
 
 import scan2albedo as s2a
@@ -51,20 +52,20 @@ def test_an_open_jaw_lowers_chin_and_lower_lip():
     moved = opened(LANDMARKS, LANDMARKS, 12.0) - LANDMARKS
     assert moved[8, 1] < -10
     assert moved[57, 1] < -8
-    np.testing.assert_allclose(moved[[27, 36, 45]], 0, atol=0.5)
-    np.testing.assert_allclose(opened(LANDMARKS, LANDMARKS, 0.0), LANDMARKS, atol=1e-9)
+    assert_allclose(moved[[27, 36, 45]], 0, atol=0.5)
+    assert_allclose(opened(LANDMARKS, LANDMARKS, 0.0), LANDMARKS, atol=1e-9)
 
 
 def test_an_open_mouth_keeps_the_mesh_and_lowers_the_landmarks(sitter):
     wide = seated(replace(PLAIN, mouth_deg=12.0), MODEL)
-    np.testing.assert_array_equal(wide.faces, sitter.faces)
-    np.testing.assert_allclose(np.linalg.norm(wide.normals, axis=1), 1, atol=1e-6)
+    assert_array_equal(wide.faces, sitter.faces)
+    assert_allclose(np.linalg.norm(wide.normals, axis=1), 1, atol=1e-6)
     gap = wide.face.landmarks[62, 1] - wide.face.landmarks[66, 1]
     assert gap > 6
     # The eyes and the hair stay where they were.
-    np.testing.assert_allclose(wide.face.landmarks[36:48], sitter.face.landmarks[36:48], atol=0.6)
+    assert_allclose(wide.face.landmarks[36:48], sitter.face.landmarks[36:48], atol=0.6)
     hair = np.unique(sitter.faces[sitter.part == 2])
-    np.testing.assert_array_equal(wide.vertices[hair], sitter.vertices[hair])
+    assert_array_equal(wide.vertices[hair], sitter.vertices[hair])
 
 
 def test_stubble_darkens_the_chin_and_nothing_else(sitter):
@@ -72,11 +73,11 @@ def test_stubble_darkens_the_chin_and_nothing_else(sitter):
     shaven, grown = (painted(replace(PLAIN, stubble=density), sitter, points) for density in (0.0, 1.0))
     assert ((grown >= 0.01) & (grown <= 0.95)).all()
     change = (grown / shaven).mean(1)
-    np.testing.assert_allclose(change[:3], 1, atol=0.03)
+    assert_allclose(change[:3], 1, atol=0.03)
     assert change[3] < 0.9
 
 
 def test_the_same_person_is_painted_alike_twice(sitter):
     person = replace(PLAIN, stubble=0.5, fringe=0.5, mouth_deg=8.0)
     points = np.random.default_rng(0).uniform(size=(500, 2))
-    np.testing.assert_array_equal(painted(person, sitter, points), painted(person, sitter, points))
+    assert_array_equal(painted(person, sitter, points), painted(person, sitter, points))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from worlds.files import write_obj
 from worlds.path_tracer import exposure_of, stored
 from worlds.pictures import filled, pods_around, used_pixels
@@ -25,7 +26,7 @@ def test_light_of_untraced_pixels_is_that_of_the_nearest_one_in_the_same_picture
     light = np.arange(2 * 4 * 3, dtype=float).reshape(8, 3)
     known = np.array([True, False, False, False, False, False, False, True])
     full = filled(light, known, 2, 2)
-    np.testing.assert_array_equal(full, np.broadcast_to(light[[0, 7], None, None], (2, 2, 2, 3)))
+    assert_array_equal(full, np.broadcast_to(light[[0, 7], None, None], (2, 2, 2, 3)))
 
 
 def test_pixels_of_the_scan_are_marked_and_the_background_is_not(sitter):
@@ -54,8 +55,8 @@ def test_the_truth_of_a_face_lies_where_a_camera_shows_it(sitter):
     pod = (uv[shown, 0, 0] > 0.5).astype(int)
     corner = sitter.vertices[sitter.faces[shown, 0]]
     place = np.where(pod[:, None] == 0, *(project(camera, corner)[0] for camera in pods))
-    np.testing.assert_allclose(uv[shown, 0, 0], (place[:, 0] + pod) / 2)
-    np.testing.assert_allclose(uv[shown, 0, 1], place[:, 1])
+    assert_allclose(uv[shown, 0, 0], (place[:, 0] + pod) / 2)
+    assert_allclose(uv[shown, 0, 1], place[:, 1])
 
 
 def test_the_best_free_view_is_taken_and_hidden_points_have_none():
@@ -70,7 +71,7 @@ def test_the_best_free_view_is_taken_and_hidden_points_have_none():
     points, up = np.array([[8.0, 0, 0], [0, 0, 0], [0, 0, 1.5]]), np.tile([0.0, 1, 0], (3, 1))
     camera, direction = best_views(points, up, RayCaster(vertices, faces), cameras)
     assert camera.tolist() == [0, -1, 1]
-    np.testing.assert_allclose(np.linalg.norm(direction, axis=1), [1, 0, 1])
+    assert_allclose(np.linalg.norm(direction, axis=1), [1, 0, 1])
 
 
 def test_exposure_leaves_two_in_a_hundred_texels_above_its_level():
