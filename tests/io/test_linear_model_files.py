@@ -15,10 +15,14 @@ from scipy.io import savemat
 from scan2albedo.errors import MissingDependencyError, ModelError
 from scan2albedo.io.linear_model_files import LinearFaceModel
 
-V, K, E = 12, 3, 2
+V = 12
+K = 3
+E = 2
 RNG = np.random.default_rng(0)
-MEAN, BASIS = RNG.normal(size=(V, 3)), RNG.normal(size=(V, 3, K))
-EXPRESSION, DEVIATION = RNG.normal(size=(V, 3, E)), np.array([3.0, 2.0, 0.5])
+MEAN = RNG.normal(size=(V, 3))
+BASIS = RNG.normal(size=(V, 3, K))
+EXPRESSION = RNG.normal(size=(V, 3, E))
+DEVIATION = np.array([3.0, 2.0, 0.5])
 FACES = np.array([[0, 1, 2], [2, 3, 4], [5, 6, 11]])
 WEIGHTS = RNG.dirichlet(np.ones(5), V)
 REGRESSOR, POSE = RNG.dirichlet(np.ones(V), 5), RNG.normal(size=(V, 3, 36)) / 100
