@@ -355,7 +355,8 @@ SOURCES = {
         figures=from_bench(
             "pipeline/commands",
             {
-                name: f"{of('scan2albedo', 'CPU s', group=name)} s CPU, "
+                name: f"{of('scan2albedo', 'wall s', group=name)} s, "
+                f"{of('scan2albedo', 'CPU s', group=name)} s CPU, "
                 f"{of('scan2albedo', 'peak MB', 0, group=name)} MB"
                 for name in ("process", "draft", "relight", "report")
             },

@@ -6,6 +6,7 @@ import house
 import pytest
 
 WHY = """
+`python tools/house.py` shows the folders and explains the columns.
 The ceilings keep the project small enough to be read by people who did not write it; they count tokens of
 code, so packing lines lowers nothing.
 Take out as much as you add (code that nobody needs, an idea that is written twice), split the function that

@@ -22,7 +22,7 @@ def described() -> dict[str, str]:
         names = {target.id for target in assigned if isinstance(target, ast.Name)}
         if names & {"BENCH", "BENCHES"}:
             name = path.relative_to(FOLDER).with_suffix("").as_posix()
-            found[name] = (ast.get_docstring(tree) or "").splitlines()[0]
+            found[name] = (ast.get_docstring(tree) or "(no docstring)").splitlines()[0]
     return found
 
 

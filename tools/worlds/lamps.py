@@ -241,7 +241,7 @@ def _flash(azimuth_deg: float, elevation_deg: float, distance_mm: float, strengt
 
 
 def rigs() -> tuple[Rig, ...]:
-    """Return the twelve lights of the set."""
+    """Return the lights of the set; a raw scan stands in the one that its recipe names."""
     six = ((0, 45), (60, 10), (-60, 10), (35, -35), (-35, -35), (180, 50))
     ring = [
         Part(Lamp(24 * np.cos(a), 5 + 24 * np.sin(a), 950.0, (30.0,)), 0.125)

@@ -40,9 +40,9 @@ def test_a_lamp_tells_its_direction_and_how_large_it_looks():
     assert square.area_mm2 == pytest.approx(20_000)
 
 
-def test_there_are_twelve_lights_with_names_of_their_own():
+def test_lights_have_names_of_their_own():
     every = rigs()
-    assert len({rig.name for rig in every}) == len(every) == 12
+    assert len({rig.name for rig in every}) == len(every)
     assert all(part.strength > 0 for rig in every for part in rig.parts)
     # Emitters are keys of a table, so that rigs share what is traced once.
     assert len({part.emitter for rig in every for part in rig.parts}) < sum(len(rig.parts) for rig in every)
