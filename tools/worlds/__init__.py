@@ -12,7 +12,7 @@ Scanners: two clean pods (`raw_like`), raw passive stereo (`stereo`), one with p
 Together: `synthetic_scans` (registration, fit), `door` (is it a face?), `traced_scans`, `traced_charts` and
     `mitsuba_scenes` (albedo), `traced_sessions` (recognition), `unknown_faces` (one photograph).
 Not made here, read by `bench.judging`: ../shared/data/real_skin, path-traced elsewhere (d_office is an office
-    ceiling, d_flash_room, d_dome, ...: `SKIN` in tools/figures.py), and the photographs in its yale.
+    ceiling, d_flash_room, d_dome, ...: `SKIN` in tools/figures.py), and ../shared/data/yale, photographs.
 To add a light: a `Rig` in `lamps.rigs`, or a function of directions in `lamps.ENVIRONMENTS`; the scans of
     `traced_scans.recipes` name the rig that they stand in.
 The path tracer is Mitsuba (`path_tracer`); `python tools/worlds OUT` makes its scans and images.
