@@ -19,8 +19,8 @@ RIGHT = "right answer"
 WARNS = "measured warning"
 REFUSES = "named error"
 SLOW = True
-MAY_BE_NAN = {"residual_mm", "distance_mm", "landmark_error_px", "condition", "misfit"}
-"""Fields that hold NaN where nothing was measured, or infinity: a distant lamp's distance."""
+MAY_BE_NAN = {"residual_mm", "distance_mm", "landmark_error_px", "condition", "misfit", "radiance_linear"}
+"""Fields that hold NaN where nothing was measured or seen, or infinity: a distant lamp's distance."""
 
 BUDGETS = {"0.001 s": Budget(seconds=1e-3), "1 evaluation": Budget(evaluations=1)}
 
