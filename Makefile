@@ -10,8 +10,9 @@ STAMP := $(VENV)/.installed
 demo: $(STAMP)
 	$(BIN)/scan2albedo demo -o demo_out
 
-# Two workers, for most tests are single-threaded; an idle one takes over tests of the other.
-PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
+# Two workers, for most tests are single-threaded; an idle one takes over tests of the other. BLAS keeps to
+# one thread in each: with two, they wait for the other worker's, and a small fit takes six times as long.
+PYTEST := OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 
 test: $(STAMP)
 	$(PYTEST) -m "not slow"
