@@ -1,7 +1,5 @@
 """The default model beside faces that others measured; they are data to judge it by, not its source."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,7 +20,7 @@ class MeasuredFace:
     landmarks: np.ndarray | None = None
 
 
-def ict_face(name: str) -> MeasuredFace:
+def ict_face(name):
     path = DATA / "ict_faces.npz"
     if not path.exists():
         pytest.skip(f"{path} is not there")
@@ -32,7 +30,7 @@ def ict_face(name: str) -> MeasuredFace:
         return MeasuredFace(vertices, faces[(faces < narrow).all(1)], vertices[data["landmarks68"]])
 
 
-def canonical_face() -> MeasuredFace:
+def canonical_face():
     path = DATA / "canonical_face_model.obj"
     if not path.exists():
         pytest.skip(f"{path} is not there")
@@ -42,7 +40,7 @@ def canonical_face() -> MeasuredFace:
     return MeasuredFace(vertices, np.array(faces))
 
 
-def similarity(source: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+def similarity(source, target):
     """Return (scale, rotation, shift) with target ~ scale R source + shift (Umeyama 1991)."""
     a, b = source - source.mean(0), target - target.mean(0)
     u, s, vt = np.linalg.svd(b.T @ a)
@@ -60,7 +58,7 @@ class Comparison:
     landmarks: float
 
 
-def compare(face: MeasuredFace, turns: int = 30) -> Comparison:
+def compare(face, turns=30):
     """Align the model to a face by rigid ICP with scale, then measure."""
     model = AnnotatedFaceModel.default()
     surface, faces = model.surface(2)
@@ -102,7 +100,7 @@ def test_the_canonical_face():
     assert compare(canonical_face()).surface <= 2.5
 
 
-def profile(vertices: np.ndarray, faces: np.ndarray, heights: np.ndarray) -> np.ndarray:
+def profile(vertices, faces, heights):
     """Return the depth of the midline at heights, NaN where nothing is there."""
     from scan2albedo.geometry.rasterization import interpolate, rasterize
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from helpers.chart_distortion import chart_distortion
@@ -7,7 +5,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from scan2albedo import AnnotatedFaceModel
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import adjacency, edges_with_faces, face_areas
 from scan2albedo.geometry.parametrization import boundary_loop, signed_areas
@@ -28,14 +25,14 @@ MIDDLE = (8, 27, 28, 29, 30, 33, 51, 57, 62, 66)
 """Landmarks on the midline."""
 
 
-def mirror_of(points: np.ndarray) -> np.ndarray:
+def mirror_of(points):
     """Return, for each point, the index of its mirror image at x = 0."""
     distance = np.linalg.norm(points[None] * [-1, 1, 1] - points[:, None], axis=2)
     assert distance.min(1).max() < 1e-9
     return np.argmin(distance, axis=1)
 
 
-def distance_between(model: AnnotatedFaceModel, a: int, b: int) -> float:
+def distance_between(model, a, b):
     return float(np.linalg.norm(model.landmarks[a] - model.landmarks[b]))
 
 

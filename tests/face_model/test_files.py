@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path
@@ -15,13 +13,13 @@ from scan2albedo.geometry.loop_subdivision import SurfacePoints
 
 
 @pytest.fixture
-def saved(tmp_path: Path) -> Path:
+def saved(tmp_path):
     path = tmp_path / "afm.json"
     AnnotatedFaceModel.default().save(str(path))
     return path
 
 
-def test_round_trip_keeps_every_bit(saved: Path):
+def test_round_trip_keeps_every_bit(saved):
     model, again = AnnotatedFaceModel.default(), AnnotatedSurface.load(saved)
     for name in ("control_vertices", "control_faces", "uv", "region", "landmarks"):
         assert_array_equal(getattr(again, name), getattr(model, name))
@@ -30,7 +28,7 @@ def test_round_trip_keeps_every_bit(saved: Path):
     assert again.template_points is None
 
 
-def test_round_trip_keeps_a_dense_template(tmp_path: Path):
+def test_round_trip_keeps_a_dense_template(tmp_path):
     points = SurfacePoints(np.array([0, 5, 9]), np.full((3, 3), 1 / 3))
     model = dataclasses.replace(
         AnnotatedFaceModel.default(),
@@ -51,7 +49,7 @@ def test_round_trip_keeps_a_dense_template(tmp_path: Path):
     assert_array_equal(again.template_uv, model.template_uv)
 
 
-def test_a_dense_template_of_points_alone_is_read_again(tmp_path: Path):
+def test_a_dense_template_of_points_alone_is_read_again(tmp_path):
     points = SurfacePoints(np.array([0, 5, 9]), np.full((3, 3), 1 / 3))
     model = dataclasses.replace(
         AnnotatedFaceModel.default(), template_points=points, template_faces=np.zeros((0, 3), int)
@@ -60,14 +58,14 @@ def test_a_dense_template_of_points_alone_is_read_again(tmp_path: Path):
     assert AnnotatedSurface.load(tmp_path / "t.json").template_faces.shape == (0, 3)
 
 
-def test_same_model_gives_the_same_bytes(saved: Path, tmp_path: Path):
+def test_same_model_gives_the_same_bytes(saved, tmp_path):
     first = saved.read_bytes(), saved.with_suffix(".npz").read_bytes()
     AnnotatedSurface.load(saved).save(saved)
     assert (saved.read_bytes(), saved.with_suffix(".npz").read_bytes()) == first
     assert sorted(p.name for p in tmp_path.iterdir()) == ["afm.json", "afm.npz"]
 
 
-def test_json_fits_the_shipped_schema(saved: Path):
+def test_json_fits_the_shipped_schema(saved):
     jsonschema = pytest.importorskip("jsonschema")
     file = Path(__file__).resolve().parents[2] / "data_schemas" / "annotated_face_model.schema.json"
     schema = json.loads(file.read_text())
@@ -79,7 +77,7 @@ def test_json_fits_the_shipped_schema(saved: Path):
         jsonschema.validate(entry | {"format": "other"}, schema)
 
 
-def test_missing_files_are_named(saved: Path):
+def test_missing_files_are_named(saved):
     with pytest.raises(ModelError, match=r"nowhere\.json cannot be read \(No such file"):
         AnnotatedSurface.load(saved.with_name("nowhere.json"))
     saved.with_suffix(".npz").unlink()
@@ -88,19 +86,19 @@ def test_missing_files_are_named(saved: Path):
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"format": "scan2albedo-afm-9"}'])
-def test_a_broken_json_is_refused(saved: Path, text: str):
+def test_a_broken_json_is_refused(saved, text):
     saved.write_text(text)
     with pytest.raises(ModelError, match=r"face model .*\(data_schemas/annotated_face_model"):
         AnnotatedSurface.load(saved)
 
 
-def test_the_binary_given_as_json_is_refused(saved: Path):
+def test_the_binary_given_as_json_is_refused(saved):
     with pytest.raises(ModelError, match="is no UTF-8 text"):
         AnnotatedSurface.load(saved.with_suffix(".npz"))
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.95])
-def test_a_truncated_binary_is_refused(saved: Path, share: float):
+def test_a_truncated_binary_is_refused(saved, share):
     binary = saved.with_suffix(".npz")
     data = binary.read_bytes()
     binary.write_bytes(data[: int(share * len(data))])
@@ -108,7 +106,7 @@ def test_a_truncated_binary_is_refused(saved: Path, share: float):
         AnnotatedSurface.load(saved)
 
 
-def change_arrays(path: Path, **arrays: np.ndarray | None) -> None:
+def change_arrays(path, **arrays):
     binary = path.with_suffix(".npz")
     with np.load(binary) as stored:
         kept = {n: stored[n] for n in stored.files}
@@ -116,7 +114,7 @@ def change_arrays(path: Path, **arrays: np.ndarray | None) -> None:
     np.savez_compressed(binary, **{n: a for n, a in kept.items() if a is not None})
 
 
-def test_files_that_do_not_belong_together_are_refused(saved: Path):
+def test_files_that_do_not_belong_together_are_refused(saved):
     change_arrays(saved, uv=np.zeros((5, 2)))
     with pytest.raises(ModelError, match=r"uv in .* is of shape \(5, 2\).*do not belong together"):
         AnnotatedSurface.load(saved)
@@ -125,7 +123,7 @@ def test_files_that_do_not_belong_together_are_refused(saved: Path):
         AnnotatedSurface.load(saved)
 
 
-def test_bad_numbers_are_refused(saved: Path):
+def test_bad_numbers_are_refused(saved):
     model = AnnotatedFaceModel.default()
     vertices = model.control_vertices.copy()
     vertices[3, 1] = np.nan
@@ -150,7 +148,7 @@ def test_bad_numbers_are_refused(saved: Path):
         ),
     ],
 )
-def test_a_template_that_does_not_fit_is_refused(tmp_path: Path, arrays: dict[str, np.ndarray], message: str):
+def test_a_template_that_does_not_fit_is_refused(tmp_path, arrays, message):
     model = dataclasses.replace(
         AnnotatedFaceModel.default(),
         template_points=SurfacePoints(np.array([0, 5, 9]), np.full((3, 3), 1 / 3)),
@@ -163,7 +161,7 @@ def test_a_template_that_does_not_fit_is_refused(tmp_path: Path, arrays: dict[st
         AnnotatedSurface.load(tmp_path / "t.json")
 
 
-def test_unknown_region_is_refused(saved: Path):
+def test_unknown_region_is_refused(saved):
     region = AnnotatedFaceModel.default().region.copy()
     region[0] = 200
     change_arrays(saved, region=region)
@@ -171,6 +169,6 @@ def test_unknown_region_is_refused(saved: Path):
         AnnotatedSurface.load(saved)
 
 
-def test_saving_into_nowhere_is_an_output_error(tmp_path: Path):
+def test_saving_into_nowhere_is_an_output_error(tmp_path):
     with pytest.raises(OutputError, match="nowhere"):
         AnnotatedFaceModel.default().save(tmp_path / "nowhere" / "afm.json")

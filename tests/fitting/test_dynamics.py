@@ -11,14 +11,14 @@ from scan2albedo.errors import FitError
 from scan2albedo.fitting.dynamics import ImplicitSystem, conjugate_gradients, factorized
 
 
-def chain(count: int, stiffness: float) -> sparse.csr_matrix:
+def chain(count, stiffness):
     """Springs between neighbours and a weak one to the ground."""
     ones = np.ones(count)
     matrix = sparse.diags([-ones[1:], 2.01 * ones, -ones[1:]], [-1, 0, 1])
     return (stiffness * matrix).tocsr()
 
 
-def explicit_euler(stiffness: sparse.csr_matrix, q: np.ndarray, time_step: float, steps: int) -> np.ndarray:
+def explicit_euler(stiffness, q, time_step, steps):
     """The reference that blows up: q' = q + dt v, v' = v - dt K q, unit mass, no damping."""
     velocity = np.zeros_like(q)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -27,15 +27,15 @@ def explicit_euler(stiffness: sparse.csr_matrix, q: np.ndarray, time_step: float
     return q
 
 
-def no_springs(x: np.ndarray) -> np.ndarray:
+def no_springs(x):
     return np.zeros_like(x)
 
 
-def unit_springs(x: np.ndarray) -> np.ndarray:
+def unit_springs(x):
     return x
 
 
-def implicit(stiffness, time_step, *, mass=1.0, damping=0.0, springs=0.0) -> ImplicitSystem:
+def implicit(stiffness, time_step, *, mass=1.0, damping=0.0, springs=0.0):
     count = stiffness.shape[0]
     held = springs * sparse.identity(count, format="csr")
     return ImplicitSystem(np.ones(count) * mass, np.full(count, damping), stiffness, held, time_step)
@@ -46,12 +46,12 @@ class State(NamedTuple):
     velocity: np.ndarray
 
 
-def stepped(system, state, force, springs, **options) -> State:
+def stepped(system, state, force, springs, **options):
     moved = system.step(*state, force, springs, **options)
     return State(state.q + moved, moved / system.time_step)
 
 
-def energy(state: State, mass: np.ndarray | float, stiffness: sparse.csr_matrix) -> float:
+def energy(state, mass, stiffness):
     """(v^T M v + q^T K q) / 2, which no step without force can raise."""
     kinetic = np.sum(np.reshape(mass, (-1, 1)) * state.velocity**2)
     return 0.5 * float(kinetic + np.sum(state.q * (stiffness @ state.q)))

@@ -12,7 +12,7 @@ from tests.fitting.conftest import mask_surface
 GATES = ForceGates(10.0, 0.1, 0.5)
 
 
-def plane_scan(size: int = 21):
+def plane_scan(size=21):
     vertices, faces = mask_surface(size)
     vertices = vertices * [1, 1, 0]
     return scan_near_model(vertices, faces, np.eye(4), vertices.min(0) - 500, vertices.max(0) + 500)

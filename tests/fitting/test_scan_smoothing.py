@@ -12,7 +12,7 @@ def smoothed_alone(vertices, faces, border, scale_mm, **options):
     return smoothed(vertices, faces, border, once, joined, scale_mm, **options)
 
 
-def noisy_plane(size: int, noise_mm: float):
+def noisy_plane(size, noise_mm):
     vertices, faces = mask_surface(size)
     flat = vertices * [1, 1, 0]
     noise = np.random.default_rng(0).normal(scale=noise_mm, size=len(flat))

@@ -6,15 +6,15 @@ from brdf_reference import lambert, minnaert, oren_nayar, phong
 from hypothesis import given
 from hypothesis import strategies as st
 
+from scan2albedo.geometry.mesh import normalized
+
 COSINES = np.linspace(-1, 1, 41)
 
 
 def _triples(count=4000, seed=0):
     """Cosines of random unit n, l, v, the geometry kept consistent."""
-    n, light, view = np.random.default_rng(seed).standard_normal((3, count, 3))
-    n, light, view = (a / np.linalg.norm(a, axis=1, keepdims=True) for a in (n, light, view))
-    dot = lambda a, b: np.sum(a * b, 1)  # noqa: E731
-    return dot(n, light), dot(n, view), dot(light, view)
+    n, light, view = map(normalized, np.random.default_rng(seed).standard_normal((3, count, 3)))
+    return np.sum(n * light, 1), np.sum(n * view, 1), np.sum(light * view, 1)
 
 
 def _angles_form(n_l, n_v, l_v, sigma):

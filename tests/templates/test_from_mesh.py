@@ -15,7 +15,7 @@ plain_model = partial(AnnotatedFaceModel.from_mesh, annotate=False)
 """The domes below are not faces, so nothing is to be recognised in them."""
 
 
-def dome(size: int = 40) -> tuple[np.ndarray, np.ndarray]:
+def dome(size=40):
     """A face-sized dome with a nose: (size^2, 3) mm."""
     plane, faces = igl.triangulated_grid(size, size)
     u, v = 2 * plane.T - 1
@@ -28,11 +28,11 @@ def without_disc(vertices, faces, x, y, radius):
     return faces[np.linalg.norm(vertices[faces].mean(1)[:, :2] - [x, y], axis=1) > radius]
 
 
-def gap_mm(model: AnnotatedFaceModel, points: np.ndarray) -> np.ndarray:
+def gap_mm(model, points):
     return ClosestPointQuery(*model.surface(3)).query(points).distance
 
 
-def assert_sound(model: AnnotatedFaceModel) -> None:
+def assert_sound(model):
     assert len(boundary_loops(model.control_faces)) == 1
     chart = np.column_stack([model.uv, np.zeros(len(model.uv))])
     assert (face_cross_products(chart, model.control_faces)[:, 2] > 0).all()
@@ -206,7 +206,7 @@ def test_wrong_annotations_are_refused_with_the_reason():
             plain_model(vertices, faces, **extra)
 
 
-def _torus() -> tuple[np.ndarray, np.ndarray]:
+def _torus():
     """A ring with a bite taken out of its surface: one rim and a handle."""
     count = 16
     i, j = np.meshgrid(np.arange(count), np.arange(count), indexing="ij")
