@@ -61,7 +61,7 @@ def _direction_deg(estimate):
     ("shape", "noise", "azimuth_deg", "largest_deg", "percent"),
     [
         ("hemisphere", 0.0, 20, 3.3, 0.1),
-        ("hemisphere", 0.03, 60, 3.3, 0.1),
+        ("hemisphere", 0.03, 60, 3.3, 0.15),
         # From the front, soft light explains bumps smaller than a cell nearly as well.
         ("bumps", 0.0, 20, 18, 0.03),
         ("bumps", 0.03, 20, 18, 0.15),

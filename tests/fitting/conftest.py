@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from importlib import import_module
 
-import igl
 import numpy as np
 import pytest
+from helpers.face_mask import mask_surface
 from worlds.raw_like import raw_like
 
 from scan2albedo import AnnotatedFaceModel
@@ -13,15 +13,6 @@ from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.geometry.rigid import invert_rigid, procrustes, transform_points
 
 FIT = import_module("scan2albedo.fitting.fit")
-
-
-def mask_surface(size, *, nose_mm=25.0, width_mm=70.0):
-    """A face-sized dome with a nose, in closed form: vertices (size^2, 3) mm and faces."""
-    plane, faces = igl.triangulated_grid(size, size)
-    u, v = 2 * plane.T - 1
-    x, y = width_mm * u, 95 * v
-    z = 60 * np.sqrt(np.maximum(1.7 - u**2 - 0.6 * v**2, 0)) + nose_mm * np.exp(-(u**2) / 0.04 - v**2 / 0.08)
-    return np.column_stack([x, y, z]), np.asarray(faces, np.int64)
 
 
 @pytest.fixture(scope="session")

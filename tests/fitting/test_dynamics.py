@@ -70,7 +70,6 @@ def test_energy_never_grows_without_force(stiffness, time_step, mass):
     for _ in range(50):
         state = stepped(system, state, np.zeros((20, 3)), no_springs)
         energies.append(energy(state, mass, springs))
-    assert np.isfinite(energies).all()
     assert (np.diff(energies) <= 1e-9 * energies[0]).all()
 
 

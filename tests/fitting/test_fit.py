@@ -2,6 +2,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from helpers.crossings import crossing_triangles
 from numpy.testing import assert_allclose, assert_array_equal
 from worlds.raw_like import raw_like
 
@@ -185,14 +186,6 @@ def test_the_pose_given_may_be_off_by_ten_degrees_and_ten_millimetres(ict):
     assert np.linalg.norm(between[:3, 3]) < 1.5
     gap = np.linalg.norm(transform_points(between, far.template_vertices) - near.template_vertices, axis=1)
     assert gap.mean() < 1.2
-
-
-def crossing_triangles(vertices, faces):
-    """Count pairs of triangles that share no vertex and cross (Open3D's exact test)."""
-    import open3d as o3d
-
-    mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(vertices), o3d.utility.Vector3iVector(faces))
-    return len(np.asarray(mesh.get_self_intersecting_triangles()))
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from helpers.face_mask import mask_surface
 from numpy.testing import assert_allclose
 
 from scan2albedo import AnnotatedFaceModel
@@ -7,7 +8,6 @@ from scan2albedo.fitting.forces import ForceGates, robust_weights, scan_forces, 
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import scan_near_model
 from scan2albedo.geometry.mesh import boundary_vertex_mask
-from tests.fitting.conftest import mask_surface
 
 GATES = ForceGates(10.0, 0.1, 0.5)
 

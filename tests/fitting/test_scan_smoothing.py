@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
+from helpers.face_mask import mask_surface
 
 from scan2albedo.fitting.scan_surface import smoothed
 from scan2albedo.geometry.mesh import boundary_vertex_mask, neighbour_lists
-from tests.fitting.conftest import mask_surface
 
 
 def smoothed_alone(vertices, faces, border, scale_mm, **options):

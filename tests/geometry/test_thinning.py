@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 import trimesh
+from helpers.face_mask import mask_surface
 
 from scan2albedo.geometry.mesh import boundary_vertex_mask, thinned, vertex_normals
-from tests.fitting.conftest import mask_surface
 
 
 def test_a_coarse_surface_stays_as_it_is():

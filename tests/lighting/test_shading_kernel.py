@@ -130,7 +130,6 @@ def test_highlights_peak_in_the_mirror_direction_for_any_exponent(exponent):
     gloss = shade_points(np.zeros((401, 3)), normals, (light,), reflectance).specular
     assert abs(turn[np.argmax(gloss)] - math.atan2(0.6, 0.8) / 2) < 0.01
     assert gloss.max() == pytest.approx(0.6, rel=0.3)
-    assert np.isfinite(gloss).all()
 
 
 def test_sigma_zero_equals_lambert_to_the_last_bit():

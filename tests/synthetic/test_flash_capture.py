@@ -110,7 +110,6 @@ def test_a_fit_finds_the_reflectance_again(noisy):
     assert known.mean() > 0.6
     assert np.median(np.abs(found / noisy.diffuse_linear[known] - 1)) < 0.045
     assert relative_rmse(found, noisy.diffuse_linear[known]) < 0.16
-    assert np.isfinite(found).all()
 
 
 @pytest.mark.slow

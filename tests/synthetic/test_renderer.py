@@ -97,7 +97,6 @@ def test_grazing_and_hidden_views_stay_finite():
     light = unit((90, 0), (89.9999, 0), (60, 0), (0, 0))
     view = unit((90, 0), (89.9999, 0), (150, 0), (180, 0))
     value = oren_nayar(n, light, view, 0.6)
-    assert np.isfinite(value).all()
     assert (value >= -1e-12).all()
     assert (value < 2).all()
 
