@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.lit_scenes import GEOMETRIES
+from helpers.meshes import grid
 
 from scan2albedo.albedo import EstimateOptions, shadows
 from scan2albedo.albedo.levels import build_level
@@ -111,8 +112,9 @@ def test_a_dense_chart_casts_its_shadows_with_every_texel():
 def test_an_occluder_beyond_the_chart_counts():
     image = make_image("hemisphere")
     vertices, faces = image.triangulated()
-    roof = np.array([[60.0, -60, 60], [60, 60, 60], [60, 60, 120], [60, -60, 120]])
-    both = np.vstack([vertices, roof]), np.vstack([faces, len(vertices) + np.array([[0, 1, 2], [0, 2, 3]])])
+    corners, square = grid(2, 2)
+    roof = corners[:, [2, 0, 1]] * [1, 120, 60] + [60, -60, 60]
+    both = np.vstack([vertices, roof]), np.vstack([faces, len(vertices) + square])
     _, step = _decide(replace(image, occluder=both))
     assert step.ran
 

@@ -20,14 +20,16 @@ WITHIN_MM = {"brow": 2.0, "eye": 1.5, "lips": 1.2}
 LIPS = slice(48, 68)
 
 
-def found_at(scan, truth, shift=(0.0, 0.0, 0.0)):
-    return painted_features(scan, truth.model_from_scan, truth.landmarks + shift)
+def found_at(person, shift=(0.0, 0.0, 0.0), **changes):
+    """Return the features of a person that are found from beside, fields of the scan changed."""
+    scan, truth = person
+    return painted_features(replace(scan, **changes), truth.model_from_scan, truth.landmarks + shift)
 
 
 @pytest.mark.parametrize("shift", [(0, 0, 0), (1, 3, 0), (-1, -3, 0)], ids=str)
 def test_features_are_found_from_beside(fine_scan, shift):
-    scan, truth = fine_scan
-    found = found_at(scan, truth, shift)
+    _, truth = fine_scan
+    found = found_at(fine_scan, shift)
     assert sorted(side.name for side, _, _ in found) == ["brow", "brow", "eye", "eye", "lips"]
     for side, places, sigma_mm in found:
         off = (places - truth.landmarks[list(side.numbers), :2])[:, 1]
@@ -37,24 +39,18 @@ def test_features_are_found_from_beside(fine_scan, shift):
 
 
 def test_both_sides_are_found_by_themselves(fine_scan):
-    scan, truth = fine_scan
-    moved = truth.landmarks.copy()
-    moved[42:48, 1] += 2.0  # the left eye's landmarks alone stand too high
-    places = {
-        f.numbers[0]: places[:, 1].mean()
-        for f, places, _ in painted_features(scan, truth.model_from_scan, moved)
-    }
+    _, truth = fine_scan
+    too_high = np.zeros((68, 3))
+    too_high[42:48, 1] = 2.0  # the left eye's landmarks alone
+    places = {f.numbers[0]: places[:, 1].mean() for f, places, _ in found_at(fine_scan, too_high)}
     right, left = (truth.landmarks[first : first + 6, 1].mean() for first in (36, 42))
     assert abs(places[36] - right) < 1.5
     assert abs(places[42] - left) < 1.5
 
 
 def test_grey_pictures_show_them_too(fine_scan):
-    scan, truth = fine_scan
-    grey = np.repeat(scan.texture_linear.mean(-1, keepdims=True), 3, axis=-1)
-    assert "brow" in {
-        side.name for side, *_ in found_at(replace(scan, texture_linear=grey), truth, (0, 2, 0))
-    }
+    grey = np.repeat(fine_scan[0].texture_linear.mean(-1, keepdims=True), 3, axis=-1)
+    assert "brow" in {side.name for side, *_ in found_at(fine_scan, (0, 2, 0), texture_linear=grey)}
 
 
 @pytest.mark.parametrize(
@@ -68,9 +64,8 @@ def test_grey_pictures_show_them_too(fine_scan):
     ids=["even", "black", "noise", "sideways light"],
 )
 def test_without_features_nothing_is_said(fine_scan, paint):
-    scan, truth = fine_scan
-    texture = paint(scan.texture_linear.shape).astype(np.float32)
-    assert found_at(replace(scan, texture_linear=texture), truth) == []
+    texture = paint(fine_scan[0].texture_linear.shape).astype(np.float32)
+    assert found_at(fine_scan, texture_linear=texture) == []
 
 
 @pytest.mark.parametrize("toward", [(0, 0.95, 0.3), (0, -0.8, 0.6), (0.7, 0.6, 0.4)], ids=str)
@@ -78,11 +73,10 @@ def test_a_lamp_on_an_even_face_is_no_feature(fine_scan, toward):
     scan, truth = fine_scan
     normals = vertex_normals(scan.vertices, scan.faces) @ truth.model_from_scan[:3, :3].T
     light = 0.08 + np.maximum(normals @ np.array(toward), 0)
-    shaded = replace(
-        scan, uv=None, texture_linear=None, vertex_color_linear=light[:, None] * (0.8, 0.55, 0.45)
-    )
+    color = light[:, None] * (0.8, 0.55, 0.45)
+    found = found_at(fine_scan, uv=None, texture_linear=None, vertex_color_linear=color)
     # The shade of a ridge may look a little like a brow: what it says is too unsure to move anything.
-    for side, places, sigma_mm in found_at(shaded, truth):
+    for side, places, sigma_mm in found:
         off = places - truth.landmarks[list(side.numbers), :2]
         assert np.abs(off.mean(axis=0)).max() < 1.0, side.name
         assert (sigma_mm > 10.0).all(), side.name
@@ -91,12 +85,12 @@ def test_a_lamp_on_an_even_face_is_no_feature(fine_scan, toward):
 @pytest.mark.parametrize("shift", [0, 3], ids="{}mm".format)
 def test_what_colours_say_fades_with_their_contrast(fine_scan, shift):
     """Features are not accepted or refused: the fainter they are, the less sure is where they lie."""
-    scan, truth = fine_scan
-    even = scan.texture_linear.mean((0, 1))
+    texture = fine_scan[0].texture_linear
+    even = texture.mean((0, 1))
     sure = []
     for strength in (1.0, 0.3, 0.1, 0.03, 0.0):
-        faint = even + strength * (scan.texture_linear - even)
-        found = found_at(replace(scan, texture_linear=faint), truth, (0.0, shift, 0.0))
+        faint = even + strength * (texture - even)
+        found = found_at(fine_scan, (0.0, shift, 0.0), texture_linear=faint)
         sure.append(sum(np.sum(1 / sigma_mm**2) for *_, sigma_mm in found))
     assert sure[0] > 5
     assert all(more >= less for more, less in pairwise(sure))
@@ -104,10 +98,9 @@ def test_what_colours_say_fades_with_their_contrast(fine_scan, shift):
 
 
 def test_a_few_hot_texels_change_little(fine_scan):
-    scan, truth = fine_scan
-    hot = scan.texture_linear.copy()
+    hot = fine_scan[0].texture_linear.copy()
     hot[np.random.default_rng(0).uniform(size=hot.shape[:2]) < 1e-4] = 1e6
-    before, after = found_at(scan, truth), found_at(replace(scan, texture_linear=hot), truth)
+    before, after = found_at(fine_scan), found_at(fine_scan, texture_linear=hot)
     assert [side.name for side, *_ in before] == [side.name for side, *_ in after]
     for one, other in zip(before, after, strict=True):
         assert np.abs(one[1] - other[1]).max() < 0.5
@@ -117,7 +110,7 @@ def test_nothing_is_said_without_colour_or_far_away(fine_scan, model):
     scan, truth = fine_scan
     plain = replace(scan, uv=None, texture_linear=None)
     assert painted_pull(plain, truth.model_from_scan, model, model.control_vertices) is None
-    assert found_at(scan, truth, (0.0, 400.0, 0.0)) == []
+    assert found_at(fine_scan, (0.0, 400.0, 0.0)) == []
     bare = replace(model, landmark_points=None)
     assert painted_pull(scan, truth.model_from_scan, bare, model.control_vertices) is None
 

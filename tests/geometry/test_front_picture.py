@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from helpers.square import SQUARE_FACES as FACES
+from helpers.square import SQUARE_UV
 
 from scan2albedo import RawScan
 from scan2albedo.geometry.rasterization import front_picture
 
-SQUARE = np.array([[0.0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0]])
-FACES = np.array([[0, 1, 2], [0, 2, 3]])
-UV = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])[FACES]
+SQUARE = np.insert(10 * SQUARE_UV, 2, 0, axis=1)
+UV = SQUARE_UV[FACES]
 
 
 def picture(scan, pose=None):

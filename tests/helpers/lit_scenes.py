@@ -54,8 +54,6 @@ def bumps_geometry(size, half_mm=90.0):
     """Height field with a ridge and hills that shade one another."""
     axis = ((np.arange(size) + 0.5) / size * 2 - 1) * half_mm
     x, y = np.meshgrid(axis, -axis)
-    z = np.zeros_like(x)
-    slope_x, slope_y = np.zeros_like(x), np.zeros_like(x)
     hills = [
         (0, 5, 30, 9, 26),
         (-38, 30, 14, 20, 15),
@@ -63,15 +61,12 @@ def bumps_geometry(size, half_mm=90.0):
         (0, -45, 14, 28, 14),
         (0, 0, 55, 70, 85),
     ]
-    for cx, cy, height, sx, sy in hills:
-        hill = height * np.exp(-0.5 * (((x - cx) / sx) ** 2 + ((y - cy) / sy) ** 2))
-        z += hill
-        slope_x -= hill * (x - cx) / sx**2
-        slope_y -= hill * (y - cy) / sy**2
-    normal = np.stack([-slope_x, -slope_y, np.ones_like(x)], -1)
+    cx, cy, height, sx, sy = np.array(hills).T[..., None, None]
+    hill = height * np.exp(-0.5 * (((x - cx) / sx) ** 2 + ((y - cy) / sy) ** 2))
+    falls = [(hill * (x - cx) / sx**2).sum(0), (hill * (y - cy) / sy**2).sum(0)]
+    normal = np.stack([*falls, np.ones_like(x)], -1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    mask = np.ones_like(x, bool)
-    return np.stack([x, y, z - 30], -1), normal, mask
+    return np.stack([x, y, hill.sum(0) - 30], -1), normal, np.ones_like(x, bool)
 
 
 def march_shadow(position, light_point_or_direction, distant, steps=400):
@@ -94,8 +89,7 @@ def march_shadow(position, light_point_or_direction, distant, steps=400):
 
 def texture(kind, size, seed=0):
     rng = np.random.default_rng(seed)
-    grid = np.linspace(0, 1, size)
-    u, v = np.meshgrid(grid, grid)
+    u, v = np.meshgrid(*[np.linspace(0, 1, size)] * 2)
     if kind == "plain":
         value = np.full((size, size), 0.55)
     elif kind == "wood":
@@ -125,7 +119,6 @@ def render(
     *,
     sigma=0.0,
     specular=0.0,
-    exponent=20.0,
     shadows=False,
     peak=0.9,
     noise=0.0,
@@ -158,7 +151,7 @@ def render(
         )
         diffuse += np.where(lit, energy * n_l * rough, 0)
         mirror = 2 * n_l[..., None] * normal - unit
-        gloss += np.where(lit, energy * np.maximum(mirror[..., 2], 0) ** exponent, 0)
+        gloss += np.where(lit, energy * np.maximum(mirror[..., 2], 0) ** 20, 0)
     value = albedo.max(-1)
     lit_value = value * (1 + diffuse) + specular * gloss
     color = albedo * (lit_value / value)[..., None]

@@ -62,13 +62,6 @@ def test_kernel_equals_the_reference(reflectance):
     assert ours.specular == pytest.approx(specular, rel=1e-9, abs=1e-12)
 
 
-def test_no_light_leaves_the_ambient_term():
-    position, normal, _ = _points()
-    shading = shade_points(position, normal, (), Reflectance())
-    assert np.all(shading.light == 1)
-    assert np.all(shading.specular == 0)
-
-
 def test_facing_texel_at_the_origin_gets_the_intensity_from_any_distance():
     for distance in (300.0, math.inf):
         light = light_from_direction((0.3, 0.4, 1.0), distance, 2.5)
@@ -100,14 +93,16 @@ def test_inputs_are_not_changed_and_bad_names_are_refused():
         Reflectance("lambert", 0.3)
 
 
-def test_a_light_behind_the_surface_leaves_the_ambient_term():
+def test_no_light_and_light_behind_the_surface_leave_the_ambient_term():
     normal = np.tile([0.0, 0.0, 1.0], (50, 1))
     position = np.random.default_rng(0).uniform(-80, 80, (50, 3)) * [1, 1, 0]
-    for toward, distance in (((0, 0, -1), math.inf), ((0.3, 0, -0.5), 300.0), ((1, 0, -0.01), math.inf)):
+    behind = [
+        (light_from_direction(toward, distance, 5.0),)
+        for toward, distance in (((0, 0, -1), math.inf), ((0.3, 0, -0.5), 300.0), ((1, 0, -0.01), math.inf))
+    ]
+    for lights in ((), *behind):
         for reflectance in (Reflectance("oren-nayar", 1.0, 0.5, 0.1), Reflectance("minnaert", 0.5, 0.5, 2.0)):
-            shading = shade_points(
-                position, normal, (light_from_direction(toward, distance, 5.0),), reflectance
-            )
+            shading = shade_points(position, normal, lights, reflectance)
             assert np.all(shading.light == 1)
             assert np.all(shading.specular == 0)
 

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import trimesh
+from helpers.meshes import grid
 
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rays import RayCaster
@@ -19,15 +20,14 @@ TOWARD = np.array([0.4, 0.1, 1.0]) / np.linalg.norm([0.4, 0.1, 1.0])
 
 def _sphere_over_plane(scale=1.0):
     sphere = trimesh.creation.icosphere(subdivisions=5, radius=RADIUS)
-    corners = np.array([[-200, -200, 0], [200, -200, 0], [200, 200, 0], [-200, 200, 0.0]])
-    vertices = np.concatenate([sphere.vertices + [0, 0, HEIGHT], corners])
-    faces = np.concatenate([sphere.faces, np.array([[0, 1, 2], [0, 2, 3]]) + len(sphere.vertices)])
+    corners, square = grid(2, 2)
+    vertices = np.concatenate([sphere.vertices + [0, 0, HEIGHT], 400 * corners - [200, 200, 0]])
+    faces = np.concatenate([sphere.faces, square + len(sphere.vertices)])
     return RayCaster(scale * vertices, faces)
 
 
 def _plane_points():
-    x, y = np.meshgrid(*[np.linspace(-150, 150, 120)] * 2)
-    points = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], 1)
+    points = 300 * grid(120, 120)[0] - [150, 150, 0]
     return points, np.broadcast_to([0, 0, 1.0], points.shape)
 
 
@@ -92,8 +92,8 @@ def test_shadows_do_not_depend_on_the_unit_of_length(scale):
 
 def test_a_lamp_of_some_size_has_a_penumbra_as_wide_as_it_is_seen():
     """Below the edge of a half plane: the part of the disc that lies beyond the edge."""
-    wall = np.array([[0.0, -900, HEIGHT], [900, -900, HEIGHT], [900, 900, HEIGHT], [0, 900, HEIGHT]])
-    caster = RayCaster(wall, np.array([[0, 1, 2], [0, 2, 3]]))
+    corners, faces = grid(2, 2)
+    caster = RayCaster(corners * [900, 1800, 0] + [0, -900, HEIGHT], faces)
     x = np.linspace(-30, 30, 61)
     points = np.stack([x, 0 * x, 0 * x], 1)
     shadows = ShadowMap(caster, points, np.broadcast_to([0, 0, 1.0], points.shape), 1e-3)

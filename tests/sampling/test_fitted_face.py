@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.meshes import grid
 from helpers.patches import FlatAnnotation, Patch, patch
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -229,12 +230,11 @@ def test_texels_of_the_default_model_know_their_own_places(model):
 
 
 def test_a_texture_is_looked_up_as_if_what_was_done_to_it_were_undone():
-    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-    faces, points = np.array([[0, 1, 2], [0, 2, 3]]), np.array([[30, 40, 0], [61, 45, 0], [52, 70, 0.0]])
+    corners, faces = grid(2, 2)
+    points = np.array([[30, 40, 0], [61, 45, 0], [52, 70, 0.0]])
     row, column = np.indices((100, 140)) / 140
     smooth = np.stack([row, column, row * column], axis=-1).astype(np.float32)
-    vertices = np.column_stack([100.0 * corners, np.zeros(4)])
-    scan = RawScan(vertices, faces, uv=(0.1 + 0.8 * corners)[faces], texture_linear=smooth)
+    scan = RawScan(100 * corners, faces, uv=(0.1 + 0.8 * corners[:, :2])[faces], texture_linear=smooth)
     seen, up = np.array([[True, False], [True, True]]), np.tile([0, 0, 1.0], (3, 1))
     right = moved_colors(scan, seen, points, up)["as it is"]
     assert not right[0, 1].any()
@@ -276,12 +276,11 @@ def test_what_was_done_to_a_texture_is_told_by_name(shared_data, model):
 
 def test_vertex_colours_are_those_of_the_faces_near_the_points():
     """The face's own, though the scan begins with something else that lies far away."""
-    square = np.array([[0.0, 0, 0], [9, 0, 0], [9, 9, 0], [0, 9, 0]])
-    faces = np.array([[0, 1, 2], [0, 2, 3]])
-    vertices = np.concatenate([square + 500, square])
+    square, faces = grid(2, 2)
+    vertices = np.concatenate([9 * square + 500, 9 * square])
     colors = np.zeros((8, 3), np.float32)
     colors[:4, 0] = 1
-    colors[4:, 1:] = square[:, :2] / 9
+    colors[4:, 1:] = square[:, :2]
     scan = RawScan(vertices, np.concatenate([faces, faces + 4]), vertex_color_linear=colors)
     points = np.random.default_rng(0).uniform(1, 8, (40, 3)) * (1, 1, 0)
     found = sample_colors(scan, points, np.tile((0.0, 0, 1), (40, 1)), np.zeros((40, 3, 2)))

@@ -94,23 +94,15 @@ def test_half_a_face_gets_regions_but_no_landmarks(own):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("part", ["inner face", "face area", "whole head"])
-def test_the_generic_face_in_metres_and_turned(shared_data, part):
-    data = np.load(shared_data / "ict_faces.npz")
-    vertices, faces = data["shape_generic_neutral"].astype(float), data["faces"].astype(np.int64)
-    if part != "whole head":
-        faces = faces[: int(data["face_area_faces"])]
-    if part == "inner face":
-        faces = faces[(faces < int(data["narrow_face_vertices"])).all(1)]
+def test_the_generic_face_in_metres_and_turned(generic_face, part):
+    vertices, faces, landmarks, _ = generic_face(part)
     given = vertices @ TURN.T / 1000
     model = s2a.AnnotatedFaceModel.from_mesh(given, faces)
     found = transform_points(model.template_from_model, model.landmarks) * 1000
-    error = np.linalg.norm(found - given[data["landmarks68"]] * 1000, axis=1)
+    error = np.linalg.norm(found - given[landmarks] * 1000, axis=1)
     assert error[INNER].mean() < 3
-    assert_allclose(
-        transform_points(model.template_from_model, model.template_of(model.control_vertices)),
-        given,
-        atol=1e-9,
-    )
+    back = transform_points(model.template_from_model, model.template_of(model.control_vertices))
+    assert_allclose(back, given, atol=1e-9)
 
 
 @pytest.mark.slow
@@ -130,11 +122,9 @@ def test_the_mask_of_468_vertices_is_annotated_and_fits_a_scan_in_its_own_topolo
 
 
 @pytest.mark.slow
-def test_what_closes_the_hole_of_a_mouth_becomes_film(shared_data):
-    data = np.load(shared_data / "ict_faces.npz")
-    vertices, faces = data["shape_generic_neutral"].astype(float), data["faces"].astype(int)
-    narrow = faces[(faces < int(data["narrow_face_vertices"])).all(1)]
-    model = s2a.AnnotatedFaceModel.from_mesh(vertices, narrow)
+def test_what_closes_the_hole_of_a_mouth_becomes_film(generic_face):
+    vertices, faces, *_ = generic_face("inner face")
+    model = s2a.AnnotatedFaceModel.from_mesh(vertices, faces)
     film = model.in_region("between_lips")
     centres = model.control_vertices[model.control_faces].mean(1)
     mouth = model.landmarks[60:68].mean(0)

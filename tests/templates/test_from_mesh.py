@@ -128,8 +128,7 @@ def test_a_given_chart_is_kept_and_a_folded_one_replaced(dense):
     assert_sound(model)
     expected = 0.1 + 0.8 * (model.control_vertices[:, :2] / [140, 190] + 0.5)
     assert_allclose(model.uv, expected, atol=0.02)
-    folded = np.abs(uv - 0.5) + 0.2
-    assert_sound(plain_model(vertices, faces, folded, control_size=300))
+    assert_sound(plain_model(vertices, faces, np.abs(uv - 0.5) + 0.2, control_size=300))
 
 
 def test_regions_by_indices_and_masks(dense):
@@ -219,16 +218,11 @@ def test_the_468_vertex_mask(shared_data):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("part", ["face area", "inner face"])
-def test_the_generic_face(shared_data, part):
-    data = np.load(shared_data / "ict_faces.npz")
-    vertices, faces = data["shape_generic_neutral"].astype(float), data["faces"].astype(np.int64)
-    faces = faces[: int(data["face_area_faces"])]
-    if part == "inner face":
-        faces = faces[(faces < int(data["narrow_face_vertices"])).all(1)]
-    model = AnnotatedFaceModel.from_mesh(vertices, faces, landmarks=data["landmarks68"].astype(np.int64))
+def test_the_generic_face(generic_face, part):
+    vertices, faces, landmarks, inner_vertices = generic_face(part)
+    model = AnnotatedFaceModel.from_mesh(vertices, faces, landmarks=landmarks)
     assert_sound(model)
     assert 800 <= len(model.control_vertices) <= 1200
-    inner = vertices[: int(data["narrow_face_vertices"])] - vertices[np.unique(faces)].mean(0)
-    error = gap_mm(model, inner)
+    error = gap_mm(model, vertices[:inner_vertices] - vertices[np.unique(faces)].mean(0))
     assert error.mean() < (0.16 if part == "face area" else 0.1)
     assert model.landmarks.shape == (68, 3)
