@@ -195,7 +195,8 @@ def test_at_a_node_the_rays_of_one_node_serve(monkeypatch):
 
 def test_blurred_outlines_are_means_over_the_cells_that_are_there():
     """Weights are normalised: the rim, beyond which nothing is known, is no darker."""
-    blur, disc = 0.05, np.hypot(*np.indices((64, 64)) - 31.5) < 28
+    blur = 0.05
+    disc = np.hypot(*np.indices((64, 64)) - 31.5) < 28
     image = make_image("bumps")
     lattice, level = _lattice(image, disc), _level(image, disc)
     at = _at(*lattice.nearest(np.array([0.71, 0.13])))
