@@ -30,10 +30,16 @@ def _broken(albedo, disc, channels):
 def test_two_survivors_tell_a_third_of_two_pigments(pigments):
     albedo, disc = pigments
     broken, lost = _broken(albedo, disc, [0])
+    before = broken.copy()
     restored = restore_channels(broken, lost, ~disc)
-    relative = (restored / albedo)[disc][:, 0] - 1
-    assert np.sqrt(np.mean(relative**2)) < 0.002
-    assert np.sqrt(np.mean(relative**2)) < 0.05 * (albedo[disc].std(0) / albedo[disc].mean(0))[0]
+    off = np.sqrt(np.mean(((restored / albedo)[disc][:, 0] - 1) ** 2))
+    assert off < 0.002
+    assert off < 0.05 * (albedo[disc].std(0) / albedo[disc].mean(0))[0]
+    assert np.array_equal(restored[~lost], broken[~lost])
+    assert np.array_equal(broken, before)
+    few = np.zeros_like(disc)
+    few[:5, :5] = True
+    assert restore_channels(broken, lost, few) is broken
 
 
 def test_one_survivor_tells_most_of_the_others(pigments):
@@ -43,15 +49,6 @@ def test_one_survivor_tells_most_of_the_others(pigments):
     left = np.abs(restored - albedo)[disc][:, :2].mean(0)
     assert np.all(left < 0.2 * np.abs(broken - albedo)[disc][:, :2].mean(0))
     assert np.all(left < 0.6 * albedo[disc][:, :2].std(0))
-
-
-def test_survivors_and_everything_outside_keep_their_bits(pigments):
-    albedo, disc = pigments
-    broken, lost = _broken(albedo, disc, [0])
-    before = broken.copy()
-    restored = restore_channels(broken, lost, ~disc)
-    assert np.array_equal(restored[~lost], broken[~lost])
-    assert np.array_equal(broken, before)
 
 
 def test_the_clipped_value_is_a_lower_bound(pigments):
@@ -65,14 +62,6 @@ def test_a_texel_without_survivors_is_left(pigments):
     albedo, disc = pigments
     broken, lost = _broken(albedo, disc, [0, 1, 2])
     assert restore_channels(broken, lost, ~disc) is broken
-
-
-def test_too_few_sources_change_nothing(pigments):
-    albedo, disc = pigments
-    broken, lost = _broken(albedo, disc, [0])
-    few = np.zeros_like(disc)
-    few[:5, :5] = True
-    assert restore_channels(broken, lost, few) is broken
 
 
 def test_constant_colour_keeps_its_ratio():

@@ -4,9 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from helpers.lit_scenes import percent_off
 from worlds.mitsuba_scenes import load_scenes
 
-from scan2albedo.albedo import EstimateOptions, albedo_error, estimate_albedo
+from scan2albedo.albedo import EstimateOptions, estimate_albedo
 from scan2albedo.synthetic import face, light_at
 
 SIZE = "albedo.lamp_size"
@@ -27,7 +28,7 @@ def _disc(azimuth_deg, radius_deg):
 
 def _solved(scene, **options):
     estimate = estimate_albedo(scene.image, 1, options=EstimateOptions(**options))
-    return estimate, albedo_error(estimate.albedo_linear, scene.albedo_linear, scene.image.mask).mse_percent
+    return estimate, percent_off(estimate, scene)
 
 
 @pytest.mark.slow
@@ -48,6 +49,4 @@ def test_a_wide_lamp_is_told_from_a_point_and_no_worse_for_it(azimuth_deg):
 @pytest.mark.slow
 def test_bounced_light_has_the_colour_of_wood():
     (scene,) = load_scenes(["face-wood-distant-30"])
-    estimate = estimate_albedo(scene.image)
-    error = albedo_error(estimate.albedo_linear, scene.albedo_linear, scene.image.mask)
-    assert error.mse_percent < 0.037
+    assert percent_off(estimate_albedo(scene.image), scene) < 0.037

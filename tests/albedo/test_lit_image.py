@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.lit_scenes import lit_image
 
 from scan2albedo.albedo import EstimateOptions, albedo_error, estimate_albedo
 from scan2albedo.albedo.levels import build_level, usable_texels
@@ -28,9 +29,9 @@ def test_even_light_comes_from_the_front():
     np.testing.assert_array_equal(shading_direction(even), [0, 0, 1])
 
 
-def test_directions_are_all_kept_nearest_first(scenes):
+def test_directions_are_all_kept_nearest_first():
     scene = hemisphere(size=64, texture="wood", lights=[light_at(45, 10)])
-    searched = scenes.lit_image(scene.image)
+    searched = lit_image(scene.image)
     toward = shading_direction(searched.at(searched.options.sizes[0]).level)
     assert (np.diff(searched.directions @ toward) <= 0).all()
     assert len(np.unique(searched.directions, axis=0)) == 60

@@ -18,7 +18,7 @@ def test_the_set_is_whole_and_small(scenes):
     assert sum(path.stat().st_size for path in FOLDER.iterdir()) < 3e6
 
 
-def test_every_scene_is_finite_and_in_range(scenes):
+def test_every_scene_is_albedo_times_light_in_range_and_clipped_where_over_exposed(scenes):
     for scene in scenes.values():
         mask, texture = scene.image.mask, scene.image.texture_linear
         albedo = scene.albedo_linear[mask]
@@ -28,21 +28,13 @@ def test_every_scene_is_finite_and_in_range(scenes):
         assert (scene.light_on_value[mask] > 0.1).all(), scene.name
         assert np.allclose(np.linalg.norm(scene.image.normal[mask], axis=1), 1), scene.name
         assert 0.1 < texture[mask].mean() < 0.9, scene.name
-
-
-def test_the_picture_is_albedo_times_light(scenes):
-    for scene in scenes.values():
-        kept = scene.image.mask & ~scene.clipped
+        kept = mask & ~scene.clipped
         expected = (scene.albedo_linear.max(2) * scene.light_on_value)[kept]
-        off = scene.image.texture_linear.max(2)[kept] - np.minimum(expected, 1)
+        off = texture.max(2)[kept] - np.minimum(expected, 1)
         assert abs(off.mean()) < 2e-3, scene.name
         assert 0.003 < off.std() < 0.006, scene.name
-
-
-def test_only_the_over_exposed_scene_is_clipped(scenes):
-    for name, scene in scenes.items():
-        part = scene.clipped.sum() / scene.image.mask.sum()
-        assert (0.02 < part < 0.06) if "over-exposed" in name else part == 0, name
+        part = scene.clipped.sum() / mask.sum()
+        assert (0.02 < part < 0.06) if "over-exposed" in scene.name else part == 0, scene.name
 
 
 @pytest.mark.parametrize(

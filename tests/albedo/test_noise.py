@@ -10,27 +10,19 @@ SIZE = 200
 EVERYWHERE = np.ones((SIZE, SIZE), bool)
 
 
-@pytest.fixture
-def rng():
-    return np.random.default_rng(0)
-
-
-@pytest.fixture
-def lit(rng):
-    """Texture, and light that falls from 5 to 1 down the image."""
-    albedo = 0.5 + 0.05 * rng.standard_normal((SIZE, SIZE))
-    return albedo, np.linspace(5, 1, SIZE)[:, None] * np.ones((1, SIZE))
+def _white_noise(rng, *channels):
+    return rng.standard_normal((SIZE, SIZE, *channels))
 
 
 def _smooth(rng, texels, deviation):
-    field = gaussian_filter(rng.standard_normal((SIZE, SIZE)), texels)
+    field = gaussian_filter(_white_noise(rng), texels)
     return deviation * field / field.std()
 
 
 @pytest.mark.parametrize("noise", [0.02, 0.06, 0.2])
 def test_additive_noise_is_told_by_the_light(lit, noise, rng):
     albedo, light = lit
-    value = albedo * light + noise * rng.standard_normal(light.shape)
+    value = albedo * light + noise * _white_noise(rng)
     assert additive_deviation(value, light, EVERYWHERE) == pytest.approx(noise, rel=0.15, abs=0.012)
 
 
@@ -42,7 +34,7 @@ def test_texture_alone_is_not_taken_for_additive_noise(lit):
 
 @pytest.mark.parametrize("noise", [0.01, 0.1])
 def test_the_variance_of_white_noise_is_found_beside_smooth_texture(noise, rng):
-    field = 1 + _smooth(rng, 3, 0.02) + noise * rng.standard_normal((SIZE, SIZE))
+    field = 1 + _smooth(rng, 3, 0.02) + noise * _white_noise(rng)
     found = white_variance(field[..., None], EVERYWHERE)
     # The least of several estimates falls short.
     assert 0.7 * noise**2 < np.median(found) < noise**2
@@ -77,7 +69,7 @@ def test_texture_and_correlated_noise_are_not_white(kind, rng):
 
 
 def test_texels_that_are_not_usable_do_not_count(rng):
-    field = 1 + 0.05 * rng.standard_normal((SIZE, SIZE))
+    field = 1 + 0.05 * _white_noise(rng)
     usable = rng.random((SIZE, SIZE)) > 0.3
     broken = np.where(usable, field, 100.0)
     assert 0.7 * 0.05**2 < np.median(white_variance(broken[..., None], usable)[usable, 0]) < 0.05**2
@@ -85,7 +77,7 @@ def test_texels_that_are_not_usable_do_not_count(rng):
 
 
 def test_fields_of_a_stack_do_not_touch_one_another(rng):
-    fields = np.stack([_smooth(rng, 2, 0.1), 0.05 * rng.standard_normal((SIZE, SIZE)), np.ones((SIZE, SIZE))])
+    fields = np.stack([_smooth(rng, 2, 0.1), 0.05 * _white_noise(rng), np.ones((SIZE, SIZE))])
     usable = rng.random((SIZE, SIZE)) > 0.2
     together = np.moveaxis(white_variance(np.moveaxis(fields, 0, -1), usable), -1, 0)
     for field, found in zip(fields, together, strict=True):
@@ -110,7 +102,7 @@ def _channels(relative):
 
 
 def test_noise_of_each_channel_is_found(rng):
-    noise = _channels(1 + 0.03 * rng.standard_normal((SIZE, SIZE, 3)))
+    noise = _channels(1 + 0.03 * _white_noise(rng, 3))
     assert noise.lead == 0
     assert np.median(noise.leading) == pytest.approx(0.03**2, rel=0.25)
     assert np.median(noise.beside[..., 1]) == pytest.approx(2 * 0.03**2, rel=0.15)
@@ -118,14 +110,14 @@ def test_noise_of_each_channel_is_found(rng):
 
 
 def test_noise_that_the_channels_nearly_share_is_found(rng):
-    shared, own = 0.05 * rng.standard_normal((SIZE, SIZE, 1)), 0.015 * rng.standard_normal((SIZE, SIZE, 3))
+    shared, own = 0.05 * _white_noise(rng, 1), 0.015 * _white_noise(rng, 3)
     noise = _channels(1 + shared + own)
     assert np.median(noise.leading) == pytest.approx(0.05**2 + 0.015**2, rel=0.25)
 
 
 def test_white_texture_moves_all_channels_and_is_no_noise(rng):
     """Pores of one texel, in the colour of skin and stronger where it absorbs more, at 8 bits."""
-    pores = 1 + 0.03 * rng.standard_normal((SIZE, SIZE, 1)) * np.array([1.0, 1.0, 1.6])
+    pores = 1 + 0.03 * _white_noise(rng, 1) * np.array([1.0, 1.0, 1.6])
     noise = _channels(pores)
     assert np.median(noise.leading) < 0.05 * 0.03**2
     assert np.median(noise.beside[..., 2]) < 0.05 * 0.03**2
@@ -135,13 +127,13 @@ def test_stubble_is_no_noise_where_the_rest_of_the_picture_has_little(rng):
     """Dark dots of one texel on the lower third, under sensor noise."""
     dots = (rng.random((SIZE, SIZE)) < 0.2) & (np.arange(SIZE) > 130)[:, None]
     hair = np.where(dots[..., None], np.array([0.7, 0.75, 0.8]), 1.0)
-    noise = _channels(hair * (1 + 0.01 * rng.standard_normal((SIZE, SIZE, 3))))
+    noise = _channels(hair * (1 + 0.01 * _white_noise(rng, 3)))
     assert np.median(noise.leading[150:]) < 0.3 * hair[150:, :, 0].var()
 
 
 def test_grey_noise_is_told_by_the_light_alone(lit, rng):
     albedo, light = lit
-    value = albedo * light + 0.06 * rng.standard_normal(light.shape)
+    value = albedo * light + 0.06 * _white_noise(rng)
     grey = np.repeat(value[..., None], 3, 2)
     lights, around = light[..., None] * np.ones(3), np.full(grey.shape, 0.5)
     noise = channel_noise(grey / lights / around, grey, around, lights, EVERYWHERE)

@@ -1,68 +1,56 @@
 """The posterior of light and albedo: derivatives, descent, and evidence, on scenes of another renderer."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.lit_scenes import angle_deg, direction, lit_image, lit_scene
 
 from scan2albedo.albedo.node_field import Scales
 from scan2albedo.albedo.posterior import Point, descend, robust_weights
 from scan2albedo.core import Budget
 
-FAR = math.inf
 ALL = ("near", "rough", "specular", "occlusion", "bounce", "environment")
+LAMP = (30, 10)
+TOWARD = direction(*LAMP)
 
 
 @pytest.fixture(scope="module")
-def posed(scenes):
-    """Return a function: an image as a search holds it, and the posterior of 24 cells along its side."""
-
-    def pose(image, budget=Budget()):
-        scene = scenes.lit_image(image, budget=budget, force=("albedo.shadows",))
-        return scene, scene.posterior(24)
-
-    return pose
+def bumps():
+    return lit_scene("bumps", "skin", LAMP).image
 
 
 @pytest.fixture(scope="module")
-def bumps(scenes):
-    return scenes.scene("bumps", "skin", [(30, 10, 2.0, FAR)], size=64)
+def ball():
+    return lit_scene("hemisphere", "skin", LAMP).image
 
 
-@pytest.fixture(scope="module")
-def ball(scenes):
-    return scenes.scene("hemisphere", "skin", [(30, 10, 2.0, FAR)], size=64)
-
-
-def _model(scene, lights, *parts):
-    model = scene.model(lights)
-    for part in parts:
-        model = replace(model, **{part: True})
-    return model
-
-
-def _x(model, scenes, angles=((30, 10), (-40, 20))):
-    toward = np.array([scenes.direction(*angle) for angle in angles[: model.lights]]).reshape(-1, 3)
-    x = model.from_lights(toward, np.array([2.0, 0.7])[: model.lights])
+def _start(image, lights=1, parts=(), angles=(LAMP, (-40, 20)), budget=Budget()):
+    """Return where a descent begins: lamps, and parts of the light, in a posterior of 24 cells a side."""
+    scene = lit_image(image, budget=budget, force=("albedo.shadows",))
+    model = replace(scene.model(lights), **dict.fromkeys(parts, True))
+    toward = np.array([direction(*angle) for angle in angles[:lights]]).reshape(-1, 3)
+    x = model.from_lights(toward, np.array([2.0, 0.7])[:lights])
     if model.environment:
         x[-8:] = np.random.default_rng(1).uniform(-0.15, 0.15, 8)
-    return x
-
-
-def _start(problem, model, x):
+    problem = scene.posterior(24)
     return problem.start(model, x, problem.started(Scales()))
 
 
-def _off_deg(point, scenes):
+def _descended(point, evaluations):
+    return descend(point, evaluations, point.problem.meter)
+
+
+def _followed(point, *evaluations):
+    """Return where descents end after each of which the scales follow."""
+    for count in evaluations:
+        point = _descended(point, count).rescaled().rescaled()
+    return point
+
+
+def _lamp(point):
     (lamp,) = point.solution().hypothesis.lights()
-    return math.degrees(math.acos(min(1.0, float(lamp.direction @ scenes.direction(30, 10)))))
-
-
-def _light_off(point, scenes):
-    """Return the standard deviation of log light beside the true one; alone, the true one has 0.38."""
-    cosine = np.maximum(point.problem.level.normal @ scenes.direction(30, 10), 0)
-    return float(np.std(np.log(point.light / (1 + 2.0 * cosine))))
+    return lamp
 
 
 def _settled(point, rounds=30):
@@ -73,107 +61,79 @@ def _settled(point, rounds=30):
 
 
 @pytest.mark.parametrize(("lights", "parts"), [(0, ALL[3:]), (1, ()), (2, ALL)])
-def test_gradient_is_the_slope_of_the_cost_with_the_albedo_following(bumps, scenes, lights, parts, posed):
-    scene, problem = posed(bumps.image)
-    model = _model(scene, lights, *parts)
-    point = _settled(_start(problem, model, _x(model, scenes)))
-    gradient = point.quadratic()[1] - point.prior.slope
+def test_gradient_is_the_slope_of_the_cost_with_the_albedo_following(bumps, lights, parts):
+    point = _settled(_start(bumps, lights, parts))
+    matrix, slope = point.quadratic()[:2]
+    gradient = slope - point.prior.slope
     step = 1e-4
     slopes = []
-    for k in range(len(point.x)):
-        ahead, behind = (_settled(point.moved(s * step * np.eye(len(point.x))[k]), 3) for s in (1, -1))
+    for way in step * np.eye(len(point.x)):
+        ahead, behind = (_settled(point.moved(moved), 3) for moved in (way, -way))
         slopes.append((ahead.cost - ahead.prior.cost - behind.cost + behind.prior.cost) / (2 * step))
     # A lamp's cast shadows move with its direction alone, not with its distance.
     known = np.ones(len(slopes), bool)
-    if model.near:
-        known[model.position_of("near")] = False
+    if point.model.near:
+        known[point.model.position_of("near")] = False
     expected = np.array(slopes)[known]
     assert gradient[known] == pytest.approx(expected, rel=0.02, abs=0.02 * np.abs(expected).max())
-
-
-def test_the_model_of_the_cost_is_convex_and_symmetric(bumps, scenes, posed):
-    scene, problem = posed(bumps.image)
-    model = _model(scene, 2, *ALL)
-    matrix = _start(problem, model, _x(model, scenes)).quadratic()[0]
     assert matrix == pytest.approx(matrix.T)
     assert np.linalg.eigvalsh(matrix).min() > 0
 
 
-def test_the_scale_of_albedo_and_exposure_are_one(ball, scenes, posed):
+def test_the_scale_of_albedo_and_exposure_are_one(ball):
     """A start has the scale that fits best; a picture four times as dark has the same cost."""
-    dark = replace(ball.image, texture_linear=ball.image.texture_linear * np.float32(0.25))
-    costs = []
-    for image in (ball.image, dark):
-        scene, problem = posed(image)
-        model = _model(scene, 1)
-        costs.append(_start(problem, model, _x(model, scenes)).cost)
-    assert costs[1] == pytest.approx(costs[0], rel=1e-5)
+    dark = replace(ball, texture_linear=ball.texture_linear * np.float32(0.25))
+    assert _start(dark).cost == pytest.approx(_start(ball).cost, rel=1e-5)
 
 
 @pytest.mark.parametrize("parts", [(), ALL])
-def test_descent_lowers_the_cost_and_stays_in_bounds(ball, scenes, parts, posed):
-    scene, problem = posed(ball.image)
-    model = _model(scene, 1, *parts)
-    start = _start(problem, model, _x(model, scenes, ((0, 0),)))
-    found = descend(start, 30, problem.meter)
-    lower, upper = model.bounds
+def test_descent_lowers_the_cost_and_stays_in_bounds(ball, parts):
+    start = _start(ball, parts=parts, angles=((0, 0),))
+    found = _descended(start, 30)
+    lower, upper = start.model.bounds
     assert (found.x[:-2] >= lower).all()
     assert (found.x[:-2] <= upper).all()
     assert found.cost < start.cost - 10
 
 
-@pytest.mark.parametrize("angle", [(20, 0), (45, 5), (40, 25), (30, -5)])
-def test_descents_with_scales_that_follow_lead_to_the_lamp(ball, scenes, angle, posed):
+@pytest.mark.parametrize(
+    ("angle", "parts", "most_deg"),
+    # Soft light beside the lamp takes a part of it, but the light is right.
+    [((20, 0), (), 6), ((40, 25), (), 6), ((20, 0), ALL, 10)],
+)
+def test_descents_with_scales_that_follow_lead_to_the_light(ball, angle, parts, most_deg):
     """They start 15 degrees away, as some direction of the search does."""
-    scene, problem = posed(ball.image)
-    model = _model(scene, 1)
-    point = _start(problem, model, _x(model, scenes, (angle,)))
-    for evaluations in (6, 4, 10):
-        point = descend(point, evaluations, problem.meter).rescaled().rescaled()
-    assert _off_deg(point, scenes) < 6
-    assert _light_off(point, scenes) < 0.06
+    point = _followed(_start(ball, 1, parts, (angle,)), 6, 4, 10)
+    assert angle_deg(_lamp(point), TOWARD) < most_deg
+    cosine = np.maximum(point.problem.level.normal @ TOWARD, 0)
+    # The logarithm of the true light deviates by 0.38.
+    assert np.std(np.log(point.light / (1 + 2.0 * cosine))) < 0.06
 
 
-def test_soft_light_beside_it_takes_part_of_the_lamp_but_the_light_is_right(ball, scenes, posed):
-    scene, problem = posed(ball.image)
-    model = _model(scene, 1, *ALL)
-    point = _start(problem, model, _x(model, scenes, ((20, 0),)))
-    for evaluations in (6, 4, 10):
-        point = descend(point, evaluations, problem.meter).rescaled().rescaled()
-    assert _off_deg(point, scenes) < 10
-    assert _light_off(point, scenes) < 0.06
+def test_descent_takes_no_more_evaluations_than_it_may(ball):
+    start = _start(ball, angles=((0, 0),), budget=Budget(evaluations=6))
+    meter = start.problem.meter
+    before = meter.evaluations
+    _descended(start, 2)
+    assert meter.evaluations <= before + 2
+    _descended(start, 50)
+    assert meter.evaluations <= 6
 
 
-def test_descent_takes_no_more_evaluations_than_it_may(ball, scenes, posed):
-    scene, problem = posed(ball.image, budget=Budget(evaluations=6))
-    model = _model(scene, 1)
-    start = _start(problem, model, _x(model, scenes, ((0, 0),)))
-    before = problem.meter.evaluations
-    descend(start, 2, problem.meter)
-    assert problem.meter.evaluations <= before + 2
-    descend(start, 50, problem.meter)
-    assert problem.meter.evaluations <= 6
+def test_evidence_is_for_a_lamp_that_is_there_and_against_one_that_is_not(ball):
+    gains = []
+    for image in (ball, lit_scene("hemisphere", "skin").image):
+        without, with_lamp = (_descended(_start(image, n), 30).log_evidence() for n in (0, 1))
+        gains.append(with_lamp - without)
+    assert gains[0] > 3
+    assert gains[1] < -1
 
 
-def test_evidence_is_for_a_lamp_that_is_there_and_against_one_that_is_not(scenes, ball, posed):
-    unlit = scenes.scene("hemisphere", "skin", [], size=64)
-    for image, there in ((ball.image, True), (unlit.image, False)):
-        scene, problem = posed(image)
-        none, one = (_model(scene, n) for n in (0, 1))
-        without, with_lamp = (
-            descend(_start(problem, m, _x(m, scenes)), 30, problem.meter).log_evidence() for m in (none, one)
-        )
-        assert (with_lamp > without + 3) if there else (with_lamp < without - 1)
-
-
-def test_scales_follow_the_grain_of_the_picture(scenes, posed):
+def test_scales_follow_the_grain_of_the_picture():
     """Without any albedo to explain, deviations of albedo fall; with strong grain, they rise."""
     scales = []
     for kind in ("plain", "wood"):
-        image = scenes.scene("hemisphere", kind, [(30, 10, 2.0, FAR)], size=64).image
-        scene, problem = posed(image)
-        model = _model(scene, 1)
-        point = _start(problem, model, _x(model, scenes))
+        point = _start(lit_scene("hemisphere", kind, LAMP).image)
         for _ in range(3):
             point = point.rescaled()
         scales.append((point.known.scales.albedo, point.known.scales.grain))
@@ -181,70 +141,52 @@ def test_scales_follow_the_grain_of_the_picture(scenes, posed):
     assert max(scales[0]) < 1
 
 
-@pytest.mark.parametrize("kind", ["plain", "skin"])
-def test_the_scale_of_light_falls_where_the_light_is_right_and_not_where_it_is_wrong(scenes, kind, posed):
+def test_the_scale_of_light_falls_where_the_light_is_right_and_not_where_it_is_wrong(ball):
     """Light that no part stands for is rare in an exact scene; a dark half in other light shows some."""
-    image = scenes.scene("hemisphere", kind, [(30, 10, 2.0, FAR)], size=64).image
-    toward, dark = image.normal @ scenes.direction(30, 10), image.normal @ scenes.direction(-60, -10)
-    half = 1 / (1 + np.exp(8 * (toward - 0.3)))
-    wrong = np.exp(0.5 * half * np.sin(6 * dark))[..., None]
-    found = []
-    for factor in (1.0, wrong):
-        texture = (image.texture_linear * factor).astype(np.float32)
-        scene, problem = posed(replace(image, texture_linear=texture))
-        model = _model(scene, 1)
-        point = _start(problem, model, _x(model, scenes))
-        for evaluations in (6, 4):
-            point = descend(point, evaluations, problem.meter).rescaled().rescaled()
-        found.append(point.known.scales.light)
-    assert found[0] < 0.8
-    assert found[1] > 1.2 * found[0]
+    half = 1 / (1 + np.exp(8 * (ball.normal @ TOWARD - 0.3)))
+    wrong = np.exp(0.5 * half * np.sin(6 * (ball.normal @ direction(-60, -10))))[..., None]
+    right_scale, wrong_scale = (
+        _followed(_start(replace(ball, texture_linear=np.float32(texture))), 6, 4).known.scales.light
+        for texture in (ball.texture_linear, ball.texture_linear * wrong)
+    )
+    assert right_scale < 0.8
+    assert wrong_scale > 1.2 * right_scale
 
 
-def test_the_light_is_less_sure_where_it_is_dark(ball, scenes, posed):
-    scene, problem = posed(ball.image)
-    model = _model(scene, 1)
-    point = descend(_start(problem, model, _x(model, scenes)), 20, problem.meter)
+def test_the_light_is_less_sure_where_it_is_dark(ball):
+    point = _descended(_start(ball), 20)
     deviation = point.light_deviation()
-    cosine = problem.level.normal @ scenes.direction(30, 10)
+    cosine = point.problem.level.normal @ TOWARD
     assert np.isfinite(deviation).all()
     assert (deviation >= 0).all()
     assert deviation[cosine < 0].mean() > 1.2 * deviation[cosine > 0.6].mean()
 
 
-def test_a_few_odd_cells_hardly_move_the_light(ball, scenes, posed):
+def test_a_few_odd_cells_hardly_move_the_light(ball):
     """Student's t: a bright sticker is not explained by the light."""
-    texture = ball.image.texture_linear.copy()
+    texture = ball.texture_linear.copy()
     texture[30:33, 20:23] *= 0.2
-    found = []
-    for image in (ball.image, replace(ball.image, texture_linear=texture)):
-        scene, problem = posed(image)
-        model = _model(scene, 1)
-        point = descend(_start(problem, model, _x(model, scenes)), 20, problem.meter)
-        found.append(point.solution().hypothesis.rows[0])
-    assert math.degrees(math.acos(min(1.0, float(found[0][:3] @ found[1][:3])))) < 3
-    assert found[1][4] == pytest.approx(found[0][4], rel=0.1)
+    plain, marked = (
+        _lamp(_descended(_start(image), 20)) for image in (ball, replace(ball, texture_linear=texture))
+    )
+    assert angle_deg(marked, plain.direction) < 3
+    assert marked.intensity == pytest.approx(plain.intensity, rel=0.1)
 
 
-def test_points_with_a_factor_of_their_weights_are_the_same(ball, scenes, posed):
+def test_points_with_a_factor_of_their_weights_are_the_same(ball):
     """Starts are compared under one set of weights, whose factor is computed once."""
-    scene, problem = posed(ball.image)
-    model = _model(scene, 1)
-    x = _start(problem, model, _x(model, scenes)).x
-    known = problem.started(Scales())
-    kept = Point(problem, model, x, known, fixed=True)
+    start = _start(ball)
+    known = start.problem.started(Scales())
+    kept = Point(start.problem, start.model, start.x, known, fixed=True)
     assert kept.known is known
-    fresh = Point(problem, model, x, known)
+    fresh = Point(start.problem, start.model, start.x, known)
     assert np.array_equal(kept.light, fresh.light)
     assert kept.cost == pytest.approx(fresh.cost, rel=0.05)
 
 
-def test_evidence_does_not_hang_on_how_often_the_cells_were_weighed(ball, scenes, posed):
+def test_evidence_does_not_hang_on_how_often_the_cells_were_weighed(ball):
     """Odds of 3 decide: the search's own sequence of steps leaves less than a fifth of that open."""
-    scene, problem = posed(ball.image)
-    model = _model(scene, 1, *ALL)
-    point = descend(_start(problem, model, _x(model, scenes)), 8, problem.meter).rescaled().rescaled()
-    point = descend(point, 6, problem.meter).rescaled()
+    point = _descended(_followed(_start(ball, parts=ALL), 8), 6).rescaled()
     assert point.log_evidence() == pytest.approx(_settled(point).log_evidence(), abs=0.3)
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.npz import rewritten
 
 from scan2albedo.albedo.prior import MEANS, NODES, AlbedoPrior
 from scan2albedo.errors import LightingError
@@ -120,8 +121,7 @@ def test_a_saved_prior_comes_back(prior, tmp_path):
 def test_a_file_of_other_arrays_is_refused_by_name(name, value, message, tmp_path):
     path = tmp_path / "prior.npz"
     AlbedoPrior.stationary().save(path)
-    with np.load(path) as stored:
-        np.savez(path, **dict(stored) | {name: value})
+    rewritten(path, **{name: value})
     with pytest.raises(LightingError, match=f"albedo prior .*prior.npz: .*{message}"):
         AlbedoPrior.load(path)
 

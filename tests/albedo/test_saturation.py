@@ -14,7 +14,7 @@ from scan2albedo.albedo.saturation import inpainted
 from scan2albedo.synthetic import Material, face, hemisphere, light_at
 
 SIZE = 192
-OPTIONS = EstimateOptions()
+NOWHERE = np.zeros((SIZE, SIZE), bool)
 
 
 def _scene(make, *, texture="skin", grain=1.0, gloss=0.35, exposure=1.5, seed=1):
@@ -29,15 +29,14 @@ def _scene(make, *, texture="skin", grain=1.0, gloss=0.35, exposure=1.5, seed=1)
     )
 
 
-def _finish(scene, *, known_highlight=1.0, options=OPTIONS, image=None):
+def _finish(scene, *, known_highlight=1.0, force=(), **changes):
     """Return (left as divided, finished, the plan's row); part of the highlight is hidden from the model."""
-    image = image or scene.image
+    image = replace(scene.image, **changes)
     specular = known_highlight * scene.specular
     light = np.where(image.mask, scene.shading, 1.0)[..., None]
     texture = image.texture_linear / np.float32(scene.gain)
     left = (np.maximum(texture - specular[..., None], 0) / light).astype(np.float32)
-    usable = usable_texels(image)
-    return left, *inpainted(left, image, usable, options, 0)
+    return left, *inpainted(left, image, usable_texels(image), EstimateOptions(force=force), 0)
 
 
 def _clipped(scene):
@@ -113,24 +112,22 @@ def test_over_exposure_without_a_highlight_is_restored_not_resynthesised(make):
 def test_white_over_exposure_is_left_unless_asked():
     scene = _scene(hemisphere, gloss=0.0)
     white = np.where(scene.shading[..., None] > 2.0, 1.0, scene.image.texture_linear).astype(np.float32)
-    image = replace(scene.image, texture_linear=white * scene.image.mask[..., None])
+    changed = {"texture_linear": white * scene.image.mask[..., None]}
     lost = (white >= 1).all(-1) & scene.image.mask
     assert lost.mean() > 0.25
-    left, finished, step = _finish(scene, image=image)
+    left, finished, step = _finish(scene, **changed)
     assert "left" in step.evidence
     assert np.array_equal(finished[lost], left[lost])
-    asked = _finish(scene, image=image, options=EstimateOptions(force=("albedo.inpainting",)))[1]
+    asked = _finish(scene, force=("albedo.inpainting",), **changed)[1]
     assert not np.array_equal(asked[lost], left[lost])
 
 
 def test_nothing_is_filled_or_copied_where_the_annotation_forbids_it():
     scene = _scene(hemisphere, gloss=1.0, exposure=1.8)
-    forbidden = np.zeros((SIZE, SIZE), bool)
-    forbidden[:, : SIZE // 2] = True
-    left, finished, _ = _finish(scene, image=replace(scene.image, inpaint=~forbidden))
+    forbidden = NOWHERE | (np.arange(SIZE) < SIZE // 2)
+    left, finished, _ = _finish(scene, inpaint=~forbidden)
     assert np.array_equal(finished[forbidden], left[forbidden])
-    nowhere = np.zeros((SIZE, SIZE), bool)
-    left, finished, step = _finish(scene, image=replace(scene.image, inpaint=nowhere))
+    left, finished, step = _finish(scene, inpaint=NOWHERE)
     assert finished is left
     assert step.reason == "the annotation forbids it"
 

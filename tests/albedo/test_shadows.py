@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.lit_scenes import GEOMETRIES
+from helpers.meshes import grid
 
 from scan2albedo.albedo import EstimateOptions, shadows
 from scan2albedo.albedo.levels import build_level
@@ -22,19 +24,31 @@ from scan2albedo.synthetic import face
 DIRECTIONS = cone_directions(60, (0, 0, 1), CONE_RAD)
 
 
-@pytest.fixture(scope="module")
-def make_image(scenes):
-    def make(shape, size=64):
-        geometry = {"hemisphere": scenes.hemisphere_geometry, "bumps": scenes.bumps_geometry}[shape](size)
-        return GeometryImage(*geometry, texture_linear=np.full((size, size, 3), 0.5, np.float32))
+def make_image(shape, size=64):
+    return GeometryImage(*GEOMETRIES[shape](size), texture_linear=np.full((size, size, 3), 0.5, np.float32))
 
-    return make
+
+def _level(image, where=True):
+    return build_level(image, image.mask & where, 32)
+
+
+def _caster(image):
+    return RayCaster(*image.occluder_mesh())
+
+
+def _lattice(image, where=True):
+    return ShadowLattice(_level(image, where), _caster(image))
+
+
+def _at(model_x, model_y, nearness=0.0):
+    """Return parameters of a lamp of unit strength."""
+    return np.array([model_x, model_y, 0.0, nearness])
 
 
 def _decide(image, directions=DIRECTIONS, **options):
-    chosen = EstimateOptions(**options)
-    level = build_level(image, image.mask, 32)
-    caster, step = shadow_caster(image, level, directions, chosen, Meter("albedo", ""))
+    caster, step = shadow_caster(
+        image, _level(image), directions, EstimateOptions(**options), Meter("albedo", "")
+    )
     assert (caster is not None) == step.ran
     assert step.stage == "albedo.shadows"
     return caster, step
@@ -44,26 +58,28 @@ def _percent(step):
     return float(re.search(r"at most ([\d.]+) %", step.evidence)[1])
 
 
-def test_a_hemisphere_casts_no_shadow_on_itself(make_image):
-    _, step = _decide(make_image("hemisphere"))
-    assert not step.ran
-    assert _percent(step) < 100 * LEAST_SHADOW
+@pytest.mark.parametrize(
+    ("shape", "least", "most"), [("hemisphere", -1, 100 * LEAST_SHADOW), ("bumps", 2, 50)]
+)
+def test_hills_shade_one_another_and_a_hemisphere_nothing(shape, least, most):
+    image = make_image(shape)
+    _, step = _decide(image)
+    assert step.ran == (shape == "bumps")
+    assert least < _percent(step) < most
+    _, forced = _decide(image, force=("albedo.shadows",))
+    assert (forced.ran, forced.reason, forced.evidence) == (True, "asked for", step.evidence)
+    _, without = _decide(image, skip=("albedo.shadows",))
+    assert (without.ran, without.reason) == (False, "left out by the caller")
 
 
-def test_hills_shade_one_another(make_image):
-    _, step = _decide(make_image("bumps"))
-    assert step.ran
-    assert 2 < _percent(step) < 50
-
-
-def test_the_figure_is_that_of_the_worst_direction(make_image):
+def test_the_figure_is_that_of_the_worst_direction():
     image = make_image("bumps")
     each = [_percent(_decide(image, direction[None])[1]) for direction in DIRECTIONS[:30]]
     assert each[0] == 0
     assert _percent(_decide(image, DIRECTIONS[:30])[1]) == max(each) > 1
 
 
-def test_the_fraction_that_has_to_lie_in_shadow_decides(make_image, monkeypatch):
+def test_the_fraction_that_has_to_lie_in_shadow_decides(monkeypatch):
     image = make_image("bumps")
     largest = _percent(_decide(image)[1]) / 100
     for part in (0.9, 1.1):
@@ -72,17 +88,7 @@ def test_the_fraction_that_has_to_lie_in_shadow_decides(make_image, monkeypatch)
 
 
 @pytest.mark.parametrize("shape", ["hemisphere", "bumps"])
-def test_the_caller_forces_shadows_and_leaves_them_out(make_image, shape):
-    image = make_image(shape)
-    _, forced = _decide(image, force=("albedo.shadows",))
-    assert (forced.ran, forced.reason) == (True, "asked for")
-    assert forced.evidence == _decide(image)[1].evidence
-    _, without = _decide(image, skip=("albedo.shadows",))
-    assert (without.ran, without.reason) == (False, "left out by the caller")
-
-
-@pytest.mark.parametrize("shape", ["hemisphere", "bumps"])
-def test_a_dense_chart_decides_as_its_full_mesh_does(make_image, shape):
+def test_a_dense_chart_decides_as_its_full_mesh_does(shape):
     image = make_image(shape, 256)
     _, ours = _decide(image)
     _, full = _decide(replace(image, occluder=image.triangulated()))
@@ -91,7 +97,7 @@ def test_a_dense_chart_decides_as_its_full_mesh_does(make_image, shape):
     assert _percent(ours) == pytest.approx(_percent(full), abs=1)
 
 
-def test_a_dense_chart_casts_its_shadows_with_every_texel(make_image):
+def test_a_dense_chart_casts_its_shadows_with_every_texel():
     """A spike of one texel between those that the decision looks at."""
     image = make_image("bumps", 256)
     position = image.position.copy()
@@ -103,16 +109,17 @@ def test_a_dense_chart_casts_its_shadows_with_every_texel(make_image):
     assert caster.occluded(beside[None], (along / np.linalg.norm(along))[None]).tolist() == [True]
 
 
-def test_an_occluder_beyond_the_chart_counts(make_image):
+def test_an_occluder_beyond_the_chart_counts():
     image = make_image("hemisphere")
     vertices, faces = image.triangulated()
-    roof = np.array([[60.0, -60, 60], [60, 60, 60], [60, 60, 120], [60, -60, 120]])
-    both = np.vstack([vertices, roof]), np.vstack([faces, len(vertices) + np.array([[0, 1, 2], [0, 2, 3]])])
+    corners, square = grid(2, 2)
+    roof = corners[:, [2, 0, 1]] * [1, 120, 60] + [60, -60, 60]
+    both = np.vstack([vertices, roof]), np.vstack([faces, len(vertices) + square])
     _, step = _decide(replace(image, occluder=both))
     assert step.ran
 
 
-def test_a_surface_without_triangles_casts_none(make_image):
+def test_a_surface_without_triangles_casts_none():
     image = make_image("hemisphere")
     lone = np.zeros_like(image.mask)
     lone[::2, ::2] = image.mask[::2, ::2]
@@ -122,7 +129,7 @@ def test_a_surface_without_triangles_casts_none(make_image):
         assert step.evidence == "0 faces"
 
 
-def test_a_chart_whose_coarse_mesh_has_no_triangle_uses_its_own(make_image):
+def test_a_chart_whose_coarse_mesh_has_no_triangle_uses_its_own():
     """Strips of two texels fall between the texels that the decision looks at."""
     image = make_image("bumps", 256)
     strips = np.zeros_like(image.mask)
@@ -133,28 +140,25 @@ def test_a_chart_whose_coarse_mesh_has_no_triangle_uses_its_own(make_image):
 
 
 @pytest.fixture(scope="module")
-def lattice(make_image):
-    image = make_image("bumps")
-    return ShadowLattice(build_level(image, image.mask, 32), RayCaster(*image.occluder_mesh()))
+def lattice():
+    return _lattice(make_image("bumps"))
 
 
 MODEL = LightModel(1, "oren-nayar", (0.0, 0.0, 1.0), 100.0, near=True)
 
 
 def test_visibility_is_continuous_in_direction_and_nearness(lattice):
-    seen = [
-        lattice.visibility(MODEL, np.array([0.7, 0.1, 0.0, near]))[0] for near in np.linspace(0, 0.4, 401)
-    ]
+    seen = [lattice.visibility(MODEL, _at(0.7, 0.1, near))[0] for near in np.linspace(0, 0.4, 401)]
     jumps = np.abs(np.diff(seen, axis=0)).max((1, 2))
     # From one node to the next, 0.125 apart, a cell goes from lit to hidden at most.
     assert jumps.max() < 1.1 * 0.001 / 0.125
     assert np.abs(seen[-1] - seen[0]).max() > 0.9
-    across = [lattice.visibility(MODEL, np.array([p, 0.1, 0.0, 0.1]))[0] for p in np.linspace(0.5, 0.9, 401)]
+    across = [lattice.visibility(MODEL, _at(p, 0.1, 0.1))[0] for p in np.linspace(0.5, 0.9, 401)]
     assert np.abs(np.diff(across, axis=0)).max() < 1.1 * 0.001 / 0.0625
 
 
 def test_visibility_has_the_derivatives_by_direction(lattice):
-    x = np.array([0.71, 0.13, 0.0, 0.07])
+    x = _at(0.71, 0.13, 0.07)
     step = 1e-3
     slopes = lattice.visibility(MODEL, x)[1][0]
     for k in (0, 1):
@@ -163,9 +167,8 @@ def test_visibility_has_the_derivatives_by_direction(lattice):
     assert np.abs(slopes).max() > 1
 
 
-def test_at_a_node_the_rays_of_one_node_serve(make_image, monkeypatch):
-    image, traced = make_image("bumps"), []
-    lattice = ShadowLattice(build_level(image, image.mask, 32), RayCaster(*image.occluder_mesh()))
+def test_at_a_node_the_rays_of_one_node_serve(monkeypatch):
+    lattice, traced = _lattice(make_image("bumps")), []
     reached = ShadowMap.reached
 
     def counted(self, direction, *arguments):
@@ -179,39 +182,36 @@ def test_at_a_node_the_rays_of_one_node_serve(make_image, monkeypatch):
     assert 0 < np.abs(nodes - asked).max() <= 0.5 * 2 / 32
     assert lattice.nearest(nodes) == pytest.approx(nodes, abs=1e-12)
     for number, node in enumerate(nodes, 1):
-        seen, slopes = lattice.visibility(MODEL, np.array([*node, 0.0, 0.0]))
+        seen, slopes = lattice.visibility(MODEL, _at(*node))
         assert len(traced) == number
         assert traced[-1] == pytest.approx(MODEL.direction(*node))
         assert set(np.unique(seen)) == {0, 1}
         assert not slopes.any()
-    lattice.visibility(MODEL, np.array([*nodes[0], 0.0, 0.0]), 0.05)
+    lattice.visibility(MODEL, _at(*nodes[0]), 0.05)
     assert len(traced) == 2, "another blur traced again"
-    lattice.visibility(MODEL, np.array([*asked[0], 0.0, 0.0]))
+    lattice.visibility(MODEL, _at(*asked[0]))
     assert len(traced) == 5
 
 
-def test_blurred_outlines_are_means_over_the_cells_that_are_there(make_image):
+def test_blurred_outlines_are_means_over_the_cells_that_are_there():
     """Weights are normalised: the rim, beyond which nothing is known, is no darker."""
-    image = make_image("bumps")
     blur = 0.05
-    level = build_level(image, image.mask & (np.hypot(*np.indices((64, 64)) - 31.5) < 28), 32)
-    lattice = ShadowLattice(level, RayCaster(*image.occluder_mesh()))
-    at = np.array([*lattice.nearest(np.array([0.71, 0.13])), 0.0, 0.0])
+    disc = np.hypot(*np.indices((64, 64)) - 31.5) < 28
+    image = make_image("bumps")
+    lattice, level = _lattice(image, disc), _level(image, disc)
+    at = _at(*lattice.nearest(np.array([0.71, 0.13])))
     sharp, blurred = (lattice.visibility(MODEL, at, width)[0][0] for width in (0.0, blur))
     apart = np.linalg.norm(level.cell[:, None] - level.cell[None], axis=2)
     weight = np.exp(-0.5 * (apart / (blur * (level.cell.max() + 1))) ** 2)
     assert blurred == pytest.approx(weight @ sharp / weight.sum(1), abs=1e-4)
     assert ((blurred > 0.2) & (blurred < 0.8)).sum() > 10
-    ball = make_image("hemisphere")
-    convex = ShadowLattice(build_level(ball, ball.mask, 32), RayCaster(*ball.occluder_mesh()))
-    open_light = convex.visibility(MODEL, np.zeros(4), blur)[0]
+    open_light = _lattice(make_image("hemisphere")).visibility(MODEL, np.zeros(4), blur)[0]
     assert open_light == pytest.approx(np.ones_like(open_light), abs=1e-5)
 
 
-def test_nothing_is_hidden_where_nothing_casts_shadows(make_image):
-    image = make_image("hemisphere")
-    open_sky = ShadowLattice(build_level(image, image.mask, 32), None)
-    seen, slopes = open_sky.visibility(MODEL, np.array([0.5, 0.1, 0.0, 0.2]))
+def test_nothing_is_hidden_where_nothing_casts_shadows():
+    open_sky = ShadowLattice(_level(make_image("hemisphere")), None)
+    seen, slopes = open_sky.visibility(MODEL, _at(0.5, 0.1, 0.2))
     assert np.all(seen == 1)
     assert np.all(slopes == 0)
 
@@ -221,7 +221,7 @@ def test_nothing_is_hidden_above_the_horizon(cells):
     """On a face it spares most rays, and none of those that would have met something."""
     image = face(0, size=128).image
     level = build_level(image, image.mask, cells)
-    exact = ShadowMap(RayCaster(*image.occluder_mesh()), level.anchor, level.normal)
+    exact = ShadowMap(_caster(image), level.anchor, level.normal)
     above = Horizon(level, exact.table(distant_directions(SKY))).at(level.center)
     cosine = level.normal @ DIRECTIONS.T
     seen, spared = exact.table(DIRECTIONS).visibility.T, cosine > above[:, None]
@@ -230,10 +230,10 @@ def test_nothing_is_hidden_above_the_horizon(cells):
     assert (seen[cosine > 0] == 0).any()
 
 
-def test_beyond_the_cells_no_horizon_is_known(make_image):
+def test_beyond_the_cells_no_horizon_is_known():
     image = make_image("bumps")
-    level = build_level(image, image.mask & (np.arange(64) < 40), 32)
-    exact = ShadowMap(RayCaster(*image.occluder_mesh()), level.anchor, level.normal)
+    level = _level(image, np.arange(64) < 40)
+    exact = ShadowMap(_caster(image), level.anchor, level.normal)
     horizon = Horizon(level, exact.table(distant_directions(24)))
     assert np.isfinite(horizon.at(level.center)).all()
     assert np.isinf(horizon.at(np.array([[32, 60], [63, 63]]))).all()

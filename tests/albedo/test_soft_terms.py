@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.lit_scenes import hemisphere_geometry
 from scipy import sparse
 
 from scan2albedo.albedo.light_parameters import LightModel
@@ -20,9 +21,9 @@ def _model(lights, **parts):
 
 
 @pytest.fixture(scope="module")
-def surface(scenes):
+def surface():
     """Return (N, 3) normals, and the terms of points of which something is hidden, among 20 patches."""
-    _, normal, mask = scenes.hemisphere_geometry(24)
+    _, normal, mask = hemisphere_geometry(24)
     normal = normal[mask]
     rng = np.random.default_rng(0)
     patches = 20

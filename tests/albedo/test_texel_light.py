@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.lit_scenes import lit_image
 
-from scan2albedo.albedo import estimate_albedo
-from scan2albedo.albedo.division import divide_light
 from scan2albedo.albedo.light_colour import light_colours
 from scan2albedo.albedo.light_parameters import Solution
 from scan2albedo.albedo.lit_image import Explanation, LightFound
@@ -28,8 +27,8 @@ def truth():
 
 
 @pytest.fixture(scope="module")
-def lit_face(truth, scenes):
-    return scenes.lit_image(truth.image, prior=AlbedoPrior.faces(), force=("albedo.shadows",))
+def lit_face(truth):
+    return lit_image(truth.image, prior=AlbedoPrior.faces(), force=("albedo.shadows",))
 
 
 def _solution(scene, lamps=(WEAK, STRONG), tail=(), **parts):
@@ -86,7 +85,7 @@ def test_light_that_was_found_is_that_of_its_lamps_and_environment(lit_face):
     assert again.mean() > dimmer.mean() + 0.01
 
 
-def test_shadows_that_the_picture_shows_stay_and_others_go(lit_face, truth, scenes):
+def test_shadows_that_the_picture_shows_stay_and_others_go(lit_face, truth):
     solution = _solution(lit_face)
     # The same lamps, but a picture in which nothing casts a shadow.
     mask, state = truth.image.mask, solution.hypothesis
@@ -96,7 +95,7 @@ def test_shadows_that_the_picture_shows_stay_and_others_go(lit_face, truth, scen
     texture = truth.image.texture_linear.copy()
     texture[mask] = texture[mask] / shaded * open_light
     image = replace(truth.image, texture_linear=texture)
-    other = scenes.lit_image(image, prior=AlbedoPrior.faces(), force=("albedo.shadows",))
+    other = lit_image(image, prior=AlbedoPrior.faces(), force=("albedo.shadows",))
     traced = light_on_texels(lit_face, LightFound(solution, []))
     normal = truth.image.normal[mask]
     shadow = (traced.visible < 0.1) & (normal @ WEAK.direction > 0.1) & (normal @ STRONG.direction > 0.1)
@@ -140,21 +139,6 @@ def test_what_other_explanations_add_is_on_every_texel(lit_face):
     assert both.light_linear == pytest.approx(1.2 * alone.light_linear)
     assert both.deviation == pytest.approx(0.1)
     assert both.lights == alone.lights
-
-
-def test_an_estimate_is_relit_by_its_own_light(monkeypatch):
-    def plain(*arguments, **options):
-        return divide_light(*arguments, **{**options, "shrink": False})
-
-    monkeypatch.setattr("scan2albedo.albedo.estimate.divide_light", plain)
-    image = face(0, size=64, lights=[light_at(40, 15)]).image
-    estimate = estimate_albedo(image, 1)
-    assert estimate.environment is not None
-    again, mask = estimate.relit(estimate.lights, estimate.environment), image.mask
-    texture = image.texture_linear
-    off = np.linalg.norm((again - texture)[mask]) / np.linalg.norm(texture[mask])
-    # Light that no part stands for, and shadows that the picture shows otherwise, are not relit.
-    assert off < 0.1
 
 
 def test_colour_tells_which_part_of_a_lamp_reaches_a_texel_whose_brightness_does_not():

@@ -1,5 +1,6 @@
 """Wrong objects, and colours that are not linear, are named where they are handed over."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,10 @@ SCAN = RawScan(np.eye(3) * 100, [[0, 1, 2]])
 MODEL = s2a.AnnotatedFaceModel.default()
 WRONG = (None, "face.obj", Path("face.obj"), 3, np.eye(4), s2a)
 SHOWN = ("None", "the text 'face.obj'", "the path 'face.obj'", "an object of int")
+
+
+def textured(texture):
+    return replace(SCAN, uv=np.zeros((1, 3, 2)), texture_linear=texture)
 
 
 @pytest.fixture(scope="module")
@@ -113,11 +118,10 @@ def test_lights_are_a_list_of_lights(face, given, expected):
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.int64, bool])
 def test_colours_in_integers_are_no_linear_light(dtype):
-    texture, color = np.ones((4, 4, 3), dtype), np.ones((3, 3), dtype)
     with pytest.raises(TypeError, match=r"texture_linear holds .*, expected floats of linear light"):
-        RawScan(np.eye(3), [[0, 1, 2]], uv=np.zeros((1, 3, 2)), texture_linear=texture)
+        textured(np.ones((4, 4, 3), dtype))
     with pytest.raises(TypeError, match="vertex_color_linear holds "):
-        RawScan(np.eye(3), [[0, 1, 2]], vertex_color_linear=color)
+        replace(SCAN, vertex_color_linear=np.ones((3, 3), dtype))
     with pytest.raises(GeometryImageError, match=r"texture_linear holds .*decode_srgb_integers"):
         GeometryImage(FLAT, UPWARD, np.ones((8, 8), bool), np.ones((8, 8, 3), dtype))
 
@@ -125,12 +129,12 @@ def test_colours_in_integers_are_no_linear_light(dtype):
 def test_values_up_to_255_are_told_and_highlights_are_not():
     pixels = np.random.default_rng(0).uniform(0, 255, (6, 6, 3))
     with pytest.warns(UserWarning, match=r"scan: texture has a median of 1\d\d and reaches 2\d\d"):
-        RawScan(np.eye(3), [[0, 1, 2]], uv=np.zeros((1, 3, 2)), texture_linear=pixels)
+        textured(pixels)
     with pytest.warns(UserWarning, match="vertex colours has a median"):
-        RawScan(np.eye(3), [[0, 1, 2]], vertex_color_linear=np.full((3, 3), 200.0))
+        replace(SCAN, vertex_color_linear=np.full((3, 3), 200.0))
     shiny = np.full((6, 6, 3), 0.4)
     shiny[0] = 90.0
-    RawScan(np.eye(3), [[0, 1, 2]], uv=np.zeros((1, 3, 2)), texture_linear=shiny)
+    textured(shiny)
 
 
 def test_a_file_of_values_up_to_255_has_a_note(tmp_path):

@@ -84,7 +84,7 @@ def test_a_sub_meter_has_what_is_left_and_its_work_is_merged():
     assert meter.trace.stages == ("annealing",)
 
 
-def rows_of(stage: str, times_s: list[float], errors: list[float]) -> tuple[TraceRow, ...]:
+def rows_of(stage, times_s, errors):
     return tuple(
         TraceRow(stage, t, t, k, error, "mm")
         for k, (t, error) in enumerate(zip(times_s, errors, strict=True), 1)

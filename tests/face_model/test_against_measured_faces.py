@@ -1,111 +1,70 @@
 """The default model beside faces that others measured; they are data to judge it by, not its source."""
 
-from __future__ import annotations
-
-from dataclasses import dataclass
-from pathlib import Path
-
+import igl
 import numpy as np
 import pytest
 
-from scan2albedo import AnnotatedFaceModel
 from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.geometry.rasterization import interpolate, rasterize
+from scan2albedo.geometry.rigid import procrustes, transform_points
 
-DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data"
 INNER = slice(17, 68)
 
 
-@dataclass(frozen=True)
-class MeasuredFace:
-    vertices: np.ndarray
-    faces: np.ndarray
-    landmarks: np.ndarray | None = None
+@pytest.fixture
+def ict_face(shared_data):
+    """Return a function: the vertices, inner faces and landmarks of a measured face by name."""
+    data = np.load(shared_data / "ict_faces.npz")
+
+    def named(name):
+        vertices, faces = data[f"shape_{name}"].astype(float), data["faces"].astype(np.int64)
+        inner = faces[(faces < int(data["narrow_face_vertices"])).all(1)]
+        return vertices, inner, vertices[data["landmarks68"]]
+
+    return named
 
 
-def ict_face(name: str) -> MeasuredFace:
-    path = DATA / "ict_faces.npz"
-    if not path.exists():
-        pytest.skip(f"{path} is not there")
-    with np.load(path) as data:
-        vertices = data[f"shape_{name}"].astype(float)
-        faces, narrow = data["faces"].astype(np.int64), int(data["narrow_face_vertices"])
-        return MeasuredFace(vertices, faces[(faces < narrow).all(1)], vertices[data["landmarks68"]])
+def compare(model, vertices, faces, landmarks=None):
+    """Align the model to a face by rigid ICP with scale.
 
-
-def canonical_face() -> MeasuredFace:
-    path = DATA / "canonical_face_model.obj"
-    if not path.exists():
-        pytest.skip(f"{path} is not there")
-    rows = [line.split() for line in path.read_text().splitlines()]
-    vertices = 10 * np.array([row[1:4] for row in rows if row and row[0] == "v"], float)
-    faces = [[int(c.split("/")[0]) - 1 for c in row[1:4]] for row in rows if row and row[0] == "f"]
-    return MeasuredFace(vertices, np.array(faces))
-
-
-def similarity(source: np.ndarray, target: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """Return (scale, rotation, shift) with target ~ scale R source + shift (Umeyama 1991)."""
-    a, b = source - source.mean(0), target - target.mean(0)
-    u, s, vt = np.linalg.svd(b.T @ a)
-    flip = np.diag([1, 1, np.sign(np.linalg.det(u @ vt))])
-    rotation = u @ flip @ vt
-    scale = np.trace(np.diag(s) @ flip) / np.sum(a**2)
-    return scale, rotation, target.mean(0) - scale * rotation @ source.mean(0)
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """Millimetres: mean distance of the face's vertices to the model and of 51 landmarks."""
-
-    surface: float
-    landmarks: float
-
-
-def compare(face: MeasuredFace, turns: int = 30) -> Comparison:
-    """Align the model to a face by rigid ICP with scale, then measure."""
-    model = AnnotatedFaceModel.default()
-    surface, faces = model.surface(2)
-    if face.landmarks is not None:
-        pose = similarity(model.landmarks[INNER], face.landmarks[INNER])
+    Return the mean distance of the face's vertices to the model, and of 51 landmarks, in millimetres.
+    """
+    surface, model_faces = model.surface(2)
+    if landmarks is None:
+        pose = np.eye(4)
+        pose[:3, 3] = vertices.mean(0) - surface.mean(0)
     else:
-        pose = 1.0, np.eye(3), face.vertices.mean(0) - surface.mean(0)
-    query = ClosestPointQuery(face.vertices, face.faces)
+        pose = procrustes(model.landmarks[INNER], landmarks[INNER], scale=True)
+    query = ClosestPointQuery(vertices, faces)
     sampled = surface[::7]
-    for _ in range(turns):
-        scale, rotation, shift = pose
-        hits = query.query(scale * sampled @ rotation.T + shift)
+    for _ in range(30):
+        hits = query.query(transform_points(pose, sampled))
         near = hits.distance < 10
-        pose = similarity(sampled[near], hits.points[near])
-    scale, rotation, shift = pose
-    used = face.vertices[np.unique(face.faces)]
-    back = ClosestPointQuery(surface, faces).query((used - shift) @ rotation / scale)
-    error = np.nan
-    if face.landmarks is not None:
-        placed = scale * model.landmarks @ rotation.T + shift
-        error = float(np.linalg.norm(placed - face.landmarks, axis=1)[INNER].mean())
-    return Comparison(float(scale * back.distance.mean()), error)
+        pose = procrustes(sampled[near], hits.points[near], scale=True)
+    placed = ClosestPointQuery(transform_points(pose, surface), model_faces)
+    distance = placed.query(vertices[np.unique(faces)]).distance.mean()
+    if landmarks is None:
+        return distance, np.nan
+    return distance, np.linalg.norm(transform_points(pose, model.landmarks) - landmarks, axis=1)[INNER].mean()
 
 
-def test_the_generic_face():
-    result = compare(ict_face("generic_neutral"))
-    assert result.surface <= 3.0
-    assert result.landmarks <= 2.5
+@pytest.mark.parametrize(
+    ("name", "surface", "landmarks"),
+    [("generic_neutral", 3.0, 2.5), *((f"person{number}", 4.2, 5.0) for number in (1, 2, 3, 4))],
+)
+def test_measured_faces_are_near(ict_face, model, name, surface, landmarks):
+    distance, error = compare(model, *ict_face(name))
+    assert distance <= surface
+    assert error <= landmarks
 
 
-@pytest.mark.parametrize("person", ["person1", "person2", "person3", "person4"])
-def test_persons(person):
-    result = compare(ict_face(person))
-    assert result.surface <= 4.2
-    assert result.landmarks <= 5.0
+def test_the_canonical_face(shared_data, model):
+    vertices, _, _, faces, _, _ = igl.readOBJ(str(shared_data / "canonical_face_model.obj"))
+    assert compare(model, 10 * vertices, faces)[0] <= 2.5
 
 
-def test_the_canonical_face():
-    assert compare(canonical_face()).surface <= 2.5
-
-
-def profile(vertices: np.ndarray, faces: np.ndarray, heights: np.ndarray) -> np.ndarray:
+def profile(vertices, faces, heights):
     """Return the depth of the midline at heights, NaN where nothing is there."""
-    from scan2albedo.geometry.rasterization import interpolate, rasterize
-
     column = np.stack([vertices[:, 0] + 1.5, -vertices[:, 1]], 1)
     low = column[:, 1].min()
     raster = rasterize(column - [0, low], vertices[:, 2], faces, (int(np.ptp(column[:, 1])) + 2, 4))
@@ -114,14 +73,13 @@ def profile(vertices: np.ndarray, faces: np.ndarray, heights: np.ndarray) -> np.
     return np.interp(heights, -(np.arange(len(depth)) + low)[::-1], depth[::-1])
 
 
-def test_depth_profile_of_the_midline():
-    face, model = ict_face("generic_neutral"), AnnotatedFaceModel.default()
-    scale, rotation, shift = similarity(model.landmarks[INNER], face.landmarks[INNER])
-    surface, faces = model.surface(3)
-    placed = scale * surface @ rotation.T + shift
-    top, bottom = face.landmarks[27, 1] + 45, face.landmarks[8, 1] + 6
-    heights = np.arange(bottom, top, 2.0)
-    difference = profile(placed, faces, heights) - profile(face.vertices, face.faces, heights)
+def test_depth_profile_of_the_midline(ict_face, model):
+    vertices, faces, landmarks = ict_face("generic_neutral")
+    pose = procrustes(model.landmarks[INNER], landmarks[INNER], scale=True)
+    surface, model_faces = model.surface(3)
+    heights = np.arange(landmarks[8, 1] + 6, landmarks[27, 1] + 45, 2.0)
+    placed = profile(transform_points(pose, surface), model_faces, heights)
+    difference = placed - profile(vertices, faces, heights)
     difference = difference[np.isfinite(difference)]
     assert len(difference) > 0.9 * len(heights)
     assert np.mean(np.abs(difference)) < 2.5

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.face_model.appearance import CLASSES, appearance
+from scan2albedo.geometry.mesh import normalized
 from scan2albedo.synthetic import face, light_at
 
 SIZE = 120
@@ -25,8 +26,7 @@ class Face:
         self.mask = radius < 0.97
         z = np.sqrt(np.maximum(1.2 - radius**2, 0.1))
         self.position = np.stack([self.x, self.y, z * SIDE_MM / 2], -1)
-        normal = np.stack([x, y, z], -1)
-        self.normal = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+        self.normal = normalized(np.stack([x, y, z], -1))
         self.random = np.random.default_rng(0)
         grain = 1 + 0.01 * self.random.standard_normal((size, size, 1))
         self.albedo = np.array(color) * grain
@@ -45,11 +45,6 @@ class Face:
     def skin(self, texture, **sources):
         return appearance(self.position, self.normal, self.mask, texture, **sources).skin
 
-    def stubble(self, where, contrast=0.25):
-        factor = np.exp(contrast * self.random.standard_normal(where.shape))
-        self.albedo = np.where(where[..., None], 0.7 * factor[..., None] * self.albedo, self.albedo)
-        return self
-
 
 class Person:
     """A synthetic person whose albedo can be painted over."""
@@ -61,10 +56,12 @@ class Person:
         self.row, self.column = (np.indices(self.image.shape) + 0.5) / size
         self.random = np.random.default_rng(seed)
 
-    def found(self, strength=1.0, **sources):
+    def found(self, albedo=None, light=None):
+        """Return what is told of the person under other light, or of another albedo."""
         image, place = self.image, np.stack([self.row, self.column], -1)
-        texture = (strength * self.albedo * self.light).astype(np.float32)
-        return appearance(image.position, image.normal, image.seen, texture, place=place, **sources)
+        albedo, light = (self.albedo if albedo is None else albedo), (self.light if light is None else light)
+        texture = (albedo * light).astype(np.float32)
+        return appearance(image.position, image.normal, image.seen, texture, place=place)
 
     def share(self, labels, name, where):
         return np.mean(labels[where & self.image.mask] == CLASSES.index(name))
@@ -86,7 +83,7 @@ def test_a_person_has_skin_lips_and_brows_where_they_are(person):
 
 
 def test_the_strength_of_the_light_changes_nothing(person):
-    one, other = person.found(), person.found(0.1)
+    one, other = person.found(), person.found(light=0.1 * person.light)
     np.testing.assert_allclose(one.skin, other.skin, atol=0.02)
     assert one.log_odds == pytest.approx(other.log_odds, abs=0.05)
 
@@ -102,41 +99,32 @@ def test_the_strength_of_the_light_changes_nothing(person):
     ids=["white on brown", "black on brown", "black on pale", "blue on pale"],
 )
 def test_a_cap_is_cloth_and_the_face_below_stays_skin(person, tone, cloth):
-    capped = Person(0)
-    capped.albedo, capped.light = person.albedo * tone, person.light
     cap = person.row < 0.2
     weave = np.exp(0.03 * person.random.standard_normal(cap.shape))[..., None]
-    capped.albedo[cap] = (np.array(cloth) * weave)[cap]
-    found = Person.found(capped)
+    found = person.found(np.where(cap[..., None], cloth * weave, person.albedo * tone))
     assert found.skin[person.image.mask & (person.row < 0.18)].mean() < 0.2
     cheeks = person.image.mask & (person.row > 0.45) & (person.row < 0.6)
     assert found.skin[cheeks & (np.abs(person.column - 0.5) > 0.2)].mean() > 0.85
 
 
 def test_a_dense_beard_is_not_skin(person):
-    bearded = Person(0)
-    bearded.albedo, bearded.light = person.albedo.copy(), person.light
     jaw = (person.row > 0.78) & person.image.mask
     strands = np.exp(-0.9 * np.clip(0.8 + person.random.standard_normal(jaw.shape), 0, 2))
-    bearded.albedo[jaw] *= strands[jaw][:, None]
-    assert Person.found(bearded).skin[jaw & (person.row > 0.82)].mean() < 0.3
+    bearded = person.albedo * np.where(jaw, strands, 1)[..., None]
+    assert person.found(bearded).skin[jaw & (person.row > 0.82)].mean() < 0.3
 
 
 def test_a_deep_shadow_over_the_cheek_stays_skin(person):
-    shaded = Person(0)
     shade = (person.column > 0.62) & (person.row > 0.42)
-    shaded.albedo, shaded.light = person.albedo, person.light * np.where(shade, 0.12, 1)[..., None]
-    found = Person.found(shaded)
+    found = person.found(light=person.light * np.where(shade, 0.12, 1)[..., None])
     cheek = person.image.mask & (person.column > 0.7) & (person.row > 0.5) & (person.row < 0.62)
     assert found.skin[cheek].mean() > 0.8
     assert person.share(found.labels, "cloth", shade) < 0.1
 
 
 def test_a_texture_of_another_shape_speaks_against_it(person):
-    right = person.found().log_odds
-    turned = Person(0)
-    turned.albedo, turned.light = person.albedo[::-1], person.light[::-1]
-    assert Person.found(turned).log_odds < right - 1
+    turned = person.found(person.albedo[::-1], person.light[::-1])
+    assert turned.log_odds < person.found().log_odds - 1
 
 
 @pytest.mark.parametrize("color", [PALE, BROWN, DARK], ids=["pale", "brown", "dark"])
@@ -194,8 +182,7 @@ def test_coarse_images_keep_the_relief_of_a_face():
     face = Face(size=40)
     nose = 20 * np.exp(-((face.x / 10) ** 2 + (face.y / 20) ** 2))
     across, down = np.gradient(nose, face.x[0], axis=1), np.gradient(nose, face.y[:, 0], axis=0)
-    normal = face.normal - np.stack([across, down, 0 * nose], -1)
-    face.normal = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+    face.normal = normalized(face.normal - np.stack([across, down, 0 * nose], -1))
     skin = face.skin(face.texture())
     assert skin[face.mask].mean() > 0.95
 
@@ -226,7 +213,6 @@ def test_finer_images_say_the_same():
 def test_surfaces_without_a_contrast_to_skin(texture, least, most):
     face = Face()
     skin = face.skin(texture(face))[face.mask]
-    assert np.isfinite(skin).all()
     assert least <= skin.mean() <= most
 
 

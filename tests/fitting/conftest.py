@@ -1,30 +1,22 @@
 """Models and scans that the fit's tests share."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from importlib import import_module
 
-import igl
 import numpy as np
 import pytest
+from helpers.face_mask import mask_surface
+from worlds.raw_like import raw_like
 
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.geometry.rigid import invert_rigid, procrustes, transform_points
 
-
-def mask_surface(
-    size: int, *, nose_mm: float = 25.0, width_mm: float = 70.0
-) -> tuple[np.ndarray, np.ndarray]:
-    """A face-sized dome with a nose, in closed form: vertices (size^2, 3) mm and faces."""
-    plane, faces = igl.triangulated_grid(size, size)
-    u, v = 2 * plane.T - 1
-    x, y = width_mm * u, 95 * v
-    z = 60 * np.sqrt(np.maximum(1.7 - u**2 - 0.6 * v**2, 0)) + nose_mm * np.exp(-(u**2) / 0.04 - v**2 / 0.08)
-    return np.column_stack([x, y, z]), np.asarray(faces, np.int64)
+FIT = import_module("scan2albedo.fitting.fit")
 
 
 @pytest.fixture(scope="session")
-def mask_model() -> AnnotatedFaceModel:
+def mask_model():
     """A small model: 400 vertices, its own control mesh."""
     vertices, faces = mask_surface(20)
     return AnnotatedFaceModel.from_mesh(vertices, faces, control_size=400, annotate=False, name="mask")
@@ -39,7 +31,7 @@ class MaskScan:
 
 
 @pytest.fixture(scope="session")
-def mask_scan(mask_model: AnnotatedFaceModel) -> MaskScan:
+def mask_scan(mask_model):
     """A wider mask with a longer nose, finely meshed, in the model's frame."""
     vertices, faces = mask_surface(70, nose_mm=32.0, width_mm=74.0)
     centroid = mask_surface(20)[0].mean(0)
@@ -57,9 +49,21 @@ class IctFaces:
     model: AnnotatedFaceModel
     centroid: np.ndarray
 
+    def scan_of(self, name, model, seed=1, by=slice(17, None)):
+        """Return a scan of a shape, its pose by some landmarks, and the errors of all after a fit."""
+        scan, scan_from_shape = raw_like(self.shapes[name], self.faces, seed)
+        given = self.shapes[name][self.landmarks]
+
+        def errors_mm(fitted):
+            truth = transform_points(fitted.model_from_scan @ scan_from_shape, given)
+            return np.linalg.norm(fitted.landmarks - truth, axis=1)
+
+        pose = procrustes(given[by], model.landmarks[by]) @ invert_rigid(scan_from_shape)
+        return scan, pose, errors_mm
+
 
 @pytest.fixture(scope="session")
-def ict(shared_data) -> IctFaces:
+def ict(shared_data):
     path = shared_data / "ict_faces.npz"
     if not path.exists():
         pytest.skip("ict_faces.npz is not among the real scans")
@@ -71,3 +75,14 @@ def ict(shared_data) -> IctFaces:
     model = AnnotatedFaceModel.from_mesh(generic, face_area, landmarks=landmarks, name="generic face")
     centroid = generic[np.unique(face_area)].mean(0)
     return IctFaces(shapes, faces, int(data["narrow_face_vertices"]), landmarks, model, centroid)
+
+
+@pytest.fixture
+def without_mouth_search(monkeypatch):
+    """Return a function after whose call mouths are fitted as they come."""
+
+    def left_out():
+        for stage in ("mouth_opened", "corners_pulled"):
+            monkeypatch.setattr(FIT, stage, lambda deformation, *_: deformation)
+
+    return left_out

@@ -1,9 +1,5 @@
 """A person's neutral shape from several fits: what stays, what an expression moves, and who it is."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
-
 import numpy as np
 import pytest
 from bench.person import PEERS, Truth, fits_of
@@ -18,9 +14,7 @@ from scan2albedo.synthetic.face_shape import person
 LEVELS = 1
 
 
-def fitted(
-    model: AnnotatedFaceModel, control: np.ndarray, seed: int = 0, *, half: int = 0, scale: float = 1.0
-) -> FittedFace:
+def fitted(model, control, seed=0, *, half=0, scale=1.0):
     """A fit of control points, moved and with smooth noise; `half` -1 or 1 leaves out that side."""
     rng = np.random.default_rng(seed)
     pose = compose(scale * rotation_from_vector(rng.normal(0, 0.03, 3)), rng.normal(0, 2, 3))
@@ -46,42 +40,32 @@ def fitted(
     )
 
 
-def face(model: AnnotatedFaceModel, who: int, expression: str = "neutral") -> np.ndarray:
-    return np.asarray(person(model, np.random.default_rng(who), expression=expression))  # type: ignore[arg-type]
+def face(model, who, expression="neutral"):
+    return person(model, np.random.default_rng(who), expression=expression)
 
 
-def off(found: np.ndarray, truth: np.ndarray) -> np.ndarray:
+def off(found, truth):
     """Distances (N,) after the best similarity."""
-    laid = transform_points(procrustes(found, truth, scale=True), found)
-    return np.asarray(np.linalg.norm(laid - truth, axis=1))
+    return np.linalg.norm(transform_points(procrustes(found, truth, scale=True), found) - truth, axis=1)
 
 
 @pytest.fixture(scope="module")
-def model() -> AnnotatedFaceModel:
-    return AnnotatedFaceModel.default()
-
-
-@pytest.fixture(scope="module")
-def rest(model: AnnotatedFaceModel) -> np.ndarray:
+def rest(model):
     return face(model, 1)
 
 
-def opened(model: AnnotatedFaceModel, control: np.ndarray) -> np.ndarray:
+def opened(model, control):
     """The chin and the lower lip 18 mm down."""
-    assert model.landmarks is not None
     away = np.linalg.norm(model.control_vertices - model.landmarks[[8, 57]].mean(0), axis=1)
     return control - np.exp(-(away**2) / (2 * 26**2))[:, None] * [0.0, 18.0, 6.0]
 
 
 @pytest.mark.parametrize("place", [0, 2])
 @pytest.mark.parametrize("others", [1, 3])
-def test_a_lone_open_mouth_does_not_open_the_neutral_face(
-    model: AnnotatedFaceModel, rest: np.ndarray, place: int, others: int
-) -> None:
-    wide = opened(model, rest)
+def test_a_lone_open_mouth_does_not_open_the_neutral_face(model, rest, place, others):
     fits = [fitted(model, rest, seed) for seed in range(others)]
     place = min(place, others)
-    fits.insert(place, fitted(model, wide, 9))
+    fits.insert(place, fitted(model, opened(model, rest), 9))
     shape = common_shape(iter(fits))
     # The plain mean is 18 / 4 or 18 / 2 mm off.
     most_mm = 0.6 if others > 1 else 4.0
@@ -93,9 +77,7 @@ def test_a_lone_open_mouth_does_not_open_the_neutral_face(
     np.testing.assert_allclose(common, shape.control_points + shape.expression[place], atol=1e-9)
 
 
-def test_deviation_falls_with_the_number_of_scans_and_rises_where_none_looked(
-    model: AnnotatedFaceModel, rest: np.ndarray
-) -> None:
+def test_deviation_falls_with_the_number_of_scans_and_rises_where_none_looked(model, rest):
     stated = [
         common_shape([fitted(model, rest, seed) for seed in range(n)]).deviation_mm.mean() for n in (1, 3, 9)
     ]
@@ -105,13 +87,13 @@ def test_deviation_falls_with_the_number_of_scans_and_rises_where_none_looked(
     assert side.deviation_mm[left].mean() > 2 * side.deviation_mm[~left].mean()
 
 
-def test_halves_make_a_whole(model: AnnotatedFaceModel, rest: np.ndarray) -> None:
+def test_halves_make_a_whole(model, rest):
     wrong = rest + np.where(rest[:, :1] > 15, [0.0, 0.0, 6.0], 0.0)
     halves = [fitted(model, rest, 0, half=-1), fitted(model, wrong, 1, half=1)]
     assert off(common_shape(halves).control_points, rest).mean() < 1.0
 
 
-def test_one_scan_is_nearly_taken_as_it_is(model: AnnotatedFaceModel, rest: np.ndarray) -> None:
+def test_one_scan_is_nearly_taken_as_it_is(model, rest):
     fit = fitted(model, rest)
     shape = common_shape([fit])
     assert off(shape.control_points, fit.control_points).mean() < 0.2
@@ -119,9 +101,7 @@ def test_one_scan_is_nearly_taken_as_it_is(model: AnnotatedFaceModel, rest: np.n
     assert np.linalg.det(shape.common_from_fit[0][:3, :3]) == pytest.approx(1)
 
 
-def test_wrong_units_are_mended_and_the_size_is_their_mean(
-    model: AnnotatedFaceModel, rest: np.ndarray
-) -> None:
+def test_wrong_units_are_mended_and_the_size_is_their_mean(model, rest):
     scales = np.array([0.96, 1.0, 1.05])
     fits = [fitted(model, rest, seed, scale=scale) for seed, scale in enumerate(scales)]
     shape = common_shape(fits)
@@ -131,9 +111,9 @@ def test_wrong_units_are_mended_and_the_size_is_their_mean(
 
 
 @pytest.mark.parametrize("count", [2, 4])
-def test_another_person_is_the_farthest(model: AnnotatedFaceModel, count: int) -> None:
+def test_another_person_is_the_farthest(model, count):
     faces = [face(model, 1, expression) for expression in ("neutral", "smile", "surprise", "frown")[:count]]
-    same: Sequence[FittedFace] = [fitted(model, control, seed) for seed, control in enumerate(faces)]
+    same = [fitted(model, control, seed) for seed, control in enumerate(faces)]
     alone = common_shape(same).other_person.max()
     odds = []
     for stranger in (2, 3, 4, 5):
@@ -144,7 +124,7 @@ def test_another_person_is_the_farthest(model: AnnotatedFaceModel, count: int) -
     assert np.median(odds) > 0
 
 
-def test_misuse_is_told(model: AnnotatedFaceModel, mask_model: AnnotatedFaceModel, rest: np.ndarray) -> None:
+def test_misuse_is_told(model, mask_model, rest):
     with pytest.raises(ValueError, match="no fits"):
         common_shape([])
     mask = fitted(mask_model, mask_model.control_vertices)
@@ -154,7 +134,7 @@ def test_misuse_is_told(model: AnnotatedFaceModel, mask_model: AnnotatedFaceMode
 
 
 @pytest.mark.slow
-def test_measured_people_in_thirteen_expressions(shared_data) -> None:
+def test_measured_people_in_thirteen_expressions(shared_data):
     if not (shared_data / "ict_faces.npz").exists():
         pytest.skip("ict_faces.npz is not among the real scans")
     people, model = LightStage.load(), AnnotatedFaceModel.default()

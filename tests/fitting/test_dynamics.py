@@ -11,14 +11,14 @@ from scan2albedo.errors import FitError
 from scan2albedo.fitting.dynamics import ImplicitSystem, conjugate_gradients, factorized
 
 
-def chain(count: int, stiffness: float) -> sparse.csr_matrix:
+def chain(count, stiffness):
     """Springs between neighbours and a weak one to the ground."""
     ones = np.ones(count)
     matrix = sparse.diags([-ones[1:], 2.01 * ones, -ones[1:]], [-1, 0, 1])
     return (stiffness * matrix).tocsr()
 
 
-def explicit_euler(stiffness: sparse.csr_matrix, q: np.ndarray, time_step: float, steps: int) -> np.ndarray:
+def explicit_euler(stiffness, q, time_step, steps):
     """The reference that blows up: q' = q + dt v, v' = v - dt K q, unit mass, no damping."""
     velocity = np.zeros_like(q)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -27,15 +27,7 @@ def explicit_euler(stiffness: sparse.csr_matrix, q: np.ndarray, time_step: float
     return q
 
 
-def no_springs(x: np.ndarray) -> np.ndarray:
-    return np.zeros_like(x)
-
-
-def unit_springs(x: np.ndarray) -> np.ndarray:
-    return x
-
-
-def implicit(stiffness, time_step, *, mass=1.0, damping=0.0, springs=0.0) -> ImplicitSystem:
+def implicit(stiffness, time_step, *, mass=1.0, damping=0.0, springs=0.0):
     count = stiffness.shape[0]
     held = springs * sparse.identity(count, format="csr")
     return ImplicitSystem(np.ones(count) * mass, np.full(count, damping), stiffness, held, time_step)
@@ -46,12 +38,16 @@ class State(NamedTuple):
     velocity: np.ndarray
 
 
-def stepped(system, state, force, springs, **options) -> State:
-    moved = system.step(*state, force, springs, **options)
-    return State(state.q + moved, moved / system.time_step)
+def states(system, q, steps, force=np.zeros_like, springs=np.zeros_like, **options):
+    """Return the states from rest on; the force is one of the place, springs of a displacement."""
+    found = [State(q, np.zeros_like(q))]
+    for _ in range(steps):
+        moved = system.step(*found[-1], force(found[-1].q), springs, **options)
+        found.append(State(found[-1].q + moved, moved / system.time_step))
+    return found
 
 
-def energy(state: State, mass: np.ndarray | float, stiffness: sparse.csr_matrix) -> float:
+def energy(state, mass, stiffness):
     """(v^T M v + q^T K q) / 2, which no step without force can raise."""
     kinetic = np.sum(np.reshape(mass, (-1, 1)) * state.velocity**2)
     return 0.5 * float(kinetic + np.sum(state.q * (stiffness @ state.q)))
@@ -65,12 +61,8 @@ def energy(state: State, mass: np.ndarray | float, stiffness: sparse.csr_matrix)
 def test_energy_never_grows_without_force(stiffness, time_step, mass):
     springs = chain(20, stiffness)
     system = implicit(springs, time_step, mass=mass, springs=0.5)
-    state = State(np.random.default_rng(0).normal(size=(20, 3)), np.zeros((20, 3)))
-    energies = [energy(state, mass, springs)]
-    for _ in range(50):
-        state = stepped(system, state, np.zeros((20, 3)), no_springs)
-        energies.append(energy(state, mass, springs))
-    assert np.isfinite(energies).all()
+    start = np.random.default_rng(0).normal(size=(20, 3))
+    energies = [energy(state, mass, springs) for state in states(system, start, 50)]
     assert (np.diff(energies) <= 1e-9 * energies[0]).all()
 
 
@@ -78,20 +70,12 @@ def test_explicit_euler_blows_up_where_the_implicit_step_does_not():
     stiffness = chain(20, 1e4)
     start = np.random.default_rng(1).normal(size=(20, 3))
     assert not np.abs(explicit_euler(stiffness, start, 0.1, 200)).max() < 1e6
-    state, system = State(start, np.zeros_like(start)), implicit(stiffness, 0.1)
-    for _ in range(200):
-        state = stepped(system, state, np.zeros_like(start), no_springs)
-    assert np.abs(state.q).max() <= np.abs(start).max()
+    assert np.abs(states(implicit(stiffness, 0.1), start, 200)[-1].q).max() <= np.abs(start).max()
 
 
 def test_small_steps_follow_the_exact_oscillator():
-    stiffness = sparse.csr_matrix([[4.0]])
-    time_step = 1e-4
-    system = implicit(stiffness, time_step)
-    state = State(np.ones((1, 3)), np.zeros((1, 3)))
-    for _ in range(5000):
-        state = stepped(system, state, np.zeros((1, 3)), no_springs)
-    assert_allclose(state.q, np.cos(2 * 0.5), atol=2e-3)
+    system = implicit(sparse.csr_matrix([[4.0]]), 1e-4)
+    assert_allclose(states(system, np.ones((1, 3)), 5000)[-1].q, np.cos(2 * 0.5), atol=2e-3)
 
 
 @settings(max_examples=25, deadline=None)
@@ -100,22 +84,18 @@ def test_the_resting_place_is_where_stiffness_and_force_balance(log_stiffness, l
     stiffness = chain(8, 10.0**log_stiffness)
     goal = np.random.default_rng(2).normal(size=(8, 3))
     system = implicit(stiffness, 10.0**log_step, springs=0.55, mass=1e-9, damping=1e-9)
-    state = State(np.zeros((8, 3)), np.zeros((8, 3)))
-    for _ in range(400):
-        state = stepped(system, state, goal - state.q, unit_springs)
+    state = states(system, 0 * goal, 400, lambda q: goal - q, lambda x: x)[-1]
     expected = np.linalg.solve(stiffness.toarray() + np.eye(8), goal)
     assert_allclose(state.q, expected, atol=1e-3)
 
 
 def test_springs_far_stiffer_than_the_preconditioner_knows_stay_stable():
-    count = 30
-    goal = np.ones((30, 3))
     stiff = np.logspace(-3, 5, 30)[:, None]
-    system = implicit(chain(count, 1e-6), 1e3, springs=1e-3, mass=1e-9)
-    state, energies = State(np.zeros((count, 3)), np.zeros((count, 3))), []
-    for _ in range(60):
-        state = stepped(system, state, stiff * (goal - state.q), lambda x: stiff * x, iterations=2)
-        energies.append(float(np.sum(stiff * (goal - state.q) ** 2)))
+    system = implicit(chain(30, 1e-6), 1e3, springs=1e-3, mass=1e-9)
+    found = states(
+        system, np.zeros((30, 3)), 60, lambda q: stiff * (1 - q), lambda x: stiff * x, iterations=2
+    )
+    energies = [float(np.sum(stiff * (1 - state.q) ** 2)) for state in found[1:]]
     assert (np.diff(energies) <= 1e-9 * energies[0]).all()
     assert energies[-1] < 1e-2 * energies[0]
 

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from helpers.face_mask import mask_surface
 from numpy.testing import assert_allclose
 
 from scan2albedo import AnnotatedFaceModel
@@ -7,12 +8,11 @@ from scan2albedo.fitting.forces import ForceGates, robust_weights, scan_forces, 
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import scan_near_model
 from scan2albedo.geometry.mesh import boundary_vertex_mask
-from tests.fitting.conftest import mask_surface
 
 GATES = ForceGates(10.0, 0.1, 0.5)
 
 
-def plane_scan(size: int = 21):
+def plane_scan(size=21):
     vertices, faces = mask_surface(size)
     vertices = vertices * [1, 1, 0]
     return scan_near_model(vertices, faces, np.eye(4), vertices.min(0) - 500, vertices.max(0) + 500)

@@ -5,13 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from worlds.raw_like import raw_like
 
 from scan2albedo import fit
 from scan2albedo.fitting.landmark_pull import EYES, INNER_LIPS, openings
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.geometry.mesh import boundary_vertex_mask, vertex_normals
-from scan2albedo.geometry.rigid import invert_rigid, procrustes, transform_points
 
 
 def surface_with_holes(model, *holes):
@@ -42,14 +40,11 @@ def test_a_pair_of_eyes_pulls_lids_to_their_holes(model, middles):
     assert found.still.all()
     assert (found.axes == (1, 1, 0)).all()
     assert_allclose(found.targets[[0, 3], :2], np.array(middles)[:2, :2] + beside[:2], atol=1.5)
-    assert_allclose(found.matrix @ model.control_vertices[:], _points(model), atol=1e-6)
+    rows = [[*EYES[0]], [36], [39], [*EYES[1]], [42], [45]]
+    points = [model.landmarks[row].mean(0) for row in rows]
+    assert_allclose(found.matrix @ model.control_vertices, points, atol=1e-6)
     ends = found.targets[[1, 2, 4, 5], 0] - np.repeat(found.targets[[0, 3], 0], 2)
     assert_allclose(ends, [-13, 13, -13, 13], atol=2.0)
-
-
-def _points(model):
-    rows = [[*EYES[0]], [36], [39], [*EYES[1]], [42], [45]]
-    return np.array([model.landmarks[row].mean(0) for row in rows])
 
 
 def test_a_mouth_shows_no_depth_and_does_not_move_the_pose(model, middles):
@@ -81,10 +76,5 @@ def test_other_holes_say_nothing(model, middles):
 @pytest.mark.parametrize(("shape", "ceiling_mm"), [("person3", 4.2), ("person4", 4.0)])
 def test_eyes_of_measured_faces_are_nearer(ict, model, shape, ceiling_mm):
     # Without their holes 5.5 and 5.1 mm.
-    vertices = ict.shapes[shape]
-    given = vertices[ict.landmarks]
-    scan, scan_from_shape = raw_like(vertices, ict.faces, 3)
-    pose = procrustes(given[17:48], model.landmarks[17:48]) @ invert_rigid(scan_from_shape)
-    fitted = fit(scan, model, pose)
-    truth = transform_points(fitted.model_from_scan @ scan_from_shape, given)
-    assert np.linalg.norm(fitted.landmarks - truth, axis=1)[36:48].mean() < ceiling_mm
+    scan, pose, errors_mm = ict.scan_of(shape, model, 3, slice(17, 48))
+    assert errors_mm(fit(scan, model, pose))[36:48].mean() < ceiling_mm

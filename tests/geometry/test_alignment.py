@@ -10,7 +10,6 @@ from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import (
     Similarity,
-    compose,
     random_rotation,
     rotation_angle_rad,
     rotation_from_vector,
@@ -20,8 +19,12 @@ REST = Similarity(np.eye(3), np.zeros(3))
 
 
 @pytest.fixture(scope="module")
-def bumpy() -> OrientedPoints:
+def bumpy():
     return bumpy_samples()
+
+
+def aligned(samples, pairs, start=REST, **options):
+    return align(samples.points, samples.areas, pairs, start, **options)
 
 
 def to(targets, normals, **more):
@@ -32,11 +35,11 @@ def to(targets, normals, **more):
 def test_known_pairs_give_pose_and_size(bumpy):
     truth = Similarity(rotation_from_vector([0.2, -0.1, 0.15]), np.array([3.0, -9.0, 4.0]), 1.1)
     targets, normals = truth.apply(bumpy.points), bumpy.normals @ truth.rotation.T
-    found = align(bumpy.points, bumpy.areas, to(targets, normals), REST, steps=20, settled=1e-6)
+    found = aligned(bumpy, to(targets, normals), steps=20, settled=1e-6)
     assert found.converged
     assert found.steps < 20
     assert_allclose(found.pose.matrix(), truth.matrix(), atol=1e-6)
-    kept = align(bumpy.points, bumpy.areas, to(targets, normals), REST, steps=20, scale_range=(1.0, 1.05))
+    kept = aligned(bumpy, to(targets, normals), steps=20, scale_range=(1.0, 1.05))
     assert kept.pose.scale == pytest.approx(1.05)
 
 
@@ -45,11 +48,11 @@ def test_modes_are_found_and_held_by_their_prior(bumpy):
     modes = rng.normal(size=(len(bumpy), 3, 4))
     drawn = np.array([1.0, -2.0, 0.5, 0.0])
     pairs = to(bumpy.points + modes @ drawn, bumpy.normals, noise=1.0)
-    free = align(bumpy.points, bumpy.areas, pairs, REST, steps=6, modes=modes)
+    free = aligned(bumpy, pairs, steps=6, modes=modes)
     assert_allclose(free.coefficients, drawn, atol=1e-6)
     start = Alignment(REST, drawn)
-    assert align(bumpy.points, bumpy.areas, pairs, start, steps=1, modes=modes).moved < 1e-6
-    held = align(bumpy.points, bumpy.areas, pairs, REST, steps=6, modes=modes, precision=1e3 * np.eye(5))
+    assert aligned(bumpy, pairs, start, steps=1, modes=modes).moved < 1e-6
+    held = aligned(bumpy, pairs, steps=6, modes=modes, precision=1e3 * np.eye(5))
     assert np.abs(held.coefficients).max() < 0.5
 
 
@@ -61,15 +64,14 @@ def looked_up(grid, points):
 def test_points_slide_along_their_planes_unless_held(bumpy):
     shifted = bumpy.points + [2.0, 0, 0]
     flat = np.tile([0, 0, 1.0], (len(bumpy), 1))
-    assert (
-        np.abs(align(bumpy.points, bumpy.areas, to(shifted, flat), REST, steps=3).pose.translation[0]) < 1e-6
-    )
-    held = align(bumpy.points, bumpy.areas, to(shifted, flat, along=0.1), REST, steps=3)
+    free = aligned(bumpy, to(shifted, flat), steps=3)
+    assert np.abs(free.pose.translation[0]) < 1e-6
+    held = aligned(bumpy, to(shifted, flat, along=0.1), steps=3)
     assert_allclose(held.pose.translation, [2, 0, 0], atol=1e-6)
 
 
 def test_without_pairs_it_stays(bumpy):
-    found = align(bumpy.points, bumpy.areas, lambda now, points: None, REST, steps=3)
+    found = aligned(bumpy, lambda now, points: None, steps=3)
     assert (found.steps, found.converged) == (0, False)
     assert found.pose is REST
 
@@ -87,7 +89,7 @@ def test_the_compiled_step_is_that_of_align(bumpy):
         # A tenth beside the whole.
         return Pairs(offset, normalized(normals + bumpy.normals[nearest]), 1.1 * trust, 0.1 / 1.1)
 
-    expected = align(bumpy.points, bumpy.areas, pairs, start, steps=1, scale_range=(1.0, 1.0)).pose
+    expected = aligned(bumpy, pairs, start, steps=1, scale_range=(1.0, 1.0)).pose
     rotations, translations = start.rotation[None].copy(), start.translation[None].copy()
     align_on_grid(grid, bumpy, rotations, translations, steps=1, sigma=(sigma, sigma))
     assert_allclose(rotations[0], expected.rotation, atol=1e-7)
@@ -96,20 +98,17 @@ def test_the_compiled_step_is_that_of_align(bumpy):
 
 def test_icp_walks_back_from_twenty_degrees(bumpy):
     rng = np.random.default_rng(1)
-    truth = compose(random_rotation(rng), [10.0, -20.0, 5.0])
-    scan = OrientedPoints(
-        bumpy.points @ truth[:3, :3].T + truth[:3, 3], bumpy.normals @ truth[:3, :3].T, bumpy.areas
-    )
+    rotation, shift = random_rotation(rng), np.array([10.0, -20.0, 5.0])
+    scan = OrientedPoints(bumpy.points @ rotation.T + shift, bumpy.normals @ rotation.T, bumpy.areas)
     grid = NearestGrid.of(scan, cell=4.0, margin=40.0)
-    axes = rng.normal(size=(10, 3))
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    rotations = np.array([rotation_from_vector(np.radians(20) * axis) @ truth[:3, :3] for axis in axes])
-    translations = truth[:3, 3] + 8 * axes
+    axes = normalized(rng.normal(size=(10, 3)))
+    rotations = np.array([rotation_from_vector(np.radians(20) * axis) @ rotation for axis in axes])
+    translations = shift + 8 * axes
     scores = align_on_grid(grid, bumpy, rotations, translations, steps=25, sigma=(20.0, 3.0))
-    errors = np.degrees([rotation_angle_rad(r @ truth[:3, :3].T) for r in rotations])
+    errors = np.degrees([rotation_angle_rad(r @ rotation.T) for r in rotations])
     assert errors.max() < 4
     assert np.median(errors) < 2
-    assert np.linalg.norm(translations - truth[:3, 3], axis=1).max() < 2
+    assert np.linalg.norm(translations - shift, axis=1).max() < 2
     assert scores.min() > 0.4
     assert_allclose(np.linalg.det(rotations), 1)
 

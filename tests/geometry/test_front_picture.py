@@ -1,18 +1,19 @@
 """The picture of a scan from the front shows the colour of what is nearest, at its place."""
 
 import numpy as np
+import pytest
+from helpers.square import SQUARE_FACES as FACES
+from helpers.square import SQUARE_UV
 
 from scan2albedo import RawScan
 from scan2albedo.geometry.rasterization import front_picture
 
-SQUARE = np.array([[0.0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0]])
-FACES = np.array([[0, 1, 2], [0, 2, 3]])
-UV = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])[FACES]
+SQUARE = np.insert(10 * SQUARE_UV, 2, 0, axis=1)
+UV = SQUARE_UV[FACES]
 
 
 def picture(scan, pose=None):
-    low, high = np.array([-2.0, -2.0]), np.array([12.0, 12.0])
-    return front_picture(scan, np.eye(4) if pose is None else pose, low, high, 0.5)
+    return front_picture(scan, np.eye(4) if pose is None else pose, np.full(2, -2.0), np.full(2, 12.0), 0.5)
 
 
 def color_at(shown, x, y):
@@ -32,11 +33,11 @@ def test_a_texture_lies_where_its_points_are():
     assert not shown.seen[shown.seen.shape[0] // 2 :].any()
 
 
-def test_vertex_colours_and_what_lies_in_front():
-    behind = SQUARE + [0, 0, -5]
+@pytest.mark.parametrize("other", [SQUARE + [0, 0, -5], SQUARE * 20 + [-100, -100, 5]])
+def test_vertex_colours_of_what_lies_in_front_of_others_and_of_faces_torn_across_the_picture(other):
     colors = np.repeat([[1.0, 0, 0], [0, 1, 0]], 4, axis=0)
     scan = RawScan(
-        np.concatenate([SQUARE, behind]), np.concatenate([FACES, FACES + 4]), vertex_color_linear=colors
+        np.concatenate([SQUARE, other]), np.concatenate([FACES, FACES + 4]), vertex_color_linear=colors
     )
     assert np.allclose(color_at(picture(scan), 5, 5), (1, 0, 0))
 
@@ -44,15 +45,6 @@ def test_vertex_colours_and_what_lies_in_front():
 def test_faces_that_look_away_are_left_out():
     scan = RawScan(SQUARE, FACES[:, ::-1], vertex_color_linear=np.ones((4, 3)))
     assert not picture(scan).seen.any()
-
-
-def test_faces_torn_across_the_picture_hide_nothing():
-    torn = SQUARE * 20 + [-100, -100, 5]
-    colors = np.repeat([[1.0, 0, 0], [0, 1, 0]], 4, axis=0)
-    scan = RawScan(
-        np.concatenate([SQUARE, torn]), np.concatenate([FACES, FACES + 4]), vertex_color_linear=colors
-    )
-    assert np.allclose(color_at(picture(scan), 5, 5), (1, 0, 0))
 
 
 def test_coordinates_of_other_periods_and_at_the_edge_are_those_of_the_texture():

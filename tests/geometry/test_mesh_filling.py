@@ -2,22 +2,14 @@
 
 import numpy as np
 import pytest
+from helpers.meshes import grid
 
 from scan2albedo.geometry.operators import filled_over_mesh
 
 
-def grid(side):
-    """Triangles of a grid of side x side vertices."""
-    rows, columns = np.mgrid[: side - 1, : side - 1]
-    first = (rows * side + columns).ravel()
-    lower = np.stack([first, first + 1, first + side + 1], 1)
-    return np.concatenate([lower, np.stack([first, first + side + 1, first + side], 1)])
-
-
 def test_a_linear_field_is_continued_exactly():
-    side = 9
-    faces = grid(side)
-    row, column = np.divmod(np.arange(side * side), side)
+    _, faces = grid(9, 9)
+    row, column = np.divmod(np.arange(81), 9)
     values = np.stack([2.0 * row - column, 0.5 * column], 1)
     hole = (abs(row - 4) < 3) & (abs(column - 4) < 3)
     filled = filled_over_mesh(np.where(hole[:, None], np.nan, values), ~hole, faces)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
-from helpers.meshes import sphere
+from helpers.meshes import grid, sphere
 from scipy.spatial import cKDTree
 
 from scan2albedo.geometry.mesh import normalized, vertex_normals
@@ -21,8 +21,8 @@ def test_samples_of_a_sphere_lie_on_it_with_radial_normals_and_its_area(level):
 
 
 def test_two_large_triangles_are_sampled_without_holes():
-    corners = np.array([[0.0, 0, 0], [60, 0, 0], [60, 60, 0], [0, 60, 0]])
-    samples = oriented_points(corners, np.array([[0, 1, 2], [0, 2, 3]]), 5.0)
+    corners, faces = grid(2, 2)
+    samples = oriented_points(60 * corners, faces, 5.0)
     np.testing.assert_allclose(samples.normals, [[0, 0, 1.0]] * len(samples), atol=1e-12)
     probes = np.random.default_rng(0).uniform(0, 60, (500, 2))
     distance, _ = cKDTree(samples.points[:, :2]).query(probes)

@@ -5,6 +5,7 @@ import pytest
 from helpers.meshes import sphere
 from numpy.testing import assert_allclose
 
+from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import random_rotation
 
@@ -43,8 +44,7 @@ def test_rays_agree_with_brute_force_in_any_direction():
     vertices = vertices * [1, 2, 0.5] @ random_rotation(np.random.default_rng(1)).T
     rng = np.random.default_rng(2)
     origins = rng.normal(size=(60, 3)) * 3
-    directions = -origins + rng.normal(scale=0.6, size=(60, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    directions = normalized(-origins + rng.normal(scale=0.6, size=(60, 3)))
     hits = RayCaster(vertices, faces).first_hit(origins, directions)
     expected = [
         nearest_by_brute_force(vertices, faces, o, d) for o, d in zip(origins, directions, strict=True)

@@ -1,13 +1,14 @@
 """Frames of normal maps: along the texture, split where it is mirrored."""
 
 import numpy as np
+from helpers.meshes import grid
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.tangents import in_tangent_space, tangent_mesh
 
-SQUARE = np.array([[-1.0, 0, 0], [0, 0, 0], [1, 0, 0], [-1, 1, 0], [0, 1, 0], [1, 1, 0]])
-FACES = np.array([[0, 1, 3], [1, 4, 3], [1, 2, 4], [2, 5, 4]])
+SQUARE, FACES = grid(3, 2)
+SQUARE = SQUARE * [2, 1, 1] - [1, 0, 0]
 
 
 def frames_of(uv, vertices=SQUARE):

@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
+import trimesh
+from helpers.face_mask import mask_surface
 
 from scan2albedo.geometry.mesh import boundary_vertex_mask, thinned, vertex_normals
-from tests.fitting.conftest import mask_surface
 
 
 def test_a_coarse_surface_stays_as_it_is():
@@ -36,21 +37,11 @@ def test_a_cell_of_many_vertices_averages_their_noise_out():
     assert thin.vertices[full, 2].std() < 0.1 / np.sqrt(12)
 
 
-def torus(around: int, along: int) -> tuple[np.ndarray, np.ndarray]:
-    """A closed surface of 40 mm and 15 mm radius."""
-    i, j = np.meshgrid(np.arange(around), np.arange(along), indexing="ij")
-    u, v = 2 * np.pi * i.ravel() / around, 2 * np.pi * j.ravel() / along
-    ring = 40 + 15 * np.cos(v)
-    vertices = np.column_stack([ring * np.cos(u), ring * np.sin(u), 15 * np.sin(v)])
-    a, b = i * along + j, (i + 1) % around * along + j
-    c, d = (i + 1) % around * along + (j + 1) % along, i * along + (j + 1) % along
-    return vertices, np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
-
-
 @pytest.mark.parametrize("cell_mm", [1e-3, 0.5, 5.0])
 def test_seams_close_and_a_closed_surface_has_no_border_however_it_crumples(cell_mm):
-    vertices, faces = torus(120, 50)
-    crumpled = vertices + np.random.default_rng(1).normal(scale=0.5, size=vertices.shape)
+    torus = trimesh.creation.torus(40.0, 15.0, major_sections=120, minor_sections=50)
+    faces = np.asarray(torus.faces)
+    crumpled = torus.vertices + np.random.default_rng(1).normal(scale=0.5, size=torus.vertices.shape)
     soup, separate = crumpled[faces].reshape(-1, 3), np.arange(3 * len(faces)).reshape(-1, 3)
     assert boundary_vertex_mask(len(soup), separate).all()
     assert not thinned(soup, separate, cell_mm).boundary.any()

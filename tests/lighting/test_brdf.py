@@ -6,15 +6,16 @@ from brdf_reference import lambert, minnaert, oren_nayar, phong
 from hypothesis import given
 from hypothesis import strategies as st
 
+from scan2albedo.geometry.mesh import normalized
+
 COSINES = np.linspace(-1, 1, 41)
 
 
-def _triples(count=4000, seed=0):
-    """Cosines of random unit n, l, v, the geometry kept consistent."""
-    n, light, view = np.random.default_rng(seed).standard_normal((3, count, 3))
-    n, light, view = (a / np.linalg.norm(a, axis=1, keepdims=True) for a in (n, light, view))
-    dot = lambda a, b: np.sum(a * b, 1)  # noqa: E731
-    return dot(n, light), dot(n, view), dot(light, view)
+def _triples(least=-1.0):
+    """Return cosines of random unit n, l, v, those of n above the least."""
+    n, light, view = map(normalized, np.random.default_rng(0).standard_normal((3, 4000, 3)))
+    cosines = np.sum([n * light, n * view, light * view], axis=2)
+    return cosines[:, (cosines[:2] > least).all(0)]
 
 
 def _angles_form(n_l, n_v, l_v, sigma):
@@ -34,16 +35,12 @@ def test_sigma_zero_oren_nayar_is_lambert_exactly():
 
 @pytest.mark.parametrize("sigma", [0.1, 0.4, 1.0])
 def test_oren_nayar_equals_the_form_with_angles(sigma):
-    n_l, n_v, l_v = _triples()
-    front = (n_l > 0.02) & (n_v > 0.02)
-    ours = oren_nayar(n_l, n_v, l_v, sigma)[front]
-    assert ours == pytest.approx(_angles_form(n_l[front], n_v[front], l_v[front], sigma), rel=1e-9, abs=1e-12)
+    front = _triples(0.02)
+    assert oren_nayar(*front, sigma) == pytest.approx(_angles_form(*front, sigma), rel=1e-9, abs=1e-12)
 
 
 def test_oren_nayar_is_reciprocal():
-    n_l, n_v, l_v = _triples()
-    front = (n_l > 0.01) & (n_v > 0.01)
-    n_l, n_v, l_v = n_l[front], n_v[front], l_v[front]
+    n_l, n_v, l_v = _triples(0.01)
     there, back = oren_nayar(n_l, n_v, l_v, 0.6) / n_l, oren_nayar(n_v, n_l, l_v, 0.6) / n_v
     assert there == pytest.approx(back, rel=1e-12)
 

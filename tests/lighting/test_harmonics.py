@@ -10,7 +10,7 @@ from scan2albedo.lighting.harmonics import harmonic_degrees, harmonics, harmonic
 POLES = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
 
 
-def unit_vectors(count: int, seed: int = 0) -> np.ndarray:
+def unit_vectors(count, seed=0):
     vectors = np.random.default_rng(seed).normal(size=(count, 3))
     near_poles = POLES[[0, 1, 0, 1]] + 1e-9 * vectors[:4]
     near_camera_axis = np.array([0.0, 0.0, 1.0]) + 0.05 * vectors[4:40]
@@ -18,7 +18,7 @@ def unit_vectors(count: int, seed: int = 0) -> np.ndarray:
     return every / np.linalg.norm(every, axis=1, keepdims=True)
 
 
-def scipy_harmonics(unit: np.ndarray, order: int) -> np.ndarray:
+def scipy_harmonics(unit, order):
     polar = np.arctan2(np.hypot(unit[:, 0], unit[:, 1]), unit[:, 2])
     azimuth = np.arctan2(unit[:, 1], unit[:, 0])
     columns = []

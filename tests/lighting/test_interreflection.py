@@ -5,6 +5,7 @@ import pytest
 import trimesh
 
 from scan2albedo.core import EnvironmentLight
+from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment_light import (
     Patches,
@@ -17,16 +18,10 @@ from scan2albedo.lighting.shadow_map import ShadowMap
 OFFSET_MM = 0.01
 
 
-def _inside_of(mesh, keep=None):
+def _inside_of(mesh, keep=slice(None)):
     """Return what casts rays, and the centres and inner normals of its faces."""
-    faces = mesh.faces if keep is None else mesh.faces[keep]
-    center = mesh.vertices[faces].mean(1)
-    normal = np.cross(
-        mesh.vertices[faces[:, 1]] - mesh.vertices[faces[:, 0]],
-        mesh.vertices[faces[:, 2]] - mesh.vertices[faces[:, 0]],
-    )
-    normal /= -np.linalg.norm(normal, axis=1, keepdims=True)
-    return RayCaster(np.asarray(mesh.vertices), np.asarray(faces)), center, normal
+    caster = RayCaster(np.asarray(mesh.vertices), np.asarray(mesh.faces)[keep])
+    return caster, np.asarray(mesh.triangles_center)[keep], -mesh.face_normals[keep]
 
 
 @pytest.fixture(scope="module")
@@ -40,19 +35,16 @@ def bowl():
     return _inside_of(mesh, mesh.triangles_center[:, 2] < 0)
 
 
-def test_inside_a_sphere_every_patch_sees_all_others_alike(sphere):
+def test_inside_a_sphere_every_patch_sees_all_others_alike_and_bounced_light_is_the_mean(sphere):
+    _, center, normal = sphere
     patches = Patches.of(*sphere, OFFSET_MM)
     count = len(patches.factors)
     assert patches.factors.sum(1) == pytest.approx(np.ones(count), abs=0.01)
     # The same 128 directions from everywhere: only sums over many patches are smooth.
-    half = sphere[1][:, 0] > 0
+    half = center[:, 0] > 0
     assert patches.factors[:, half].sum(1) == pytest.approx(np.full(count, half.mean()), abs=0.08)
     assert patches.factors[:, half].sum(1).mean() == pytest.approx(half.mean(), abs=0.01)
-
-
-def test_inside_a_sphere_bounced_light_is_the_mean_light_everywhere(sphere):
-    caster, center, normal = sphere
-    bounce = Patches.of(caster, center, normal, OFFSET_MM).seen_from(center, normal)
+    bounce = patches.seen_from(center, normal)
     light = 1 + 0.5 * center[:, 0] / 50
     bounced = bounce(np.column_stack([np.ones_like(light), light])).T
     assert bounced[0] == pytest.approx(np.ones_like(light), abs=0.03)
@@ -62,11 +54,10 @@ def test_inside_a_sphere_bounced_light_is_the_mean_light_everywhere(sphere):
 
 def test_a_bowl_hides_half_of_the_hemisphere_from_each_of_its_points(bowl):
     """Its part of the sphere's area is the form factor from every point; the rim has teeth."""
-    caster, center, normal = bowl
-    hidden = Patches.of(caster, center, normal, OFFSET_MM).factors.sum(1)
-    part = len(center) / 1280
+    hidden = Patches.of(*bowl, OFFSET_MM).factors.sum(1)
+    part = len(hidden) / 1280
     assert part == pytest.approx(0.5, abs=0.02)
-    assert hidden == pytest.approx(np.full(len(center), part), abs=0.08)
+    assert hidden == pytest.approx(np.full(len(hidden), part), abs=0.08)
     assert hidden.mean() == pytest.approx(part, abs=0.01)
 
 
@@ -76,7 +67,7 @@ def test_faces_of_a_cube_have_form_factors_of_a_fifth():
     for _ in range(3):
         mesh = mesh.subdivide()
     caster, center, normal = _inside_of(mesh)
-    factors = Patches.of(caster, center, normal, 0.01).factors
+    factors = Patches.of(caster, center, normal, OFFSET_MM).factors
     side = 3 * (normal.min(1) < -0.5) + np.abs(normal).argmax(1)
     between = np.array([[factors[side == a][:, side == b].sum(1).mean() for b in range(6)] for a in range(6)])
     assert between == pytest.approx((1 - np.eye(6)) / 5, abs=0.012)
@@ -94,25 +85,24 @@ def test_light_that_passes_a_hole_to_an_inner_side_is_not_thrown_back():
     """The plate above turns its back to the floor: its outer side is the upper one."""
     plate = trimesh.creation.box([100, 100, 0.1])
     plate.apply_translation([0, 0, 30])
-    up = np.array([[0.0, 0, 1]])
-    points = np.vstack([[[0.0, 0, 0]], [[0.0, 0, 30.05]]])
-    for turned, hidden in ((1, False), (-1, True)):
-        normal = np.vstack([up, turned * up])
+    points = np.array([[0.0, 0, 0], [0, 0, 30.05]])
+    for turned, hidden in ((1.0, False), (-1.0, True)):
+        normal = np.array([[0, 0, 1.0], [0, 0, turned]])
         factors = Patches.of(RayCaster(plate.vertices, plate.faces), points, normal, OFFSET_MM).factors
         assert (factors[0, 1] > 0.5) == hidden
 
 
 def test_patches_among_points_bounce_as_all_points_do(bowl):
-    caster, center, normal = bowl
-    patches = Patches.among(ShadowMap(caster, center, normal, OFFSET_MM))
+    _, center, normal = bowl
+    shadows = ShadowMap(*bowl, OFFSET_MM)
+    patches = Patches.among(shadows)
     assert len(patches.factors) < len(center)
     bounce = patches.seen_from(center, normal)
     light = 1 + center[:, 0] / 100
-    off = bounce(light) - Patches.of(caster, center, normal, OFFSET_MM).seen_from(center, normal)(light)
+    off = bounce(light) - Patches.of(*bowl, OFFSET_MM).seen_from(center, normal)(light)
     assert np.sqrt(np.mean(off**2)) < 0.006
     assert np.abs(off).max() < 0.04
     environment = EnvironmentLight(np.zeros((9, 3)), bounce=0.4)
-    shadows = ShadowMap(caster, center, normal, OFFSET_MM)
     lamps = light[:, None] * [1.0, 0.5, 0.0]
     lit = environment_light_on(environment, shadows, lamps)
     assert lit == pytest.approx(lamps + 0.4 * bounce(lamps))
@@ -130,8 +120,7 @@ def test_a_lookup_keeps_constants():
     _, _, position, normal = _fold()
     rng = np.random.default_rng(0)
     anywhere = rng.uniform(0, 60, (50, 3))
-    toward = rng.normal(size=(50, 3))
-    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    toward = normalized(rng.normal(size=(50, 3)))
     weights = surface_weights(surface_keys(position, normal), surface_keys(anywhere, toward))
     assert weights @ np.full(len(position), 0.7) == pytest.approx(np.full(50, 0.7))
     assert weights.min() >= 0

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import trimesh
+from helpers.meshes import grid
 from numpy.testing import assert_array_equal
 
 from scan2albedo import RawScan
@@ -23,19 +24,15 @@ def test_a_sphere_covers_the_disc_it_should():
 
 def test_yaw_shows_the_right_side_and_pitch_the_underside():
     box = trimesh.creation.box((10, 10, 10))
-    # Face colours by vertex: the side at -x red, the others blue.
-    color = np.where(box.vertices[:, :1] < 0, [1.0, 0, 0], [0, 0, 1.0])
-    view = View.around(box.vertices, yaw_deg=60)
-    front = render_mesh(box.vertices, box.faces, vertex_color_srgb=color, view=view, shaded=False, size=64)
-    assert (front[..., 0].astype(int) > front[..., 2]).sum() > (
-        front[..., 2].astype(int) > front[..., 0]
-    ).sum()
-    low = np.where(box.vertices[:, 1:2] < 0, [1.0, 0, 0], [0, 0, 1.0])
-    view = View.around(box.vertices, pitch_deg=60)
-    below = render_mesh(box.vertices, box.faces, vertex_color_srgb=low, view=view, shaded=False, size=64)
-    assert (below[..., 0].astype(int) > below[..., 2]).sum() > (
-        below[..., 2].astype(int) > below[..., 0]
-    ).sum()
+    for axis, turn in ((0, "yaw_deg"), (1, "pitch_deg")):
+        # Colours by vertex: the side at -x, or at -y, red, the others blue.
+        color = np.where(box.vertices[:, [axis]] < 0, [1.0, 0, 0], [0, 0, 1.0])
+        view = View.around(box.vertices, **{turn: 60})
+        picture = render_mesh(
+            box.vertices, box.faces, vertex_color_srgb=color, view=view, shaded=False, size=64
+        )
+        red, blue = picture[..., 0], picture[..., 2]
+        assert (red > blue).sum() > (blue > red).sum()
 
 
 def test_stray_patches_in_front_hide_nothing():
@@ -52,14 +49,12 @@ def test_stray_patches_in_front_hide_nothing():
 
 
 def test_texture_is_upright():
-    vertices = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-    faces = np.array([[0, 1, 2], [0, 2, 3]])
-    uv = (vertices[:, :2] + 1)[faces] / 2
+    square, faces = grid(2, 2)
+    uv = square[faces, :2]
     texture = np.zeros((8, 8, 3), np.uint8)
     texture[0, 0] = 255  # top left
-    picture = render_mesh(
-        vertices, faces, texture_srgb=(uv, texture), view=View((0, 0, 0), 1.0), size=80, shaded=False
-    )
+    view = View((0.5, 0.5, 0), 0.5)
+    picture = render_mesh(square, faces, texture_srgb=(uv, texture), view=view, size=80, shaded=False)
     assert (picture[2:8, 2:8] == 255).all()
     assert (picture[70:78, 2:70] == 0).all()
 

@@ -1,15 +1,15 @@
 """Geometry images of surfaces whose answer is known in closed form."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from helpers.meshes import grid
+from helpers.patches import FlatAnnotation, Patch, patch
 from numpy.testing import assert_allclose, assert_array_equal
 
-from scan2albedo import AnnotatedFaceModel, fit, load_scan, register
+from scan2albedo import fit, load_scan, register
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.errors import GeometryImageError
 from scan2albedo.geometry.closest_points import MAX_EXACT_FACES, ClosestPointQuery
 from scan2albedo.geometry.operators import linear_refinement
 from scan2albedo.geometry.rigid import compose, invert_rigid, random_rotation, transform_points
@@ -18,47 +18,21 @@ from scan2albedo.sampling import geometry_image, texture_lookup
 from scan2albedo.sampling.geometry_images import texture_doubt
 from scan2albedo.sampling.texture_lookup import MOVES, moved_colors, sample_colors
 
-
-class FlatAnnotation:
-    """Region 3 for everything, and region 4 without highlights."""
-
-    face_uv = None
-
-    def region_values(self, attribute):
-        table = np.full(256, 0.7 if attribute == "specular_scale" else 1.0)
-        table[4] = 0.0
-        return table
-
-    def face_regions(self):
-        return np.ones(256, bool)
+WHITE = np.ones((16, 16, 3), np.float32)
 
 
-@dataclass
-class Patch:
-    """A square patch z(x, y) of 100 mm with uv = position, in place of a fitted face."""
+@pytest.fixture
+def one_tap(monkeypatch):
+    """Return a function after whose call a texture is looked up at one place alone."""
 
-    vertices: np.ndarray
-    faces: np.ndarray
-    uv: np.ndarray
-    model_from_scan: np.ndarray
-    region: np.ndarray = field(init=False)
-    residual_mm: np.ndarray = field(init=False)
-    model: FlatAnnotation = field(default_factory=FlatAnnotation)
+    def looked_up():
+        for name in ("FEWEST_TAPS", "MOST_TAPS"):
+            monkeypatch.setattr(texture_lookup, name, 1)
 
-    def __post_init__(self):
-        self.region = np.full(len(self.faces), 3, np.uint8)
-        self.residual_mm = np.zeros(len(self.vertices))
+    return looked_up
 
 
-def patch(height=lambda x, y: 0 * x, n=41, model_from_scan=None):
-    flat, faces = grid(n, n)
-    uv = flat[:, :2]
-    xy = 100 * (uv - 0.5)
-    vertices = np.column_stack([xy, height(*xy.T)])
-    return Patch(vertices, faces, uv, np.eye(4) if model_from_scan is None else model_from_scan)
-
-
-def textured_scan(fitted, texture, n_noise=0.0):
+def textured_scan(fitted, texture):
     """The patch itself as a raw scan, in the scan's own frame, with uv = chart."""
     vertices = transform_points(invert_rigid(fitted.model_from_scan), fitted.vertices)
     return RawScan(vertices, fitted.faces, fitted.uv[fitted.faces], texture)
@@ -101,27 +75,25 @@ def test_a_linear_texture_is_reproduced_in_any_pose(seed):
 
 
 @pytest.mark.parametrize("size", [16, 64])
-def test_a_photograph_finer_than_the_texels_is_averaged_not_aliased(size, monkeypatch):
+def test_a_photograph_finer_than_the_texels_is_averaged_not_aliased(size, one_tap):
     fitted = patch()
     checker = (np.indices((509, 509)).sum(0) % 2).astype(np.float32)
     scan = textured_scan(fitted, np.repeat(checker[..., None], 3, 2))
     filtered = geometry_image(fitted, scan, size).texture_linear
-    monkeypatch.setattr(texture_lookup, "FEWEST_TAPS", 1)
-    monkeypatch.setattr(texture_lookup, "MOST_TAPS", 1)
+    one_tap()
     aliased = geometry_image(fitted, scan, size).texture_linear
     assert np.abs(filtered - 0.5).max() < 0.02
     assert np.abs(aliased - 0.5).max() > 0.2
 
 
 @pytest.mark.slow
-def test_the_footprint_average_agrees_with_supersampling(monkeypatch):
+def test_the_footprint_average_agrees_with_supersampling(one_tap):
     fitted = patch(lambda x, y: 12 * np.sin(x / 25) * np.cos(y / 30))
     noise = np.random.default_rng(0).random((700, 700, 3)).astype(np.float32)
     scan = textured_scan(fitted, noise)
     fine = geometry_image(fitted, scan, 1024).texture_linear.reshape(64, 16, 64, 16, 3).mean((1, 3))
     coarse = geometry_image(fitted, scan, 64).texture_linear
-    monkeypatch.setattr(texture_lookup, "FEWEST_TAPS", 1)
-    monkeypatch.setattr(texture_lookup, "MOST_TAPS", 1)
+    one_tap()
     plain = geometry_image(fitted, scan, 64).texture_linear
     error = np.abs(coarse - fine).mean()
     assert error < 0.01
@@ -146,8 +118,7 @@ def test_the_texel_areas_tell_a_stretched_chart():
     assert stretched > 3
 
 
-def test_a_geometry_image_goes_back_to_the_mesh_it_came_from():
-    model = AnnotatedFaceModel.default()
+def test_a_geometry_image_goes_back_to_the_mesh_it_came_from(model):
     vertices, faces = model.surface(2)
     uv = linear_refinement(len(model.control_vertices), model.control_faces, 2) @ model.uv
     back, back_faces = geometry_image(Patch(vertices, faces, uv, np.eye(4)), None, 512).triangulated()
@@ -175,22 +146,15 @@ def test_a_dense_scan_is_looked_up_as_an_ordinary_one_is():
     assert (first.seen == second.seen).mean() > 0.99
 
 
-def test_a_hole_in_the_scan_is_known_as_unseen():
+@pytest.mark.parametrize("lost", ["a hole in the scan", "left out by the fit"])
+def test_what_is_lost_is_known_as_unseen(lost):
     fitted = patch()
-    scan = textured_scan(fitted, np.ones((16, 16, 3), np.float32))
-    center = fitted.vertices[fitted.faces].mean(1)
-    keep = np.linalg.norm(center, axis=1) > 15
-    holed = RawScan(scan.vertices, scan.faces[keep], scan.uv[keep], scan.texture_linear)
-    image = geometry_image(fitted, holed, size=100)
-    radius = np.linalg.norm(image.position, axis=-1)
-    assert not image.texture_valid[radius < 12].any()
-    assert image.texture_valid[radius > 18].all()
-
-
-def test_what_the_fit_left_out_gives_no_texture():
-    fitted = patch()
-    scan = textured_scan(fitted, np.ones((16, 16, 3), np.float32))
-    fitted.covered_faces = np.linalg.norm(fitted.vertices[fitted.faces].mean(1), axis=1) < 15
+    scan = textured_scan(fitted, WHITE)
+    middle = np.linalg.norm(fitted.centres, axis=1) < 15
+    if lost == "a hole in the scan":
+        scan = replace(scan, faces=scan.faces[~middle], uv=scan.uv[~middle])
+    else:
+        fitted.covered_faces = middle
     image = geometry_image(fitted, scan, size=100)
     radius = np.linalg.norm(image.position, axis=-1)
     assert not image.texture_valid[radius < 12].any()
@@ -199,11 +163,11 @@ def test_what_the_fit_left_out_gives_no_texture():
 
 def test_a_surface_that_faces_away_or_lies_far_off_is_unseen():
     fitted = patch()
-    scan = textured_scan(fitted, np.ones((16, 16, 3), np.float32))
-    flipped = RawScan(scan.vertices, scan.faces[:, ::-1], scan.uv[:, ::-1], scan.texture_linear)
-    far = RawScan(scan.vertices + [0, 0, 30], scan.faces, scan.uv, scan.texture_linear)
-    assert not geometry_image(fitted, flipped, 32).texture_valid.any()
-    assert not geometry_image(fitted, far, 32).texture_valid.any()
+    scan = textured_scan(fitted, WHITE)
+    flipped = replace(scan, faces=scan.faces[:, ::-1], uv=scan.uv[:, ::-1])
+    far = replace(scan, vertices=scan.vertices + [0, 0, 30])
+    for unseen in (flipped, far):
+        assert not geometry_image(fitted, unseen, 32).texture_valid.any()
 
 
 def test_vertex_colours_serve_where_there_is_no_texture():
@@ -228,15 +192,12 @@ def test_colours_that_no_picture_showed_are_taken_from_around():
     assert image.figures()["filled"] == image.filled.sum() / image.mask.sum()
     assert geometry_image(given, bare, 64).filled is None
     # Where the scan shows nothing of the face, its colours say nothing.
-    assert (
-        geometry_image(given, replace(bare, color_seen=np.zeros(len(hole), bool)), 64).texture_linear is None
-    )
+    assert geometry_image(given, replace(bare, color_seen=hole & False), 64).texture_linear is None
 
 
 def test_of_a_template_only_the_annotated_part_is_the_face(monkeypatch):
     given = patch()
-    region = np.where(given.vertices[given.faces].mean(1)[:, 0] > 0, 4, 3).astype(np.uint8)
-    given.region = region
+    given.region = np.where(given.centres[:, 0] > 0, 4, 3).astype(np.uint8)
     assert geometry_image(given, None, 32).on_face is None
     monkeypatch.setattr(FlatAnnotation, "face_regions", lambda self: np.arange(256) == 4)
     image = geometry_image(given, None, 32)
@@ -244,14 +205,9 @@ def test_of_a_template_only_the_annotated_part_is_the_face(monkeypatch):
     assert image.face_side == 32 * (image.on_face.sum() / image.mask.sum()) ** 0.5
 
 
-def test_too_small_a_size_is_refused():
-    with pytest.raises(GeometryImageError, match="size 4 does not suit"):
-        geometry_image(patch(), None, size=4)
-
-
 def test_annotated_values_change_gradually_and_regions_stay_crisp():
     fitted = patch()
-    fitted.region = np.where(fitted.vertices[fitted.faces].mean(1)[:, 0] < 0, 3, 4).astype(np.uint8)
+    fitted.region = np.where(fitted.centres[:, 0] < 0, 3, 4).astype(np.uint8)
     image = geometry_image(fitted, None, 100)
     assert set(np.unique(image.region)) == {3, 4}
     row = image.specular_scale[50]
@@ -261,8 +217,7 @@ def test_annotated_values_change_gradually_and_regions_stay_crisp():
     assert not image.inpaint[50, -5]
 
 
-def test_texels_of_the_default_model_know_their_own_places():
-    model = AnnotatedFaceModel.default()
+def test_texels_of_the_default_model_know_their_own_places(model):
     vertices, faces = model.surface(1)
     fitted = Patch(vertices, faces, model.refined_uv(1), np.eye(4))
     assert geometry_image(fitted, None, 40).face_chart is None
@@ -275,12 +230,11 @@ def test_texels_of_the_default_model_know_their_own_places():
 
 
 def test_a_texture_is_looked_up_as_if_what_was_done_to_it_were_undone():
-    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-    faces, points = np.array([[0, 1, 2], [0, 2, 3]]), np.array([[30, 40, 0], [61, 45, 0], [52, 70, 0.0]])
+    corners, faces = grid(2, 2)
+    points = np.array([[30, 40, 0], [61, 45, 0], [52, 70, 0.0]])
     row, column = np.indices((100, 140)) / 140
     smooth = np.stack([row, column, row * column], axis=-1).astype(np.float32)
-    vertices = np.column_stack([100.0 * corners, np.zeros(4)])
-    scan = RawScan(vertices, faces, uv=(0.1 + 0.8 * corners)[faces], texture_linear=smooth)
+    scan = RawScan(100 * corners, faces, uv=(0.1 + 0.8 * corners[:, :2])[faces], texture_linear=smooth)
     seen, up = np.array([[True, False], [True, True]]), np.tile([0, 0, 1.0], (3, 1))
     right = moved_colors(scan, seen, points, up)["as it is"]
     assert not right[0, 1].any()
@@ -300,9 +254,8 @@ def test_a_texture_is_looked_up_as_if_what_was_done_to_it_were_undone():
 
 
 @pytest.mark.slow
-def test_what_was_done_to_a_texture_is_told_by_name(shared_data):
+def test_what_was_done_to_a_texture_is_told_by_name(shared_data, model):
     scan = load_scan(shared_data / "james.obj")
-    model = AnnotatedFaceModel.default()
     fitted = fit(scan, model, register(scan, model, seed=0))
     assert texture_doubt(fitted, scan, geometry_image(fitted, scan, 128)) is None
     noise = srgb_to_linear(np.random.default_rng(0).random(scan.texture_linear.shape)).astype(np.float32)
@@ -323,12 +276,11 @@ def test_what_was_done_to_a_texture_is_told_by_name(shared_data):
 
 def test_vertex_colours_are_those_of_the_faces_near_the_points():
     """The face's own, though the scan begins with something else that lies far away."""
-    square = np.array([[0.0, 0, 0], [9, 0, 0], [9, 9, 0], [0, 9, 0]])
-    faces = np.array([[0, 1, 2], [0, 2, 3]])
-    vertices = np.concatenate([square + 500, square])
+    square, faces = grid(2, 2)
+    vertices = np.concatenate([9 * square + 500, 9 * square])
     colors = np.zeros((8, 3), np.float32)
     colors[:4, 0] = 1
-    colors[4:, 1:] = square[:, :2] / 9
+    colors[4:, 1:] = square[:, :2]
     scan = RawScan(vertices, np.concatenate([faces, faces + 4]), vertex_color_linear=colors)
     points = np.random.default_rng(0).uniform(1, 8, (40, 3)) * (1, 1, 0)
     found = sample_colors(scan, points, np.tile((0.0, 0, 1), (40, 1)), np.zeros((40, 3, 2)))

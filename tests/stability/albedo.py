@@ -41,12 +41,14 @@ def ball(*lights, material=Material(), texture="skin", size=SIZE, **more):
     return hemisphere(lights=lamps, material=material, texture=texture, size=size, seed=1, **more)
 
 
-def estimated(scene=None, lights=1, brdf="oren-nayar", changed=None, truth=None, **arguments):
-    """Estimate the albedo of a scene, fields of its image changed; return it and the true albedo."""
+def estimated(scene=None, lights=1, brdf="oren-nayar", truth=None, **more):
+    """Estimate the albedo of a scene, given fields in place of its image's; return it and the truth."""
     scene = scene or ball()
-    fields = {k: v.astype(np.float32) if k == "texture_linear" else v for k, v in (changed or {}).items()}
+    fields = {name: more.pop(name) for name in list(more) if hasattr(scene.image, name)}
+    if "texture_linear" in fields:
+        fields["texture_linear"] = fields["texture_linear"].astype(np.float32)
     image = replace(scene.image, **fields)
-    return estimate_albedo(image, lights, brdf, **arguments), scene.albedo_linear if truth is None else truth
+    return estimate_albedo(image, lights, brdf, **more), scene.albedo_linear if truth is None else truth
 
 
 def lit(*lights, **made):
@@ -57,28 +59,26 @@ def lit(*lights, **made):
 def painted(texture, **made):
     """Estimate the albedo of a ball of this texture, or of what a function makes of its own."""
     scene = ball(**made)
-    return estimated(
-        scene, changed={"texture_linear": texture(scene.image.texture_linear) + np.zeros((*SHAPE, 3))}
-    )
+    return estimated(scene, texture_linear=texture(scene.image.texture_linear) + np.zeros((*SHAPE, 3)))
 
 
 def placed(scale=1.0, shift=0.0):
     """Estimate the albedo of a ball of another size, elsewhere."""
-    return estimated(changed={"position": ball().image.position * scale + shift})
+    return estimated(position=ball().image.position * scale + shift)
 
 
 def masked(*part, of="mask"):
     """Estimate the albedo of a ball whose mask is True in this part alone."""
     mask = np.zeros(SHAPE, bool)
     mask[part] = True
-    return estimated(changed={of: mask})
+    return estimated(**{of: mask})
 
 
 def spoilt(field, value, *part):
     """Estimate the albedo of a ball that has another value in a part of a field."""
     array = getattr(ball().image, field).copy()
     array[part] = value
-    return estimated(changed={field: array})
+    return estimated(**{field: array})
 
 
 def cut_out(rows, columns, size=SIZE):
@@ -165,7 +165,7 @@ def out_of_time(found):
 def constant():
     """Return how much the albedo of a ball of one colour varies, and the number of lamps found."""
     estimate, _ = estimated(
-        ball(None, texture="plain", bits=None), "auto", changed={"texture_linear": np.full((*SHAPE, 3), 0.5)}
+        ball(None, texture="plain", bits=None), "auto", texture_linear=np.full((*SHAPE, 3), 0.5)
     )
     albedo = estimate.albedo_linear[estimate.image.mask]
     return 100 * float(albedo.std() / albedo.mean()), len(estimate.lights), estimate
@@ -184,12 +184,12 @@ def flat():
     x, y = np.meshgrid(np.arange(SIZE), -np.arange(SIZE))
     position = np.stack([x, y, 0 * x], -1).astype(float)
     normal = np.zeros((*SHAPE, 3)) + [0, 0, 1]
-    return estimated(ball(None), "auto", changed={"normal": normal, "position": position})
+    return estimated(ball(None), "auto", normal=normal, position=position)
 
 
 def occluded(vertices, faces, *lights, options=SHADOWS):
     """Estimate the albedo of a ball with this occluder."""
-    return estimated(ball(*lights), options=options, changed={"occluder": (vertices, faces)})
+    return estimated(ball(*lights), options=options, occluder=(vertices, faces))
 
 
 def doubled():
@@ -270,7 +270,7 @@ def grey(shape, color=np.ones(3)):
     scene = soft_scene(shape, LAMP)
     truth = np.repeat(scene.albedo_linear.mean(-1, keepdims=True), 3, -1)
     light = 1 + (scene.shading - 1)[..., None] * color
-    return soft(shape, LAMP, changed={"texture_linear": 0.2 * truth * light}, truth=truth)
+    return soft(shape, LAMP, texture_linear=0.2 * truth * light, truth=truth)
 
 
 def hue(shape):
@@ -290,9 +290,7 @@ def lamp_only():
     """Return the error where a lamp shines, without ambient light."""
     scene = soft_scene("hemisphere", LAMP)
     light = scene.shading - 1
-    estimate, truth = soft(
-        "hemisphere", LAMP, changed={"texture_linear": 0.25 * scene.albedo_linear * light[..., None]}
-    )
+    estimate, truth = soft("hemisphere", LAMP, texture_linear=0.25 * scene.albedo_linear * light[..., None])
     assert estimate.lights
     return percent(estimate, truth, scene.image.mask & (light > 0.3))
 
@@ -301,7 +299,7 @@ def inner_occluder():
     """Estimate the albedo of a surface with an occluder inside it."""
     vertices, faces = soft_scene("hemisphere", LAMP).image.triangulated()
     options = EstimateOptions(force=("albedo.shadows", "albedo.occlusion", "albedo.bounce"))
-    return soft("hemisphere", LAMP, options=options, changed={"occluder": (0.9 * vertices, faces)})
+    return soft("hemisphere", LAMP, options=options, occluder=(0.9 * vertices, faces))
 
 
 # Inpainting.
@@ -381,7 +379,7 @@ CASES = table(
     ),
     (
         "mask without two texels side by side",
-        lambda: estimated(changed={"mask": ball().image.mask & CHECKERS}),
+        lambda: estimated(mask=ball().image.mask & CHECKERS),
         RIGHT,
         off(0.1),
     ),
@@ -412,7 +410,7 @@ CASES = table(
             lambda blue: estimated(
                 ball(size=128),
                 "auto",
-                changed={"texture_linear": ball(size=128).image.texture_linear * [1, 1, 0] + [0, 0, blue]},
+                texture_linear=ball(size=128).image.texture_linear * [1, 1, 0] + [0, 0, blue],
             ),
         ),
         SLOW,
@@ -434,7 +432,7 @@ CASES = table(
         WARNS,
         off(3.0),
         {
-            "normals flipped": lambda: estimated(changed={"normal": -ball().image.normal}),
+            "normals flipped": lambda: estimated(normal=-ball().image.normal),
             "view from behind": lambda: estimated(view_direction=(0, 0, -1)),
         },
     ),
@@ -484,7 +482,7 @@ CASES = table(
     ("all normals zero", lambda: spoilt("normal", 0, ...), REFUSES, "with a normal 0"),
     (
         "normals of length 10",
-        lambda: estimated(changed={"normal": 10 * ball().image.normal}),
+        lambda: estimated(normal=10 * ball().image.normal),
         REFUSES,
         "divide them",
     ),
@@ -532,7 +530,7 @@ CASES = table(
     ("lamp only, no ambient light", lamp_only, RIGHT, below(0.02, "where it is lit off by {:.3f} %")),
     (
         "normals inverted, under a dome",
-        lambda: soft("face", *DOME, changed={"normal": -soft_scene("face", *DOME).image.normal}),
+        lambda: soft("face", *DOME, normal=-soft_scene("face", *DOME).image.normal),
         WARNS,
         better(0.1),
     ),

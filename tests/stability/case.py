@@ -107,6 +107,12 @@ def noted(words):
     return figure
 
 
+def unfinished(found):
+    """Return what has not converged."""
+    assert not found.converged
+    return found
+
+
 def said(figure, plan):
     """Return the figure; with a doubt of the plan it is one of a result that says that it is in trouble."""
     doubts = plan.doubts()

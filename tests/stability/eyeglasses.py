@@ -25,7 +25,19 @@ from scan2albedo.eyeglasses.lenses.inserted_lenses import lens_mesh
 from scan2albedo.geometry.pinhole import look_at
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
 from scan2albedo.synthetic import GlassesBend, GlassesShape, eyeglasses
-from stability.case import BUDGETS, REFUSES, RIGHT, SLOW, WARNS, below, each, measured, rows, table
+from stability.case import (
+    BUDGETS,
+    REFUSES,
+    RIGHT,
+    SLOW,
+    WARNS,
+    below,
+    each,
+    measured,
+    rows,
+    table,
+    unfinished,
+)
 
 SPACING = 3.0
 NAN = math.nan
@@ -209,8 +221,7 @@ def far_scene():
 
 def out_of_time():
     """Return what counts as observed when time is over at once, and how far it is off."""
-    found = worn(budget=BUDGETS["0.001 s"])
-    assert not found.converged
+    found = unfinished(worn(budget=BUDGETS["0.001 s"]))
     return 100 * found.observed.mean(), off_mm(found)
 
 

@@ -1,7 +1,5 @@
 """Extremes of `AnnotatedFaceModel.from_mesh`: the template comes back, or the message says what is wrong."""
 
-from functools import cache
-
 import numpy as np
 import trimesh
 
@@ -10,16 +8,10 @@ from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.operators import linear_refinement
 from scan2albedo.geometry.rigid import transform_points
 from stability.case import REFUSES, RIGHT, SLOW, WARNS, Measured, below, each, rows, table
-from stability.scenes import model, plane
+from stability.scenes import mixed, model, moebius, plane
 
-
-@cache
-def face():
-    """Return a face template of 950 vertices, mm."""
-    return model().surface(0)
-
-
-VERTICES, FACES = face()
+VERTICES, FACES = model().surface(0)
+"""A face template of 950 vertices, mm."""
 
 
 def modelled(vertices=VERTICES, faces=FACES, **settings):
@@ -71,21 +63,6 @@ def with_one(value):
     return vertices
 
 
-def moebius():
-    """Return a Moebius strip."""
-    angle, across = np.meshgrid(np.linspace(0, 2 * np.pi, 80, endpoint=False), np.linspace(-30, 30, 5))
-    angle, across = angle.T.ravel(), across.T.ravel()
-    radius = 100 + across * np.cos(angle / 2)
-    points = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), across * np.sin(angle / 2)])
-    start = (5 * np.arange(80)[:, None] + np.arange(4)).ravel()
-    step, column = np.divmod(start, 5)
-    near = np.where(step < 79, start + 5, 4 - column)
-    far = np.where(step < 79, start + 6, 3 - column)
-    return points, np.concatenate(
-        [np.column_stack([start, near, start + 1]), np.column_stack([start + 1, near, far])]
-    )
-
-
 def flipped():
     """Return the chart with one inner triangle turned over."""
     uv = model().uv.copy()
@@ -109,7 +86,6 @@ def far_vertex():
 
 
 TORUS = trimesh.creation.torus(80.0, 30.0)
-MIXED = np.where((np.arange(len(FACES)) % 2 == 0)[:, None], FACES, FACES[:, ::-1])
 NEAR = below(1.0, "{:.2f} mm from the template, {} control vertices")
 BROKEN = "{} of .* vertices are NaN or infinite; repair"
 
@@ -134,7 +110,7 @@ CASES = table(
             "every face twice, once reversed": lambda: modelled(
                 faces=np.concatenate([FACES, FACES[:, ::-1]])
             ),
-            "a mixed orientation": lambda: modelled(faces=MIXED),
+            "a mixed orientation": lambda: modelled(faces=mixed(FACES)),
             "a soup of triangles": lambda: modelled(
                 VERTICES[FACES].reshape(-1, 3), np.arange(FACES.size).reshape(-1, 3)
             ),

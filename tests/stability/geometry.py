@@ -9,6 +9,7 @@ from scan2albedo.geometry.mesh import turned_against_neighbours
 from scan2albedo.geometry.operators import surface_diffusion
 from scan2albedo.geometry.rigid import compose, procrustes, random_rotation, transform_points
 from stability.case import REFUSES, RIGHT, below, each, rows, table
+from stability.scenes import mixed, moebius
 
 BALL = trimesh.creation.icosphere(3, 100.0)
 VERTICES = np.array(BALL.vertices)
@@ -96,17 +97,7 @@ def half_reversed():
     return int((found != turned).sum()), int(turned.sum())
 
 
-def moebius():
-    """Return how many faces of a Moebius strip are called reversed."""
-    around = np.arange(40)
-    near, far = 2 * around, np.where(around < 39, 2 * around + 2, 1)
-    other = np.where(around < 39, 2 * around + 3, 0)
-    strip = np.concatenate([np.column_stack([near, far, near + 1]), np.column_stack([near + 1, far, other])])
-    return int(turned_against_neighbours(strip).sum())
-
-
 FINS = np.column_stack([FACES[:9, :2], FACES[100:109, 0]])
-MIXED = np.where((np.arange(len(FACES)) % 2 == 0)[:, None], FACES, FACES[:, ::-1])
 
 CASES = table(
     "geometry",
@@ -118,9 +109,7 @@ CASES = table(
     *rows(
         RIGHT,
         below(1e-9, "{:.0e} of 100 off"),
-        {
-            **each("closest points: size of {} times 100 mm", ("1e-9", "1e9"), distance_gap),
-        },
+        each("closest points: size of {} times 100 mm", ("1e-9", "1e9"), distance_gap),
     ),
     *rows(
         REFUSES,
@@ -147,7 +136,7 @@ CASES = table(
             "subdivision: zero-area faces": lambda: subdivided(VERTICES, FLAT_FACES),
             "subdivision: non-manifold faces": lambda: subdivided(VERTICES, np.concatenate([FACES, FINS])),
             "subdivision: a single triangle": lambda: subdivided(VERTICES, FACES[:1]),
-            "subdivision: mixed orientation": lambda: subdivided(VERTICES, MIXED),
+            "subdivision: mixed orientation": lambda: subdivided(VERTICES, mixed(FACES)),
         },
     ),
     (
@@ -214,5 +203,10 @@ CASES = table(
         RIGHT,
         below(1, "{} of {} reversed faces mistaken"),
     ),
-    ("orientation: a Moebius strip", moebius, RIGHT, below(1, "{} faces mistaken")),
+    (
+        "orientation: a Moebius strip",
+        lambda: int(turned_against_neighbours(moebius()[1]).sum()),
+        RIGHT,
+        below(1, "{} faces mistaken"),
+    ),
 )

@@ -12,7 +12,7 @@ from scan2albedo.geometry.mesh import face_areas
 from scan2albedo.geometry.rigid import compose
 from scan2albedo.sampling import geometry_image_of_scan
 from stability.case import REFUSES, RIGHT, SLOW, WARNS, Measured, below, each, rows, table
-from stability.scenes import model, person, spoilt, stray
+from stability.scenes import mixed, model, person, spoilt, stray
 
 SIZE = 64
 
@@ -155,7 +155,6 @@ def soup():
 
 CORNERS = np.array([[0.0, 0, 0], [100, 0, 0], [50, 1e-4, 0], [50, 80, 0]])
 FLAT = np.concatenate([BALL.faces, BALL.faces[:90, [0, 0, 1]]])
-MIXED = np.where((np.arange(len(BALL.faces)) % 3 == 0)[:, None], BALL.faces, BALL.faces[:, ::-1])
 COLOURS = "colours {:.0e} apart"
 
 CASES = [
@@ -271,7 +270,7 @@ CASES = [
             {
                 **each("offset {} mm", ("1e6", "1e7", "1e9"), lambda far: on_ball(shift=far)),
                 **each("size times {}", ("1e-6", "1e-3", "1e6", "1e12"), on_ball),
-                "mixed orientation": lambda: on_ball(faces=MIXED),
+                "mixed orientation": lambda: on_ball(faces=mixed(BALL.faces, 3)),
                 "zero-area faces": lambda: on_ball(faces=FLAT),
                 "inside out": lambda: on_ball(faces=BALL.faces[:, ::-1]),
             },

@@ -7,13 +7,13 @@ from functools import cache
 
 import numpy as np
 from bench.judging import relative_rmse
+from helpers.half_ball import HalfBall
 from worlds.environments import generated_environment
 from worlds.flash_captures import head_capture, of_pairs, samples_of
 from worlds.two_balls import build_scene
 
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.geometry.pinhole import look_at, project
-from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics, project_environment
 from scan2albedo.reflectance import (
     ImageObservation,
@@ -31,7 +31,20 @@ from scan2albedo.reflectance import (
     shade_environment,
 )
 from scan2albedo.synthetic import face_shape
-from stability.case import BUDGETS, REFUSES, RIGHT, SLOW, WARNS, Measured, below, each, measured, rows, table
+from stability.case import (
+    BUDGETS,
+    REFUSES,
+    RIGHT,
+    SLOW,
+    WARNS,
+    Measured,
+    below,
+    each,
+    measured,
+    rows,
+    table,
+    unfinished,
+)
 
 
 def quiet(call, *arguments, **options):
@@ -141,13 +154,6 @@ def one_vertex():
     return albedo_percent(fit_reflectance(one))
 
 
-def out_of_time(budget):
-    """Return the albedo's error of a fit that a budget ends."""
-    fit = fit_reflectance(samples(), budget=budget)
-    assert not fit.converged
-    return albedo_percent(fit)
-
-
 # Looking up vertices in pictures.
 
 scene = cache(lambda: build_scene(16, 24))
@@ -165,12 +171,10 @@ def looked_up(vertices=1.0, normals=1.0):
 
 def observed(picture=0.5, camera=None, scale=1.0, side=64):
     """Observe a photograph of one value of the ball."""
-    camera = (
-        look_at([0, 0, 900.0], [0, 0, 0], focal_px=100.0, shape=(side, side)) if camera is None else camera
-    )
-    return observe_photograph(
-        np.full((side, side, 3), picture), camera, scale * scene().vertices, scene().faces
-    )
+    if camera is None:
+        camera = look_at([0, 0, 900.0], [0, 0, 0], focal_px=100.0, shape=(side, side))
+    pixels = np.full((side, side, 3), picture)
+    return observe_photograph(pixels, camera, scale * scene().vertices, scene().faces)
 
 
 # The morphable model.
@@ -201,11 +205,9 @@ def at(coefficient):
 
 # Photographs.
 
-DIRECTIONS = distant_directions(300)
-NORMALS = DIRECTIONS[DIRECTIONS[:, 2] > 0]
-TOWARD = np.array([0, 0, 3.0]) - NORMALS
-VIEW = TOWARD / np.linalg.norm(TOWARD, axis=1, keepdims=True)
-SEEN = np.einsum("vi,vi->v", NORMALS, VIEW) > 0.1
+BALL = HalfBall.of(300)
+NORMALS = BALL.normals
+SEEN = BALL.seen
 
 
 @cache
@@ -231,8 +233,8 @@ def model():
 def shot(light=None, scale=1.0, seen=SEEN):
     """Return a photograph of one whom the model does not know, its colours multiplied."""
     light = project_environment(generated_environment(8)) if light is None else light
-    color = shade_environment(people(1, 3)[0], NORMALS, VIEW, light).radiance_linear
-    return ImageObservation(scale * color, NORMALS, VIEW, seen)
+    color = shade_environment(people(1, 3)[0], NORMALS, BALL.view, light).radiance_linear
+    return ImageObservation(scale * color, NORMALS, BALL.view, seen)
 
 
 def photograph_error(fit):
@@ -257,13 +259,6 @@ def one_seen():
     seen = np.zeros(len(NORMALS), bool)
     seen[np.flatnonzero(SEEN)[10]] = True
     return float(np.abs(fitted(None, 1.0, seen)[2].face.coefficients).max())
-
-
-def photograph_out_of_time(budget):
-    """Return the colours' error of a fit that a budget ends."""
-    _, error, fit = fitted(budget=budget)
-    assert not fit.converged
-    return error
 
 
 # Geometry from landmarks.
@@ -308,13 +303,6 @@ def far_off(bound):
     return figure
 
 
-def marks_out_of_time(budget):
-    """Return how many pixels landmarks are off when a budget ends the fit."""
-    fit = placed(budget=budget)
-    assert not fit.converged
-    return fit.landmark_rmse_px
-
-
 def behind_the_camera():
     """Return a pose behind the camera."""
     pose = np.eye(4)
@@ -323,7 +311,6 @@ def behind_the_camera():
 
 
 ALBEDO_OFF = below(3, "albedo off by {:.1f} %")
-COLOUR_OFF = measured("converged=False, colours off by {:.0f} %")
 NAN = math.nan
 
 CASES = table(
@@ -396,7 +383,11 @@ CASES = table(
     *rows(
         WARNS,
         measured("converged=False, albedo off by {:.1f} %"),
-        each("vertex fit with a budget of {}", BUDGETS, out_of_time),
+        each(
+            "vertex fit with a budget of {}",
+            BUDGETS,
+            lambda budget: albedo_percent(unfinished(fit_reflectance(samples(), budget=budget))),
+        ),
     ),
     *rows(
         REFUSES,
@@ -426,9 +417,7 @@ CASES = table(
         "photograph under one direction of light",
         one_direction,
         WARNS,
-        lambda found: Measured(
-            "albedo off by {:.0f} %, colours off by {:.0f} %: the fit says so".format(*found)
-        ),
+        measured("albedo off by {:.0f} %, colours off by {:.0f} %: the fit says so"),
         SLOW,
     ),
     (
@@ -449,8 +438,12 @@ CASES = table(
     ("photograph that shows nothing", lambda: shot(seen=SEEN & False), REFUSES, "no vertex of the face"),
     *rows(
         WARNS,
-        COLOUR_OFF,
-        each("image fit with a budget of {}", BUDGETS, photograph_out_of_time),
+        measured("converged=False, colours off by {:.0f} %"),
+        each(
+            "image fit with a budget of {}",
+            BUDGETS,
+            lambda budget: 100 * unfinished(fitted(budget=budget)[2]).relative_rmse,
+        ),
         SLOW,
     ),
     ("observing a photograph of 1 pixel", lambda: observed(side=1), REFUSES, "0 inside the picture"),
@@ -497,6 +490,10 @@ CASES = table(
     *rows(
         WARNS,
         measured("converged=False, landmarks off by {:.1f} px"),
-        each("geometry with a budget of {}", BUDGETS, marks_out_of_time),
+        each(
+            "geometry with a budget of {}",
+            BUDGETS,
+            lambda budget: unfinished(placed(budget=budget)).landmark_rmse_px,
+        ),
     ),
 )

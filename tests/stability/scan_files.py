@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+from helpers.meshes import obj_text
 from helpers.square import write_square_obj
 
 from scan2albedo import RawScan, load_scan, register
@@ -63,14 +64,9 @@ PICTURE = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
 
 def textured(uv=CHART, picture=True):
     """Write a ball as OBJ with texture coordinates and a picture, and load it."""
-    lines = ["mtllib face.mtl", "usemtl skin"]
-    lines += ["v {!r} {!r} {!r}".format(*map(float, point)) for point in BALL.vertices]
-    lines += ["vt {} {}".format(*point) for point in ([] if uv is None else uv)]
-    corner = "{0}" if uv is None else "{0}/{0}"
-    lines += ["f " + " ".join(corner.format(i + 1) for i in face) for face in BALL.faces]
     with tempfile.TemporaryDirectory() as folder:
         path = write_square_obj(Path(folder), image=PICTURE)
-        path.write_text("\n".join(lines))
+        path.write_text("mtllib face.mtl\nusemtl skin\n" + obj_text(BALL.vertices, BALL.faces, uv))
         if not picture:
             Path(folder, "face.png").unlink()
         scan = load_scan(path)

@@ -97,6 +97,25 @@ def plane(cells, side_mm):
     return np.column_stack([side_mm * grid, np.zeros(len(grid))]), faces
 
 
+def moebius():
+    """Return vertices and faces of a Moebius strip."""
+    angle, across = np.meshgrid(np.linspace(0, 2 * np.pi, 80, endpoint=False), np.linspace(-30, 30, 5))
+    angle, across = angle.T.ravel(), across.T.ravel()
+    radius = 100 + across * np.cos(angle / 2)
+    points = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), across * np.sin(angle / 2)])
+    start = (5 * np.arange(80)[:, None] + np.arange(4)).ravel()
+    step, column = np.divmod(start, 5)
+    near = np.where(step < 79, start + 5, 4 - column)
+    far = np.where(step < 79, start + 6, 3 - column)
+    corners = [[start, near, start + 1], [start + 1, near, far]]
+    return points, np.concatenate([np.stack(three, 1) for three in corners])
+
+
+def mixed(faces, every=2):
+    """Return faces of which the first of so many alone is wound as before."""
+    return np.where((np.arange(len(faces)) % every == 0)[:, None], faces, faces[:, ::-1])
+
+
 def noisy(scene, sigma_mm):
     """Return the scan with Gaussian noise on its vertices."""
     noise = np.random.default_rng(1).normal(scale=sigma_mm, size=scene.scan.vertices.shape)

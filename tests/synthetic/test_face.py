@@ -1,9 +1,8 @@
-from __future__ import annotations
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from scan2albedo import AnnotatedFaceModel
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model.variation import EXPRESSION_BUMPS, IDENTITY_BUMPS, displacement
 from scan2albedo.geometry.loop_subdivision import SurfacePoints
@@ -15,10 +14,8 @@ from scan2albedo.synthetic.textures import PaintedFeatures, landmark_uv, paint_f
 
 
 @pytest.fixture(scope="module")
-def bare_model(model) -> AnnotatedFaceModel:
-    return AnnotatedFaceModel(
-        model.control_vertices, model.control_faces, model.uv, model.region, model.regions, name="bare"
-    )
+def bare_model(model):
+    return replace(model, landmark_points=None, name="bare")
 
 
 def test_nobody_in_particular_is_the_model_at_rest(model):
@@ -142,8 +139,7 @@ def test_relief_is_fine_and_small(model):
 
 
 @pytest.mark.slow
-def test_brows_and_lips_take_their_own_form():
-    model = AnnotatedFaceModel.default()
+def test_brows_and_lips_take_their_own_form(model):
     image = face_geometry_image(model, face_surface(model, model.control_vertices), 128)
     uv = texel_coordinates(128)[image.mask.ravel()]
 

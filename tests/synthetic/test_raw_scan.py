@@ -1,10 +1,7 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from scan2albedo import AnnotatedFaceModel
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import boundary_vertex_mask, normalized, vertex_components
 from scan2albedo.geometry.parametrization import boundary_loop
@@ -18,8 +15,8 @@ SMALL = Scanner(picture_size=400, size=128, spacing_mm=3.5)
 
 
 @pytest.fixture(scope="module")
-def sitter():
-    return sit_down(0, expression="neutral", model=AnnotatedFaceModel.default())
+def sitter(model):
+    return sit_down(0, expression="neutral", model=model)
 
 
 @pytest.fixture(scope="module")
@@ -28,23 +25,23 @@ def made():
 
 
 def test_pods_project_their_own_rays_back():
-    pods = two_pods(np.array([1.0, 2.0, 3.0]), reach_mm=200.0)
+    target = np.array([1.0, 2.0, 3.0])
+    pods = two_pods(target, reach_mm=200.0)
     for pod, place in zip(pods, camera_centers(pods), strict=True):
         shown = np.random.default_rng(0).uniform(0, 1, (20, 2))
         assert np.allclose(project(pod, place + 800 * pixel_directions(pod, shown))[0], shown)
-        assert np.allclose(project(pod, np.array([[1.0, 2.0, 3.0]]))[0], 0.5)
+        assert np.allclose(project(pod, target[None])[0], 0.5)
         assert project(pod, np.array([[1.0, 50.0, 3.0]]))[0][0, 1] > 0.5
         # The picture spans 200 mm to either side.
-        edge = [1.0, 2.0, 3.0] + 200 * normalized(np.cross([0, 1, 0], place - [1.0, 2.0, 3.0]))
+        edge = target + 200 * normalized(np.cross([0, 1, 0], place - target))
         assert np.allclose(np.abs(project(pod, edge[None])[0][0, 0] - 0.5), 0.5)
 
 
 def test_the_head_continues_the_face_without_a_crack(sitter):
     face = sitter.face
     loop = boundary_loop(len(face.vertices), face.faces)
-    assert set(loop.tolist()) == set(
-        np.flatnonzero(boundary_vertex_mask(len(face.vertices), face.faces)).tolist()
-    )
+    border = boundary_vertex_mask(len(face.vertices), face.faces)
+    assert np.array_equal(np.sort(loop), np.flatnonzero(border))
     vertices, faces, uv = head_around(face.vertices, face.faces, face.normals)
     assert np.allclose(vertices[: len(loop)], face.vertices[loop], atol=1e-9)
     assert np.isfinite(vertices).all()
@@ -130,9 +127,8 @@ def test_full_size_scans_have_20_to_40_thousand_vertices(seed):
 
 
 @pytest.mark.slow
-def test_light_of_several_colors_adds_up():
-    model, lights = AnnotatedFaceModel.default(), (light_at(30), light_at(-40))
-    sitter = sit_down(0, expression="neutral", model=model)
+def test_light_of_several_colors_adds_up(sitter):
+    lights = light_at(30), light_at(-40)
     pods = two_pods(sitter.face.vertices.mean(0), reach_mm=150.0)
 
     def pictured(colors):

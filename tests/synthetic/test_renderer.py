@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 
@@ -9,21 +7,21 @@ import trimesh
 
 import scan2albedo.synthetic
 from scan2albedo.core.lights import PointLight
+from scan2albedo.geometry.mesh import normalized
 from scan2albedo.synthetic.renderer import Material, RayScene, incident_light, oren_nayar, phong, render
 
 LAMBERT = Material(sigma_rad=0.0)
 
 
-def unit(*angles_deg: tuple[float, float]) -> np.ndarray:
+def unit(*angles_deg):
     """Directions at (theta, phi) about +z."""
     theta, phi = np.deg2rad(np.array(angles_deg, float)).T
     return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], 1)
 
 
 @pytest.fixture(scope="module")
-def sphere_normals() -> np.ndarray:
-    normals = np.random.default_rng(0).normal(size=(4000, 3))
-    return normals / np.linalg.norm(normals, axis=1, keepdims=True)
+def sphere_normals():
+    return normalized(np.random.default_rng(0).normal(size=(4000, 3)))
 
 
 def test_estimator_code_is_not_shared():
@@ -84,7 +82,7 @@ def test_oren_nayar_against_its_formula_by_hand():
 def test_oren_nayar_is_reciprocal_and_turns_with_the_surface(sphere_normals):
     rng = np.random.default_rng(1)
     n = sphere_normals
-    light, view = (d / np.linalg.norm(d, axis=1, keepdims=True) for d in rng.normal(size=(2, len(n), 3)))
+    light, view = map(normalized, rng.normal(size=(2, len(n), 3)))
     above = (np.einsum("ij,ij->i", n, light) > 0.05) & (np.einsum("ij,ij->i", n, view) > 0.05)
     n, light, view = n[above], light[above], view[above]
     forward = oren_nayar(n, light, view, 0.4) / np.einsum("ij,ij->i", n, light)
@@ -99,7 +97,6 @@ def test_grazing_and_hidden_views_stay_finite():
     light = unit((90, 0), (89.9999, 0), (60, 0), (0, 0))
     view = unit((90, 0), (89.9999, 0), (150, 0), (180, 0))
     value = oren_nayar(n, light, view, 0.6)
-    assert np.isfinite(value).all()
     assert (value >= -1e-12).all()
     assert (value < 2).all()
 
@@ -137,10 +134,9 @@ def test_a_near_light_between_surface_and_obstacle_is_not_shadowed():
     ball.apply_translation([0, 0, 300])
     scene = RayScene(ball.vertices, ball.faces)
     ground = (np.zeros((1, 3)), np.array([[0.0, 0, 1]]), np.ones((1, 3)))
-    before = render(*ground, [PointLight(0, 0, 200.0)], material=LAMBERT, occluder=scene)
-    behind = render(*ground, [PointLight(0, 0, 400.0)], material=LAMBERT, occluder=scene)
-    assert before.visible[0, 0]
-    assert not behind.visible[0, 0]
+    for distance_mm, seen in ((200.0, True), (400.0, False)):
+        made = render(*ground, [PointLight(0, 0, distance_mm)], material=LAMBERT, occluder=scene)
+        assert made.visible[0, 0] == seen
 
 
 def test_occlusion_agrees_with_every_triangle_tested_by_hand():
@@ -148,13 +144,13 @@ def test_occlusion_agrees_with_every_triangle_tested_by_hand():
     vertices, faces = rng.normal(size=(60, 3)) * 30 + 1000, rng.integers(0, 60, size=(40, 3))
     faces = faces[[len(set(f)) == 3 for f in faces.tolist()]]
     origins, aim = rng.normal(size=(300, 3)) * 60 + 1000, rng.normal(size=(300, 3)) * 20 + 1000
-    directions = (aim - origins) / np.linalg.norm(aim - origins, axis=1, keepdims=True)
+    directions = normalized(aim - origins)
     expected = np.array([_hits_any(o, d, vertices[faces]) for o, d in zip(origins, directions, strict=True)])
     assert np.array_equal(RayScene(vertices, faces).occluded(origins, directions), expected)
     assert 0.1 < expected.mean() < 0.95
 
 
-def _hits_any(origin, direction, triangles) -> bool:
+def _hits_any(origin, direction, triangles):
     for a, b, c in triangles:
         matrix = np.stack([direction, a - b, a - c], 1)
         t, u, v = np.linalg.solve(matrix, a - origin)

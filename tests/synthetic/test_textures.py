@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -22,7 +20,7 @@ def test_seeded_bounded_and_independent_of_resolution(paint):
 
 @pytest.mark.parametrize("paint", [wood, skin])
 def test_grain_scales_the_pattern(paint):
-    def roughness(grain: float) -> float:
+    def roughness(grain):
         value = paint(texel_coordinates(256), np.random.default_rng(1), grain=grain).max(1).reshape(256, 256)
         return np.abs(np.diff(value, axis=1)).mean() / value.std()
 

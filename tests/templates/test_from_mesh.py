@@ -3,6 +3,9 @@ from functools import partial
 import igl
 import numpy as np
 import pytest
+import trimesh
+from helpers.face_mask import mask_surface
+from helpers.meshes import sphere
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo import AnnotatedFaceModel
@@ -15,24 +18,16 @@ plain_model = partial(AnnotatedFaceModel.from_mesh, annotate=False)
 """The domes below are not faces, so nothing is to be recognised in them."""
 
 
-def dome(size: int = 40) -> tuple[np.ndarray, np.ndarray]:
-    """A face-sized dome with a nose: (size^2, 3) mm."""
-    plane, faces = igl.triangulated_grid(size, size)
-    u, v = 2 * plane.T - 1
-    z = 60 * np.sqrt(1.7 - u**2 - 0.6 * v**2) + 25 * np.exp(-(u**2) / 0.04 - v**2 / 0.08)
-    return np.column_stack([70 * u, 95 * v, z]), np.asarray(faces, np.int64)
-
-
 def without_disc(vertices, faces, x, y, radius):
     """The faces without those whose centre lies within `radius` mm of (x, y)."""
     return faces[np.linalg.norm(vertices[faces].mean(1)[:, :2] - [x, y], axis=1) > radius]
 
 
-def gap_mm(model: AnnotatedFaceModel, points: np.ndarray) -> np.ndarray:
+def gap_mm(model, points):
     return ClosestPointQuery(*model.surface(3)).query(points).distance
 
 
-def assert_sound(model: AnnotatedFaceModel) -> None:
+def assert_sound(model):
     assert len(boundary_loops(model.control_faces)) == 1
     chart = np.column_stack([model.uv, np.zeros(len(model.uv))])
     assert (face_cross_products(chart, model.control_faces)[:, 2] > 0).all()
@@ -42,7 +37,7 @@ def assert_sound(model: AnnotatedFaceModel) -> None:
 
 @pytest.fixture(scope="module")
 def dense():
-    vertices, faces = dome()
+    vertices, faces = mask_surface(40)
     return vertices, faces, plain_model(vertices, faces, control_size=300)
 
 
@@ -72,14 +67,14 @@ def test_the_unit_is_decided_by_the_size_of_a_head(dense, unit, factor):
 
 
 def test_a_small_template_keeps_its_own_vertices():
-    vertices, faces = dome(16)
+    vertices, faces = mask_surface(16)
     model = plain_model(vertices, faces)
     assert len(model.control_vertices) == 256
     assert_array_equal(model.control_faces, faces)
 
 
 def test_eye_holes_are_filled_named_and_loose_parts_carried_along():
-    vertices, faces = dome()
+    vertices, faces = mask_surface(40)
     holed = without_disc(vertices, without_disc(vertices, faces, 30, 30, 10), -30, 30, 10)
     eyeball = np.array([[30.0, 30, 40], [32, 30, 40], [30, 32, 40]])
     count = len(vertices)
@@ -101,7 +96,7 @@ def test_eye_holes_are_filled_named_and_loose_parts_carried_along():
 
 
 def test_seams_with_doubled_vertices_are_welded():
-    vertices, faces = dome(24)
+    vertices, faces = mask_surface(24)
     left = vertices[faces, 0].mean(1) < 0
     count = len(vertices)
     model = plain_model(
@@ -120,11 +115,8 @@ def test_an_inside_out_template_is_turned(dense):
 
 
 def test_a_closed_head_is_cut_open_at_the_back():
-    vertices, faces = igl.icosahedron()
-    for _ in range(3):
-        vertices, faces = igl.upsample(vertices, faces)
-    vertices = vertices / np.linalg.norm(vertices, axis=1, keepdims=True) * [75, 110, 90]
-    model = plain_model(vertices, faces, control_size=200)
+    vertices, faces = sphere(3, 1.0)
+    model = plain_model(vertices * [75, 110, 90], faces, control_size=200)
     assert_sound(model)
     assert np.ptp(model.control_vertices[:, 2]) < 160
 
@@ -136,8 +128,7 @@ def test_a_given_chart_is_kept_and_a_folded_one_replaced(dense):
     assert_sound(model)
     expected = 0.1 + 0.8 * (model.control_vertices[:, :2] / [140, 190] + 0.5)
     assert_allclose(model.uv, expected, atol=0.02)
-    folded = np.abs(uv - 0.5) + 0.2
-    assert_sound(plain_model(vertices, faces, folded, control_size=300))
+    assert_sound(plain_model(vertices, faces, np.abs(uv - 0.5) + 0.2, control_size=300))
 
 
 def test_regions_by_indices_and_masks(dense):
@@ -172,16 +163,17 @@ def test_a_few_faces_that_spoil_the_surface_are_dropped(dense):
 
 
 def test_what_cannot_be_used_is_refused_with_the_reason():
-    vertices, faces = dome(12)
+    vertices, faces = mask_surface(12)
     every_edge_thrice = np.concatenate([faces, np.roll(faces, 7, axis=0) * [1, 1, 0] + [0, 0, 77]])
-    torus = _torus()
+    ring = trimesh.creation.torus(80.0, 30.0, major_sections=16, minor_sections=16)
+    bitten = ring.faces[np.linalg.norm(ring.triangles_center - [80, 0, 30], axis=1) > 25]
     cases = [
         (vertices[:, :2], faces, "shape"),
         (vertices, faces[:0], "point cloud"),
         (vertices, faces + 5, f"refer to vertices 5 to {faces.max() + 5} of"),
         (vertices, faces - 1, "refer to vertices -1 to"),
         (vertices, every_edge_thrice, "more than two faces"),
-        (*torus, "disc"),
+        (ring.vertices, bitten, "disc"),
     ]
     for v, f, message in cases:
         with pytest.raises(ModelError, match=message):
@@ -189,7 +181,7 @@ def test_what_cannot_be_used_is_refused_with_the_reason():
 
 
 def test_wrong_annotations_are_refused_with_the_reason():
-    vertices, faces = dome(12)
+    vertices, faces = mask_surface(12)
     for extra, message in (
         ({"uv": np.zeros((3, 2))}, "uv has shape"),
         ({"landmarks": np.zeros((51, 3))}, "68"),
@@ -204,23 +196,6 @@ def test_wrong_annotations_are_refused_with_the_reason():
     ):
         with pytest.raises(ModelError, match=message):
             plain_model(vertices, faces, **extra)
-
-
-def _torus() -> tuple[np.ndarray, np.ndarray]:
-    """A ring with a bite taken out of its surface: one rim and a handle."""
-    count = 16
-    i, j = np.meshgrid(np.arange(count), np.arange(count), indexing="ij")
-    a, b = 2 * np.pi * i.ravel() / count, 2 * np.pi * j.ravel() / count
-    vertices = np.column_stack(
-        [(80 + 30 * np.cos(b)) * np.cos(a), (80 + 30 * np.cos(b)) * np.sin(a), 30 * np.sin(b)]
-    )
-
-    def at(p, q):
-        return ((p % count) * count + q % count).ravel()
-
-    quads = np.stack([at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)], 1)
-    kept = quads[(i.ravel() > 3) | (j.ravel() > 3)]
-    return vertices, np.concatenate([kept[:, [0, 1, 2]], kept[:, [0, 2, 3]]])
 
 
 def test_surface_frames_are_orthonormal_and_finite_on_zero_area():
@@ -243,16 +218,11 @@ def test_the_468_vertex_mask(shared_data):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("part", ["face area", "inner face"])
-def test_the_generic_face(shared_data, part):
-    data = np.load(shared_data / "ict_faces.npz")
-    vertices, faces = data["shape_generic_neutral"].astype(float), data["faces"].astype(np.int64)
-    faces = faces[: int(data["face_area_faces"])]
-    if part == "inner face":
-        faces = faces[(faces < int(data["narrow_face_vertices"])).all(1)]
-    model = AnnotatedFaceModel.from_mesh(vertices, faces, landmarks=data["landmarks68"].astype(np.int64))
+def test_the_generic_face(generic_face, part):
+    vertices, faces, landmarks, inner_vertices = generic_face(part)
+    model = AnnotatedFaceModel.from_mesh(vertices, faces, landmarks=landmarks)
     assert_sound(model)
     assert 800 <= len(model.control_vertices) <= 1200
-    inner = vertices[: int(data["narrow_face_vertices"])] - vertices[np.unique(faces)].mean(0)
-    error = gap_mm(model, inner)
+    error = gap_mm(model, vertices[:inner_vertices] - vertices[np.unique(faces)].mean(0))
     assert error.mean() < (0.16 if part == "face area" else 0.1)
     assert model.landmarks.shape == (68, 3)

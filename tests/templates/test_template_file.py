@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.meshes import obj_text
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo import AnnotatedFaceModel
@@ -10,26 +11,22 @@ from scan2albedo.templates.from_mesh import DenseTemplate, corner_uv, vertex_uv
 
 
 @pytest.fixture(scope="module")
-def obj(tmp_path_factory):
+def obj(tmp_path_factory, model):
     """The default model's control mesh as an OBJ with texture coordinates, its last vertex unused."""
-    model = AnnotatedFaceModel.default()
     path = tmp_path_factory.mktemp("template") / "mine.obj"
     vertices = np.concatenate([model.control_vertices, [[0, 0, 0]]])
-    lines = [f"v {x} {y} {z}" for x, y, z in vertices]
-    lines += [f"vt {u} {v}" for u, v in model.uv]
-    lines += ["f " + " ".join(f"{i}/{i}" for i in face + 1) for face in model.control_faces]
-    path.write_text("\n".join(lines) + "\n")
+    path.write_text(obj_text(vertices, model.control_faces, model.uv))
     return path
 
 
 @pytest.mark.slow
-def test_order_and_chart_are_the_files(obj):
-    made, default = AnnotatedFaceModel.from_file(obj), AnnotatedFaceModel.default()
+def test_order_and_chart_are_the_files(obj, model):
+    made = AnnotatedFaceModel.from_file(obj)
     assert made.name == "mine"
-    assert len(made.template_points.face) == len(default.control_vertices) + 1
-    assert_array_equal(made.template_faces, default.control_faces)
-    assert_allclose(made.template_uv, default.uv[default.control_faces], atol=1e-12)
-    assert np.abs(made.uv - default.uv).mean() < 0.01
+    assert len(made.template_points.face) == len(model.control_vertices) + 1
+    assert_array_equal(made.template_faces, model.control_faces)
+    assert_allclose(made.template_uv, model.uv[model.control_faces], atol=1e-12)
+    assert np.abs(made.uv - model.uv).mean() < 0.01
     coarse = AnnotatedFaceModel.from_file(obj, control_size=300)
     assert 200 < len(coarse.control_vertices) < 400
 
