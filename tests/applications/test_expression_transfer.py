@@ -42,11 +42,10 @@ BAR_MM = 1.5
 def measured(shared_data):
     """Shapes in dense correspondence as meshes of the face area."""
     with np.load(shared_data / "ict_faces.npz") as data:
-        count, triangles = int(data["face_area_vertices"]), int(data["face_area_faces"])
-        faces = data["faces"][:triangles].astype(np.int64)
+        count, faces = int(data["face_area_vertices"]), data["faces"][: int(data["face_area_faces"])]
         return {
             name.removeprefix("shape_"): FaceMesh(
-                data[name][:count].astype(float), faces, np.zeros((count, 2))
+                data[name][:count].astype(float), faces.astype(np.int64), np.zeros((count, 2))
             )
             for name in data
             if name.startswith("shape_")
@@ -94,8 +93,7 @@ def test_the_face_moves_as_its_mesh_does_and_keeps_its_skin(person):
     mask = b.mask
     moved = made.image.position[mask] - b.image.position[mask]
     placed = laid_on_what_is_still(smiling.image.position[mask], a.image.position[mask])
-    expected = placed - a.image.position[mask]
-    assert_allclose(moved, expected, atol=1e-9)
+    assert_allclose(moved, placed - a.image.position[mask], atol=1e-9)
     assert np.linalg.norm(moved, axis=1).max() > 3
     assert_allclose(np.linalg.norm(made.image.normal[mask], axis=1), 1, atol=1e-9)
     still = np.linalg.norm(moved, axis=1) < 1e-3
@@ -104,45 +102,30 @@ def test_the_face_moves_as_its_mesh_does_and_keeps_its_skin(person):
     assert np.abs(made.image.normal[mask] - b.image.normal[mask])[~still].max() > 0.05
     # The shadows of the moved surface are its own.
     assert_allclose(made.image.occluder_mesh()[0], made.mesh.vertices)
-
-
-def test_no_expression_changes_nothing(person):
-    a, b = person(0), person(1)
-    made = transfer_expression(a, a, b)
-    assert_allclose(made.image.position, b.image.position, atol=1e-6)
-    assert_allclose(made.image.normal, b.image.normal, atol=1e-6)
-
-
-def test_strength_scales_it(person):
-    a, smiling, b = person(0), person(0, "smile"), person(1)
-    full, half = (
-        transfer_expression(a, smiling, b, options=TransferOptions(strength=s)).image.position
-        for s in (1.0, 0.5)
-    )
-    assert_allclose(full - b.image.position, 2 * (half - b.image.position), atol=1e-9)
-
-
-def test_a_personal_model_is_the_person_on_the_same_chart(result):
-    model = personal_model(result.fitted)
-    given = result.fitted.model
-    assert_array_equal(model.control_vertices, result.fitted.control_points)
-    assert_array_equal(model.uv, given.uv)
-    assert model.name == given.name
+    half = transfer_expression(a, smiling, b, options=TransferOptions(strength=0.5))
+    assert_allclose(moved, 2 * (half.image.position - b.image.position)[mask], atol=1e-9)
+    # No expression changes nothing.
+    same = transfer_expression(a, a, b).image
+    assert_allclose(same.position, b.image.position, atol=1e-6)
+    assert_allclose(same.normal, b.image.normal, atol=1e-6)
 
 
 def test_a_personal_model_of_files_is_that_of_the_fit(result, stored, tmp_path):
     rng = np.random.default_rng(0)
     control = result.fitted.control_points + rng.normal(0, 2, result.fitted.control_points.shape)
-    subdivision = result.fitted.model.subdivision(1)
-    fitted = replace(result.fitted, control_points=control, vertices=subdivision.matrix @ control)
+    given = result.fitted.model
+    fitted = replace(result.fitted, control_points=control, vertices=given.subdivision(1).matrix @ control)
+    theirs = personal_model(fitted)
+    assert_array_equal(theirs.control_vertices, control)
+    assert_array_equal(theirs.uv, given.uv)
+    assert theirs.name == given.name
     face = load_result(stored)
-    face = replace(face, mesh=replace(face.mesh, vertices=fitted.vertices))
-    ours, theirs = personal_model(face), personal_model(fitted)
-    assert_allclose(ours.control_vertices, theirs.control_vertices, atol=1e-8)
+    ours = personal_model(replace(face, mesh=replace(face.mesh, vertices=fitted.vertices)))
+    assert_allclose(ours.control_vertices, control, atol=1e-8)
     ours.save(tmp_path / "person.json")
     loaded = s2a.AnnotatedFaceModel.load(tmp_path / "person.json")
     assert_array_equal(loaded.control_vertices, ours.control_vertices)
-    assert_allclose(loaded.landmarks, fitted.model.landmarks_of(control), atol=1e-8)
+    assert_allclose(loaded.landmarks, given.landmarks_of(control), atol=1e-8)
 
 
 def test_the_command_writes_a_model_that_process_takes(result, stored, tmp_path):
@@ -157,13 +140,15 @@ def test_a_personal_model_needs_the_model_of_the_fit(result, stored, person):
     face, model = load_result(stored), result.fitted.model
     with pytest.raises(ApplicationError, match="processed with the model 'default annotated face model'"):
         personal_model(face, replace(model, name="mine"))
-    with pytest.raises(ApplicationError, match="none of the model"):
-        personal_model(replace(person(0), model_name=model.name))
-    bent = replace(face.mesh, vertices=face.mesh.vertices + np.random.default_rng(0).normal(0, 1, (1, 3)))
-    personal_model(replace(face, mesh=bent))
-    crumpled = face.mesh.vertices + np.random.default_rng(0).normal(0, 1, face.mesh.vertices.shape)
-    with pytest.raises(ApplicationError, match="none of the model"):
-        personal_model(replace(face, mesh=replace(face.mesh, vertices=crumpled)))
+
+    def moved(*shape):
+        off = np.random.default_rng(0).normal(0, 1, shape)
+        return replace(face, mesh=replace(face.mesh, vertices=face.mesh.vertices + off))
+
+    personal_model(moved(3))
+    for other in (replace(person(0), model_name=model.name), moved(*face.mesh.vertices.shape)):
+        with pytest.raises(ApplicationError, match="none of the model"):
+            personal_model(other)
 
 
 @pytest.mark.parametrize("wrong", [{"strength": np.nan}, {"correspondence": "guessed"}])
@@ -179,14 +164,12 @@ AS_FITTED = TransferOptions(correspondence="as-fitted")
 
 def surface_of(control_points):
     subdivision = MODEL.subdivision(LEVEL)
-    return FaceMesh(
-        subdivision.matrix @ control_points, subdivision.faces, np.zeros((subdivision.matrix.shape[0], 2))
-    )
+    vertices = subdivision.matrix @ control_points
+    return FaceMesh(vertices, subdivision.faces, np.zeros((len(vertices), 2)))
 
 
 def synthetic(seed, expression="neutral"):
-    made = face_shape.person(MODEL, np.random.default_rng(seed), expression=expression)
-    return surface_of(made)
+    return surface_of(face_shape.person(MODEL, np.random.default_rng(seed), expression=expression))
 
 
 def slid(mesh, mm):
@@ -202,22 +185,19 @@ def test_control_points_come_back_from_their_surface():
     assert_allclose(found, control, atol=1e-6)
 
 
-def test_the_level_of_a_mesh_is_found(person):
-    for level in (0, 2):
+def test_the_level_of_a_mesh_is_found(person, result, stored):
+    for level in (0, 1, 2):
         vertices, faces = MODEL.surface(level)
         assert refinement_level(FaceMesh(vertices, faces, vertices[:, :2]), MODEL) == level
-    vertices, faces = MODEL.surface(1)
-    assert refinement_level(FaceMesh(vertices, faces[:, [1, 2, 0]], vertices[:, :2]), MODEL) is None
-    assert refinement_level(person(0).mesh, MODEL) is None
-
-
-def test_faces_from_files_are_on_their_models_mesh(result, stored):
+    turned = FaceMesh(vertices, faces[:, [1, 2, 0]], vertices[:, :2])
+    for mesh in (turned, person(0).mesh):
+        assert refinement_level(mesh, MODEL) is None
     assert refinement_level(load_result(stored).mesh, result.fitted.model) == result.fitted.levels
 
 
-def test_what_slid_is_set_right():
-    rest, truth = synthetic(1), synthetic(1, "surprise").vertices
-    moved = slid(synthetic(1, "surprise"), 3.0)
+def test_what_slid_is_set_right_and_no_expression_stays_none():
+    rest, expression = synthetic(1), synthetic(1, "surprise")
+    truth, moved = expression.vertices, slid(expression, 3.0)
     found = refined_expression(rest, moved, MODEL, LEVEL)
     before, after = (np.linalg.norm(points - truth, axis=1).mean() for points in (moved, found))
     assert before > 1.5
@@ -225,12 +205,8 @@ def test_what_slid_is_set_right():
     skin = ~MODEL.in_region("between_lips")[MODEL.subdivision(LEVEL).parent]
     used = np.unique(rest.faces[skin])
     assert surface_query(truth, rest.faces).query(found[used]).distance.mean() < 0.05
-
-
-def test_no_expression_stays_none():
-    a = synthetic(1)
-    moved = expression_displacement(a, a, options=TransferOptions(correspondence="refined"))
-    assert np.abs(moved).max() < 1e-6
+    none = expression_displacement(rest, rest, options=TransferOptions(correspondence="refined"))
+    assert np.abs(none).max() < 1e-6
 
 
 def test_what_cannot_be_refined_is_told_and_left_by_default(person):

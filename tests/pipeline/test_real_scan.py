@@ -15,10 +15,14 @@ def scan(shared_data):
     return s2a.load_scan(shared_data / "james.obj")
 
 
+def found(scan, **options):
+    model = s2a.AnnotatedFaceModel.default()
+    return s2a.fit(scan, model, s2a.register(scan, model), **options)
+
+
 @pytest.fixture(scope="module")
 def fitted(scan):
-    model = s2a.AnnotatedFaceModel.default()
-    return s2a.fit(scan, model, s2a.register(scan, model))
+    return found(scan)
 
 
 def test_landmarks_and_surface(fitted, shared_data):
@@ -30,9 +34,7 @@ def test_landmarks_and_surface(fitted, shared_data):
 
 
 def test_the_geometry_needs_no_texture(scan, fitted):
-    model = s2a.AnnotatedFaceModel.default()
-    plain = replace(scan, texture_linear=None, uv=None)
-    again = s2a.fit(plain, model, s2a.register(plain, model))
-    unseen = s2a.fit(scan, model, s2a.register(scan, model), options=FitOptions(colors=False))
+    again = found(replace(scan, texture_linear=None, uv=None))
+    unseen = found(scan, options=FitOptions(colors=False))
     np.testing.assert_array_equal(again.landmarks, unseen.landmarks)
     assert abs(np.nanmean(again.residual_mm) - np.nanmean(fitted.residual_mm)) < 0.02
