@@ -104,8 +104,11 @@ def test_the_file_is_what_the_standard_asks_for(weighted, tmp_path):
     places = [file.places()[j][:3, 3] for j in skeleton["joints"]]
     assert_allclose(places, glasses.keypoints * 1e-3, atol=1e-12)
     assert told[0].shape == weights.shape
-    # Bones of the file are bones of the glasses.
-    at, nodes = {name: k for k, name in enumerate(KEY_POINT_NAMES)}, tree["nodes"]
+
+
+def test_bones_of_the_file_are_bones_of_the_glasses(weighted, tmp_path):
+    file, _ = written(tmp_path / "a.glb", *weighted)
+    at, nodes = {name: k for k, name in enumerate(KEY_POINT_NAMES)}, file.tree["nodes"]
     bones = [{at[node["name"]], at[nodes[c]["name"]]} for node in nodes[2:] for c in node.get("children", [])]
     assert len(bones) == 19
     assert all(bone in [set(of_glasses) for of_glasses in SKELETON] for bone in bones)
