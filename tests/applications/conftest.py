@@ -22,6 +22,12 @@ def person():
     return processed_person
 
 
+@pytest.fixture(scope="session")
+def two_people():
+    """Two persons at rest."""
+    return processed_person(0), processed_person(1)
+
+
 def _fitted_model():
     """The default model at rest as a fit would return it."""
     model = s2a.AnnotatedFaceModel.default()

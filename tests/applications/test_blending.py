@@ -40,8 +40,8 @@ def test_a_face_with_itself_keeps_what_was_not_seen(person, weight):
     same(blend_faces(face, face, weight), face)
 
 
-def test_the_middle_lies_between(person):
-    a, b = person(0), person(1)
+def test_the_middle_lies_between(person, two_people):
+    a, b = two_people
     made = blend_faces(a, b, 0.25)
     mask = a.mask & b.mask
     expected = 0.75 * a.image.position[mask] + 0.25 * b.image.position[mask]
@@ -53,8 +53,8 @@ def test_the_middle_lies_between(person):
     assert np.isfinite(relight(again, [light_at(30)]).texture_linear).all()
 
 
-def test_exposure_has_no_say(person):
-    a, b = person(0), person(1)
+def test_exposure_has_no_say(two_people):
+    a, b = two_people
     glossy = replace(b.reflectance, specular_strength=4 * b.reflectance.specular_strength)
     brighter = replace(b, albedo_linear=4 * b.albedo_linear, reflectance=glossy)
     plain, other = blend_faces(a, b, 0.5), blend_faces(a, brighter, 0.5)

@@ -14,8 +14,8 @@ APPLICATIONS = [blend_faces, swap_texture, lambda a, b: transfer_expression(a, a
 
 
 @pytest.mark.parametrize("apply", APPLICATIONS)
-def test_sizes_models_and_charts_must_agree(person, apply):
-    a, b = person(0), person(1)
+def test_sizes_models_and_charts_must_agree(person, two_people, apply):
+    a, b = two_people
     mirrored = replace(b.mesh, uv=b.mesh.uv * [1, -1] + [0, 1], from_chart=False)
     fitted = replace(a, model_name="none", mesh=replace(a.mesh, from_chart=False))
     for one, other, words in (
@@ -36,8 +36,8 @@ def test_a_fitted_face_goes_with_itself_only_by_its_mesh(stored, person):
     assert_allclose(made.image.normal, face.image.normal, atol=1e-6)
 
 
-def test_masks_that_differ_a_little_are_cut_to_what_both_have(person):
-    a, b = person(0), person(1)
+def test_masks_that_differ_a_little_are_cut_to_what_both_have(two_people):
+    a, b = two_people
     mask = b.mask.copy()
     mask[30:33, 30:33] = False
     image = replace(b.image, mask=mask)

@@ -12,8 +12,8 @@ from scan2albedo.applications.face_features import grown
 from scan2albedo.applications.texture_swap import trusted
 
 
-def test_the_shape_is_as_and_the_skin_bs(person):
-    a, b = person(0), person(1)
+def test_the_shape_is_as_and_the_skin_bs(two_people):
+    a, b = two_people
     made = swap_texture(a, b, options=SwapOptions(match_color=False))
     assert_array_equal(made.image.position, a.image.position)
     assert_array_equal(made.image.normal, a.image.normal)
@@ -37,8 +37,8 @@ def with_hole(face, hole):
     return unseen(painted(face, hole, 0.003), hole)
 
 
-def test_unseen_skin_is_continued_without_a_seam(person):
-    a, b = person(0), person(1)
+def test_unseen_skin_is_continued_without_a_seam(two_people):
+    a, b = two_people
     hole = square(b, (30, 46), (12, 22))
     made = swap_texture(a, with_hole(b, hole), options=SwapOptions(match_level=False))
     known = trusted(with_hole(b, hole))
@@ -51,8 +51,8 @@ def test_unseen_skin_is_continued_without_a_seam(person):
     assert np.abs(np.diff(tone)).max() < 2 * np.abs(np.diff(plain)).max() + 0.1
 
 
-def test_the_detail_of_the_filling_is_as(person):
-    a, b = person(0), person(1)
+def test_the_detail_of_the_filling_is_as(two_people):
+    a, b = two_people
     hole = square(b, (10, 50), (10, 50))
     made = swap_texture(a, with_hole(b, hole))
     middle = (slice(15, 45), slice(15, 45))
