@@ -1,10 +1,10 @@
 """Transferred expressions: exact on linear shapes, near on fitted faces."""
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
+from bench.applications import carried, carried_errors, fitted, measured_pair, mesh_of
 from helpers.cli import invoke
 from helpers.commands import succeeded
 from numpy.testing import assert_allclose, assert_array_equal
@@ -12,7 +12,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 import scan2albedo as s2a
 from scan2albedo.applications import (
     FaceMesh,
-    ProcessedFace,
     TransferOptions,
     load_result,
     personal_model,
@@ -30,7 +29,6 @@ from scan2albedo.applications.expression_transfer import (
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.closest_points import surface_query
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
-from scan2albedo.lighting.shading import Reflectance
 from scan2albedo.synthetic import face_shape
 from scan2albedo.templates import chosen_model
 
@@ -159,7 +157,6 @@ def test_options_are_checked(wrong):
 
 MODEL = s2a.AnnotatedFaceModel.default()
 LEVEL = 2
-AS_FITTED = TransferOptions(correspondence="as-fitted")
 
 
 def surface_of(control_points):
@@ -211,87 +208,42 @@ def test_what_slid_is_set_right_and_no_expression_stays_none():
 
 def test_what_cannot_be_refined_is_told_and_left_by_default(person):
     a, smiling, b = person(0), person(0, "smile"), person(1)
+
+    def transferred(**options):
+        return transfer_expression(a, smiling, b, options=TransferOptions(**options)).image.position
+
     with pytest.raises(ApplicationError, match=r"not on the mesh of 'default.*give the model"):
-        transfer_expression(a, smiling, b, options=TransferOptions(correspondence="refined"))
-    by_default, left = (
-        transfer_expression(a, smiling, b, options=options) for options in (TransferOptions(), AS_FITTED)
-    )
-    assert_array_equal(by_default.image.position, left.image.position)
+        transferred(correspondence="refined")
+    assert_array_equal(transferred(), transferred(correspondence="as-fitted"))
 
 
-class Transfers:
-    """Scans of light-stage shapes through registration, fit and geometry image, and to another person."""
-
-    def __init__(self, path):
-        with np.load(path) as data:
-            self.faces, self.inner = data["faces"].astype(np.int64), int(data["narrow_face_vertices"])
-            shapes = {k.removeprefix("shape_"): data[k].astype(float) for k in data if k.startswith("shape_")}
-        rest = shapes["generic_neutral"]
-        smile = shapes["generic_mouthSmile_L_mouthSmile_R"] - rest
-        self.moves = {
-            "": np.zeros_like(rest),
-            "smile": smile,
-            "left smile": smile / (1 + np.exp(-rest[:, :1] / 6.0)),
-            "jaw": shapes["generic_jawOpen0.7"] - rest,
-        }
-        self.people = {"generic": rest, "person1": shapes["person1"], "person2": shapes["person2"]}
-        self.processed = cache(self._processed)
-
-    def shape(self, name, move):
-        return self.people[name] + self.moves[move]
-
-    def _processed(self, name, move="", unseen_below=None):
-        vertices, faces = self.shape(name, move), self.faces
-        if unseen_below is not None:
-            faces = faces[~(vertices[faces].mean(1)[:, 1] < unseen_below)]
-        scan = s2a.RawScan(vertices, faces, name=f"{name} {move}")
-        fitted = s2a.fit(scan, MODEL, s2a.register(scan, MODEL))
-        image = s2a.geometry_image(fitted, scan, size=128)
-        mesh = FaceMesh(fitted.vertices, fitted.faces, fitted.uv)
-        face = ProcessedFace(
-            scan.name, image, np.ones((128, 128, 3)), Reflectance("lambert"), (), mesh, MODEL.name
-        )
-        return face, fitted.model_from_scan
-
-    def error_mm(self, a, move, b, options=TransferOptions(), unseen_below=None):
-        """Mean distance of the measured points of B, carried by the new face, to where they belong."""
-        rest_a, expression = self.processed(a)[0], self.processed(a, move, unseen_below)[0]
-        rest_b, pose = self.processed(b)
-        made = transfer_expression(rest_a, expression, rest_b, options=options)
-        assert np.isfinite(made.image.position).all()
-        rest, truth = (transform_points(pose, self.shape(b, m)[: self.inner]) for m in ("", move))
-        hits = surface_query(rest_b.mesh.vertices, rest_b.mesh.faces).query(rest)
-        near = hits.distance < 2
-        assert near.mean() > 0.7
-        corners = made.mesh.vertices[made.mesh.faces[hits.face]]
-        carried = np.einsum("nk,nkc->nc", hits.barycentric, corners)
-        return np.linalg.norm(carried - truth, axis=1)[near].mean()
+def carried_without_chin(pair, correspondence):
+    """As `carried`, of an expression whose scan ends above the chin."""
+    faces = pair.faces[pair.moving[pair.faces].mean(1)[:, 1] >= -60]
+    a, moving = fitted(pair.a, pair.faces, pair.model), fitted(pair.moving, faces, pair.model)
+    options = TransferOptions(correspondence=correspondence)
+    return expression_displacement(mesh_of(a), mesh_of(moving), options=options, model=pair.model)
 
 
-@pytest.fixture(scope="module")
-def transfers(shared_data):
-    return Transfers(shared_data / "ict_faces.npz")
+def error_mm(pair, correspondence, transfer):
+    """Mean distance of the measured points of B, carried by the new face, to where they belong."""
+    return carried_errors(pair, transfer(pair, correspondence))["mean mm"]
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("shared_data")
 @pytest.mark.parametrize(
-    ("a", "move", "b", "bar_mm"),
+    ("a", "move", "b", "bar_mm", "transfer"),
     [
-        ("generic", "smile", "person2", 1.2),
-        ("person2", "smile", "generic", 1.2),
-        ("generic", "left smile", "person2", 0.8),
-        ("generic", "jaw", "person2", 1.5),
+        ("generic_neutral", "smile", "person2", 1.2, carried),
+        ("person2", "smile", "generic_neutral", 1.2, carried),
+        ("generic_neutral", "left smile", "person2", 0.8, carried),
+        ("generic_neutral", "jaw", "person2", 1.5, carried),
+        ("generic_neutral", "smile", "person2", 1.2, carried_without_chin),
     ],
 )
-def test_expressions_from_scans(transfers, a, move, b, bar_mm):
-    found = transfers.error_mm(a, move, b)
+def test_expressions_from_scans(a, move, b, bar_mm, transfer):
+    pair = measured_pair(a, move, b, own_model=False)
+    found = error_mm(pair, "refined", transfer)
     assert found < bar_mm
-    assert found < 0.9 * transfers.error_mm(a, move, b, AS_FITTED)
-
-
-@pytest.mark.slow
-def test_a_smile_whose_chin_was_not_scanned(transfers):
-    chin = {"unseen_below": -60.0}
-    found = transfers.error_mm("generic", "smile", "person2", **chin)
-    assert found < 1.2
-    assert found < 0.9 * transfers.error_mm("generic", "smile", "person2", AS_FITTED, **chin)
+    assert found < 0.9 * error_mm(pair, "as-fitted", transfer)

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from bench.applications import relit_errors
 from helpers.meshes import grid
-from helpers.processed_faces import MATERIAL
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.applications import ProcessedFace, default_camera, relight
@@ -19,20 +19,6 @@ from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.lighting.shading import Reflectance, shade_points
 from scan2albedo.lighting.shadow_map import ShadowMap
 from scan2albedo.synthetic import hemisphere, light_at
-from scan2albedo.synthetic.renderer import RayScene, render
-
-LIGHTS = [
-    light_at(0, 0),
-    light_at(30, 20),
-    light_at(-45, 10, intensity=2),
-    light_at(60, -20, intensity=4),
-    light_at(-75, 30, intensity=5),
-    light_at(15, 60),
-    light_at(0, -40, intensity=2),
-    light_at(40, 30, distance_mm=450),
-    light_at(-60, 0, distance_mm=350, intensity=4),
-    light_at(85, 45, intensity=6),
-]
 
 
 def relative_rmse(ours, truth):
@@ -47,17 +33,9 @@ def shown(face, *lights, **options):
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_ten_new_lights_against_the_independent_renderer(person, scene, seed):
-    made, face = scene(seed), person(seed)
-    image = made.image
-    fields = (image.position, image.normal, made.albedo_linear, image.specular_scale)
-    *surface, gloss = (field[image.mask] for field in fields)
-    occluder = RayScene(*image.occluder_mesh())
-    errors = []
-    for light in LIGHTS:
-        truth = render(*surface, [light], material=MATERIAL, occluder=occluder, specular_scale=gloss)
-        errors.append(relative_rmse(relight(face, [light]).texture_linear[image.mask], truth.radiance_linear))
-    assert max(errors) <= 0.02
-    assert np.mean(errors) <= 0.007
+    errors = relit_errors(scene(seed), (person(seed), 1.0))
+    assert errors["worst light %"] <= 2
+    assert errors["RMSE %"] <= 0.7
 
 
 def test_colours_of_lamps_and_of_soft_light_add_up(person):
