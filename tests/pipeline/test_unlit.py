@@ -181,7 +181,7 @@ def test_what_cannot_be_made_is_left_out_with_its_reason_and_the_face_comes_firs
     assert not step.ran
     assert step.reason == f"unlit is left out: {reason}"
     assert step.level == "wrong"
-    assert step.reason in made.notes
+    assert step.text in made.notes
     assert made.unlit is None
     assert made.fitted is not None
 
