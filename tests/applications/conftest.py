@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from helpers.processed_faces import MATERIAL, person_scene, processed_person
+from helpers.processed_faces import person_scene, processed_person
 
 import scan2albedo as s2a
 from scan2albedo.core import Trace
 from scan2albedo.fitting import FittedFace
-from scan2albedo.geometry.operators import linear_refinement
 from scan2albedo.pipeline.result import ProcessResult, write_result
 
 
@@ -24,8 +23,9 @@ def person():
 
 
 @pytest.fixture(scope="session")
-def material():
-    return MATERIAL
+def two_people():
+    """Two persons at rest."""
+    return processed_person(0), processed_person(1)
 
 
 def _fitted_model():
@@ -33,7 +33,7 @@ def _fitted_model():
     model = s2a.AnnotatedFaceModel.default()
     subdivision = model.subdivision(1)
     vertices = subdivision.matrix @ model.control_vertices
-    uv = linear_refinement(len(model.uv), model.control_faces, 1) @ model.uv
+    uv = model.refined_uv(1)
     return FittedFace(
         vertices,
         subdivision.faces,

@@ -30,6 +30,8 @@ def same(made, face, tolerance=1e-6):
 @pytest.mark.parametrize("weight", [0.0, 0.3, 0.5, 1.0])
 def test_a_face_with_itself_is_itself(person, weight):
     same(blend_faces(person(0), person(0), weight), person(0))
+    if weight in (0, 1):  # The ends are the faces.
+        same(blend_faces(person(0), person(1), weight), person(int(weight)))
 
 
 @pytest.mark.parametrize("weight", [0.02, 0.5])
@@ -38,14 +40,8 @@ def test_a_face_with_itself_keeps_what_was_not_seen(person, weight):
     same(blend_faces(face, face, weight), face)
 
 
-def test_the_ends_are_the_faces(person):
-    a, b = person(0), person(1)
-    same(blend_faces(a, b, 0.0), a)
-    same(blend_faces(a, b, 1.0), b)
-
-
-def test_the_middle_lies_between(person):
-    a, b = person(0), person(1)
+def test_the_middle_lies_between(person, two_people):
+    a, b = two_people
     made = blend_faces(a, b, 0.25)
     mask = a.mask & b.mask
     expected = 0.75 * a.image.position[mask] + 0.25 * b.image.position[mask]
@@ -53,10 +49,12 @@ def test_the_middle_lies_between(person):
     assert_allclose(np.linalg.norm(made.image.normal[mask], axis=1), 1, atol=1e-12)
     # The level lies between geometrically, whichever scan was exposed longer.
     assert made.level() == pytest.approx(a.level() ** 0.75 * b.level() ** 0.25, rel=0.02)
+    again = blend_faces(made, person(2), 0.3)
+    assert np.isfinite(relight(again, [light_at(30)]).texture_linear).all()
 
 
-def test_exposure_has_no_say(person):
-    a, b = person(0), person(1)
+def test_exposure_has_no_say(two_people):
+    a, b = two_people
     glossy = replace(b.reflectance, specular_strength=4 * b.reflectance.specular_strength)
     brighter = replace(b, albedo_linear=4 * b.albedo_linear, reflectance=glossy)
     plain, other = blend_faces(a, b, 0.5), blend_faces(a, brighter, 0.5)
@@ -100,23 +98,20 @@ def test_what_neither_saw_is_skin_in_a_blend_and_its_own_at_the_ends(person):
     assert_allclose(almost.albedo_linear, a.albedo_linear, atol=0.01)
 
 
-def test_a_blend_can_be_relit_and_blended_again(person):
-    made = blend_faces(blend_faces(person(0), person(1)), person(2), 0.3)
-    assert np.isfinite(relight(made, [light_at(30)]).texture_linear).all()
-
-
 def test_reflectances_blend_or_the_nearer_one_wins(person):
-    a = replace(person(0), reflectance=Reflectance("lambert"))
-    b = replace(person(1), reflectance=Reflectance("oren-nayar", 0.4, 0.0, 30.0))
-    assert blend_faces(a, b, 0.25).reflectance.roughness == pytest.approx(0.1)
-    odd = replace(person(1), reflectance=Reflectance("minnaert", 1.2))
-    assert blend_faces(a, odd, 0.25).reflectance.brdf == "lambert"
-    assert blend_faces(a, odd, 0.75).reflectance.brdf == "minnaert"
-    assert blend_faces(a, a, 0.25).reflectance.brdf == "lambert"
+    def blended(one, other, weight):
+        faces = (replace(person(seed), reflectance=r) for seed, r in enumerate((one, other)))
+        return blend_faces(*faces, weight).reflectance
+
+    lambert, rough = Reflectance("lambert"), Reflectance("oren-nayar", 0.4, 0.0, 30.0)
+    assert blended(lambert, rough, 0.25).roughness == pytest.approx(0.1)
+    odd = Reflectance("minnaert", 1.2)
+    assert blended(lambert, odd, 0.25).brdf == "lambert"
+    assert blended(lambert, odd, 0.75).brdf == "minnaert"
+    assert blended(lambert, lambert, 0.25).brdf == "lambert"
     matte, glossy = Reflectance("oren-nayar"), Reflectance("oren-nayar", 0.0, 0.2, 40.0)
-    a, b = replace(a, reflectance=matte), replace(b, reflectance=glossy)
-    assert blend_faces(a, b, 0.5).reflectance.exponent == 40.0
-    assert blend_faces(a, b, 0.0).reflectance == matte
+    assert blended(matte, glossy, 0.5).exponent == 40.0
+    assert blended(matte, glossy, 0.0) == matte
 
 
 @pytest.mark.parametrize("weight", [-0.1, 1.0001, np.nan, np.inf])

@@ -1,13 +1,12 @@
 """Maps of a skin material, and colours baked from one mesh onto another."""
 
-import json
-import struct
 from dataclasses import replace
 from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
+from helpers.gltf import Gltf
 from numpy.testing import assert_allclose
 
 from scan2albedo.applications import bake, engine_maps
@@ -19,31 +18,36 @@ from scan2albedo.io.images import read_exr_channels
 from scan2albedo.lighting.shading import Reflectance
 from scan2albedo.pipeline.mesh_files import write_template
 from scan2albedo.pipeline.options import ProcessOptions
-from tests.applications.test_template_normals import HALF_MM, POSE, bumps, carried, mirrored, plain, two_tiles
+from tests.applications.test_template_normals import (
+    HALF_MM,
+    POSE,
+    carried,
+    charted,
+    mirrored,
+    plain,
+    two_tiles,
+)
+
+"""Of the texels of a picture with 128 a side."""
+
+
+CENTERS_MM = ((np.arange(128) + 0.5) / 128 * 2 - 1) * HALF_MM
 
 
 def estimate(strength=0.2, exponent=20.0):
     """What the maps ask of an albedo: its reflectance, and gloss that is twice as strong on the right."""
     mask = np.ones((16, 16), bool)
-    scale = np.where(np.arange(16) < 8, 0.5, 1.0) * np.ones((16, 1))
-    image = GeometryImage(
-        np.zeros((16, 16, 3)), np.tile((0.0, 0, 1), (16, 16, 1)), mask, specular_scale=scale
-    )
+    scale = np.where(np.arange(16) < 8, 0.5, 1.0) * mask
+    normal = np.tile((0.0, 0, 1), (16, 16, 1))
+    image = GeometryImage(np.zeros_like(normal), normal, mask, specular_scale=scale)
     reflectance = Reflectance("oren-nayar", 0.3, strength, exponent)
     return SimpleNamespace(image=image, reflectance=reflectance, shading=np.full((16, 16, 3), 1.5))
 
 
-def cap(chart=plain, **options):
-    """A coarse template, the fitted surface with coordinates of its own, and a scan of it with bumps."""
-    scan, fitted = carried(chart, **options)
-    uv = fitted.vertices[:, :2] / (2 * HALF_MM) + 0.5
-    return scan, replace(fitted, uv=uv)
-
-
 def test_maps_show_relief_occlusion_and_gloss():
-    scan, fitted = cap()
+    scan, fitted = carried(plain)
     (tile,) = engine_maps(scan, fitted, estimate(), "template", 128).tiles
-    x, y = np.meshgrid(*[(np.arange(128) + 0.5) / 128 * 2 * HALF_MM - HALF_MM] * 2)
+    x, y = np.meshgrid(CENTERS_MM, CENTERS_MM)
     inner = np.maximum(np.abs(x), np.abs(y)) < HALF_MM - 8
     # Coordinates grow upward, rows downward; the bumps are the same on both sides.
     bump = np.cos(x / 9) * np.cos(y / 9)
@@ -52,9 +56,8 @@ def test_maps_show_relief_occlusion_and_gloss():
     assert np.ptp(tile.maps["displacement_mm"][inner]) > 2
     assert 0 <= tile.maps["cavity"].min() < 0.5 < tile.maps["cavity"].max() <= 1
     assert_allclose(tile.maps["roughness"], 41**-0.25, rtol=1e-5)
-    left, right = tile.maps["specular"][64, 8], tile.maps["specular"][64, -8]
     # The peak of a GGX lobe, F0 (2 m + 1) / 4 of the light, is Phong's k_s, as bright as the albedo is made.
-    assert_allclose([left * 0.04 * 41 / 4, right * 0.04 * 41 / 4], [0.5 * 0.3, 0.3], rtol=0.01)
+    assert_allclose(tile.maps["specular"][64, [8, -8]] * 0.04 * 41 / 4, [0.5 * 0.3, 0.3], rtol=0.01)
     (matte,) = engine_maps(scan, fitted, estimate(0.0), "chart", 32).tiles
     assert_allclose(matte.maps["specular"][16, [2, -2]], [0.35, 0.7], rtol=0.01)
     assert_allclose(matte.maps["roughness"], (2 * MATTE_EXPONENT + 1) ** -0.25, rtol=1e-5)
@@ -66,20 +69,18 @@ def test_maps_show_relief_occlusion_and_gloss():
 
 
 def test_the_noise_of_a_coarse_scan_is_not_in_the_displacement():
-    scan, fitted = cap(scan_cells=60, noise_mm=0.3)
-    (tile,) = engine_maps(scan, fitted, estimate(), "chart", 128).tiles
+    (tile,) = engine_maps(*carried(plain, 0.3, 60), estimate(), "chart", 128).tiles
     high = tile.maps["displacement_mm"][16:-16, 16:-16]
     # The fitted surface has the true shape: what the scan, 2 mm between its vertices, differs by is noise.
     assert high.std() < 0.1
     # Averaging the scan's own points would have lowered the bumps, 3 mm high, by .3 mm.
-    x, y = np.meshgrid(*[((np.arange(128) + 0.5) / 128 * 2 - 1)[16:-16] * HALF_MM] * 2)
-    top = np.cos(x / 9) * np.cos(y / 9) > 0.9
-    assert abs(high[top].mean()) < 0.1
+    bump = np.cos(CENTERS_MM[16:-16] / 9)
+    assert abs(high[np.outer(bump, bump) > 0.9].mean()) < 0.1
 
 
 def test_pores_are_dark_spots_and_a_scan_has_no_displacement_of_its_own():
-    scan, fitted = cap(scan_cells=60)
-    uv = (transform_points(POSE, scan.vertices)[:, :2] / (2 * HALF_MM) + 0.5)[scan.faces]
+    scan, fitted = carried(plain, scan_cells=60)
+    uv = plain(*transform_points(POSE, scan.vertices)[scan.faces].T).swapaxes(0, 1)
     texture = np.full((256, 256, 3), 0.5, np.float32)
     texture[100:102, 100:102] = 0.05
     scan = replace(scan, vertex_color_linear=None, texture_linear=texture, uv=uv)
@@ -91,26 +92,26 @@ def test_pores_are_dark_spots_and_a_scan_has_no_displacement_of_its_own():
 
 @pytest.mark.parametrize("chart", [plain, two_tiles])
 def test_files_of_maps_are_what_engines_read(tmp_path, chart):
-    scan, fitted = cap(chart)
-    baked = engine_maps(scan, fitted, estimate(), "template", 32)
+    baked = engine_maps(*carried(chart), estimate(), "template", 32)
     write_template(tmp_path, baked, np.uint16, stem="maps")
     for tile in baked.tiles:
         end = "" if chart is plain else f".{tile.number}"
-        stored = {
-            name: cv2.imread(str(tmp_path / f"maps{name}{end}.png"), cv2.IMREAD_UNCHANGED)
-            for name in ("_normal", "_normal_directx", "_occlusion", "_roughness", "_cavity", "_displacement")
-        }
-        assert {picture.dtype for picture in stored.values()} == {np.dtype(np.uint16)}
-        red, green, blue = np.moveaxis(stored["_normal"][..., ::-1] / 32767.5 - 1, -1, 0)
-        assert_allclose(np.stack([red, green, blue], -1), tile.normal, atol=1e-4)
-        assert_allclose(stored["_normal_directx"][..., 1] / 32767.5 - 1, -green, atol=1e-4)
-        assert_allclose(stored["_occlusion"] / 65535, tile.maps["occlusion"], atol=1e-4)
+
+        def stored(name, end=end):
+            picture = cv2.imread(str(tmp_path / f"maps_{name}{end}.png"), cv2.IMREAD_UNCHANGED)
+            assert picture.dtype == np.uint16
+            return picture[..., ::-1] / 65535 if picture.ndim == 3 else picture / 65535
+
+        normal = 2 * stored("normal") - 1
+        assert_allclose(normal, tile.normal, atol=1e-4)
+        assert_allclose(2 * stored("normal_directx")[..., 1] - 1, -normal[..., 1], atol=1e-4)
+        for name in ("occlusion", "roughness", "cavity"):
+            assert_allclose(stored(name), tile.maps[name], atol=1e-4)
         high = tile.maps["displacement_mm"]
-        assert_allclose((stored["_displacement"] / 65535 - 0.5) * 8, high, atol=1e-3)
+        assert_allclose((stored("displacement") - 0.5) * 8, high, atol=1e-3)
         exr = read_exr_channels(tmp_path / f"maps_displacement{end}.exr")
         assert_allclose(exr["Y"], high, atol=1e-3)
-    data = (tmp_path / "maps.glb").read_bytes()
-    tree = json.loads(data[20 : 20 + struct.unpack("<I", data[12:16])[0]])
+    tree = Gltf.read(tmp_path / "maps.glb").tree
     assert tree["extensionsUsed"] == ["KHR_materials_specular"]
     for material in tree["materials"]:
         surface = material["pbrMetallicRoughness"]
@@ -129,7 +130,7 @@ def test_the_usd_file_is_read_by_openusd(tmp_path):
     from pxr import Usd, UsdGeom, UsdShade
 
     assert pxr
-    scan, fitted = cap()
+    scan, fitted = carried(plain)
     write_template(tmp_path, engine_maps(scan, fitted, estimate(), "template", 16), np.uint16, stem="maps")
     stage = Usd.Stage.Open(str(tmp_path / "maps.usda"))
     mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/face/surface"))
@@ -143,33 +144,27 @@ def test_the_usd_file_is_read_by_openusd(tmp_path):
 
 
 def test_maps_need_coordinates_and_colours():
-    scan, fitted = cap()
-    with pytest.raises(ApplicationError, match="cap: the scan has no texture coordinates"):
-        engine_maps(scan, fitted, estimate(), "scan", 32)
-    with pytest.raises(ApplicationError, match="cap: the scan has no colours"):
-        engine_maps(replace(scan, vertex_color_linear=None), fitted, estimate(), "chart", 32)
-    model = replace(fitted.model, template_points=None, template_faces=None, template_uv=None)
-    with pytest.raises(ApplicationError, match="no template with texture coordinates"):
-        engine_maps(scan, replace(fitted, model=model), estimate(), "template", 32)
+    scan, fitted = carried(plain)
+    bare = replace(fitted.model, template_points=None, template_faces=None, template_uv=None)
+    for given, surface, words in (
+        ((scan, fitted), "scan", "cap: the scan has no texture coordinates"),
+        ((replace(scan, vertex_color_linear=None), fitted), "chart", "cap: the scan has no colours"),
+        ((scan, replace(fitted, model=bare)), "template", "no template with texture coordinates"),
+    ):
+        with pytest.raises(ApplicationError, match=words):
+            engine_maps(*given, estimate(), surface, 32)
     with pytest.raises(ValueError, match="maps is 'skin', expected one of chart, scan, template"):
         ProcessOptions(maps="skin")
 
 
-def board(chart):
-    """A bent board with a coordinate for each corner, by `chart`."""
-    vertices, faces = bumps(20)
-    corners = vertices[faces]
-    right = np.broadcast_to(corners.mean(1)[:, :1] > 0, faces.shape)
-    return vertices, faces, chart(corners[..., 0], corners[..., 1], right)
-
-
 def test_colours_go_from_one_layout_to_another():
-    vertices, faces, uv = board(plain)
-    rows = np.linspace(0, 1, 128, dtype=np.float32)
-    texture = np.stack(np.broadcast_arrays(rows[:, None], rows, np.float32(0.5)), -1)
+    vertices, faces, uv = charted(20, plain)
+    texture = np.full((128, 128, 3), 0.5, np.float32)
+    texture[..., 1] = np.linspace(0, 1, 128)
+    texture[..., 0] = texture[..., 1].T
     source = RawScan(vertices, faces, texture_linear=texture, uv=uv, name="source")
     for chart in (mirrored, two_tiles):
-        target = RawScan(vertices, faces, uv=board(chart)[2], name="target")
+        target = RawScan(vertices, faces, uv=charted(20, chart)[2], name="target")
         for tile in bake(source, target, 64).tiles:
             middle = np.s_[20:44, 20:44]
             assert tile.seen[middle].all()
@@ -186,14 +181,13 @@ def test_colours_go_from_one_layout_to_another():
 
 
 def test_colours_go_through_the_face_to_another_pose():
-    scan, fitted = cap()
+    scan, fitted = carried(plain)
     scan = replace(scan, vertex_color_linear=np.abs(np.sin(transform_points(POSE, scan.vertices) / 40)) * 0.9)
     other = compose(rotation_from_vector([-0.5, 0.2, 1.0]), np.array([-40.0, 3.0, 7.0]))
-    vertices, faces, uv = board(plain)
+    vertices, faces, uv = charted(20, plain)
     target = RawScan(transform_points(np.linalg.inv(other), vertices), faces, uv=uv, name="target")
     (tile,) = bake(scan, target, 64, (fitted, replace(fitted, model_from_scan=other))).tiles
-    at = (np.arange(64) + 0.5) / 64 * 2 * HALF_MM - HALF_MM
-    expected = np.abs(np.sin(at / 40)) * 0.9
-    middle = np.s_[8:-8]
-    assert tile.seen[middle, middle].all()
-    assert_allclose(tile.color_linear[middle, middle, 0], [expected[middle]] * 48, atol=0.03)
+    at = CENTERS_MM.reshape(64, 2).mean(1)[8:-8]
+    middle = np.s_[8:-8, 8:-8]
+    assert tile.seen[middle].all()
+    assert_allclose(tile.color_linear[middle][..., 0], [np.abs(np.sin(at / 40)) * 0.9] * 48, atol=0.03)

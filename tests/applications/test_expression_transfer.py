@@ -1,10 +1,10 @@
 """Transferred expressions: exact on linear shapes, near on fitted faces."""
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
+from bench.applications import carried, carried_errors, fitted, measured_pair, mesh_of
 from helpers.cli import invoke
 from helpers.commands import succeeded
 from numpy.testing import assert_allclose, assert_array_equal
@@ -12,7 +12,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 import scan2albedo as s2a
 from scan2albedo.applications import (
     FaceMesh,
-    ProcessedFace,
     TransferOptions,
     load_result,
     personal_model,
@@ -30,7 +29,6 @@ from scan2albedo.applications.expression_transfer import (
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.closest_points import surface_query
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
-from scan2albedo.lighting.shading import Reflectance
 from scan2albedo.synthetic import face_shape
 from scan2albedo.templates import chosen_model
 
@@ -42,11 +40,10 @@ BAR_MM = 1.5
 def measured(shared_data):
     """Shapes in dense correspondence as meshes of the face area."""
     with np.load(shared_data / "ict_faces.npz") as data:
-        count, triangles = int(data["face_area_vertices"]), int(data["face_area_faces"])
-        faces = data["faces"][:triangles].astype(np.int64)
+        count, faces = int(data["face_area_vertices"]), data["faces"][: int(data["face_area_faces"])]
         return {
             name.removeprefix("shape_"): FaceMesh(
-                data[name][:count].astype(float), faces, np.zeros((count, 2))
+                data[name][:count].astype(float), faces.astype(np.int64), np.zeros((count, 2))
             )
             for name in data
             if name.startswith("shape_")
@@ -94,8 +91,7 @@ def test_the_face_moves_as_its_mesh_does_and_keeps_its_skin(person):
     mask = b.mask
     moved = made.image.position[mask] - b.image.position[mask]
     placed = laid_on_what_is_still(smiling.image.position[mask], a.image.position[mask])
-    expected = placed - a.image.position[mask]
-    assert_allclose(moved, expected, atol=1e-9)
+    assert_allclose(moved, placed - a.image.position[mask], atol=1e-9)
     assert np.linalg.norm(moved, axis=1).max() > 3
     assert_allclose(np.linalg.norm(made.image.normal[mask], axis=1), 1, atol=1e-9)
     still = np.linalg.norm(moved, axis=1) < 1e-3
@@ -104,45 +100,30 @@ def test_the_face_moves_as_its_mesh_does_and_keeps_its_skin(person):
     assert np.abs(made.image.normal[mask] - b.image.normal[mask])[~still].max() > 0.05
     # The shadows of the moved surface are its own.
     assert_allclose(made.image.occluder_mesh()[0], made.mesh.vertices)
-
-
-def test_no_expression_changes_nothing(person):
-    a, b = person(0), person(1)
-    made = transfer_expression(a, a, b)
-    assert_allclose(made.image.position, b.image.position, atol=1e-6)
-    assert_allclose(made.image.normal, b.image.normal, atol=1e-6)
-
-
-def test_strength_scales_it(person):
-    a, smiling, b = person(0), person(0, "smile"), person(1)
-    full, half = (
-        transfer_expression(a, smiling, b, options=TransferOptions(strength=s)).image.position
-        for s in (1.0, 0.5)
-    )
-    assert_allclose(full - b.image.position, 2 * (half - b.image.position), atol=1e-9)
-
-
-def test_a_personal_model_is_the_person_on_the_same_chart(result):
-    model = personal_model(result.fitted)
-    given = result.fitted.model
-    assert_array_equal(model.control_vertices, result.fitted.control_points)
-    assert_array_equal(model.uv, given.uv)
-    assert model.name == given.name
+    half = transfer_expression(a, smiling, b, options=TransferOptions(strength=0.5))
+    assert_allclose(moved, 2 * (half.image.position - b.image.position)[mask], atol=1e-9)
+    # No expression changes nothing.
+    same = transfer_expression(a, a, b).image
+    assert_allclose(same.position, b.image.position, atol=1e-6)
+    assert_allclose(same.normal, b.image.normal, atol=1e-6)
 
 
 def test_a_personal_model_of_files_is_that_of_the_fit(result, stored, tmp_path):
     rng = np.random.default_rng(0)
     control = result.fitted.control_points + rng.normal(0, 2, result.fitted.control_points.shape)
-    subdivision = result.fitted.model.subdivision(1)
-    fitted = replace(result.fitted, control_points=control, vertices=subdivision.matrix @ control)
+    given = result.fitted.model
+    fitted = replace(result.fitted, control_points=control, vertices=given.subdivision(1).matrix @ control)
+    theirs = personal_model(fitted)
+    assert_array_equal(theirs.control_vertices, control)
+    assert_array_equal(theirs.uv, given.uv)
+    assert theirs.name == given.name
     face = load_result(stored)
-    face = replace(face, mesh=replace(face.mesh, vertices=fitted.vertices))
-    ours, theirs = personal_model(face), personal_model(fitted)
-    assert_allclose(ours.control_vertices, theirs.control_vertices, atol=1e-8)
+    ours = personal_model(replace(face, mesh=replace(face.mesh, vertices=fitted.vertices)))
+    assert_allclose(ours.control_vertices, control, atol=1e-8)
     ours.save(tmp_path / "person.json")
     loaded = s2a.AnnotatedFaceModel.load(tmp_path / "person.json")
     assert_array_equal(loaded.control_vertices, ours.control_vertices)
-    assert_allclose(loaded.landmarks, fitted.model.landmarks_of(control), atol=1e-8)
+    assert_allclose(loaded.landmarks, given.landmarks_of(control), atol=1e-8)
 
 
 def test_the_command_writes_a_model_that_process_takes(result, stored, tmp_path):
@@ -157,13 +138,15 @@ def test_a_personal_model_needs_the_model_of_the_fit(result, stored, person):
     face, model = load_result(stored), result.fitted.model
     with pytest.raises(ApplicationError, match="processed with the model 'default annotated face model'"):
         personal_model(face, replace(model, name="mine"))
-    with pytest.raises(ApplicationError, match="none of the model"):
-        personal_model(replace(person(0), model_name=model.name))
-    bent = replace(face.mesh, vertices=face.mesh.vertices + np.random.default_rng(0).normal(0, 1, (1, 3)))
-    personal_model(replace(face, mesh=bent))
-    crumpled = face.mesh.vertices + np.random.default_rng(0).normal(0, 1, face.mesh.vertices.shape)
-    with pytest.raises(ApplicationError, match="none of the model"):
-        personal_model(replace(face, mesh=replace(face.mesh, vertices=crumpled)))
+
+    def moved(*shape):
+        off = np.random.default_rng(0).normal(0, 1, shape)
+        return replace(face, mesh=replace(face.mesh, vertices=face.mesh.vertices + off))
+
+    personal_model(moved(3))
+    for other in (replace(person(0), model_name=model.name), moved(*face.mesh.vertices.shape)):
+        with pytest.raises(ApplicationError, match="none of the model"):
+            personal_model(other)
 
 
 @pytest.mark.parametrize("wrong", [{"strength": np.nan}, {"correspondence": "guessed"}])
@@ -174,19 +157,16 @@ def test_options_are_checked(wrong):
 
 MODEL = s2a.AnnotatedFaceModel.default()
 LEVEL = 2
-AS_FITTED = TransferOptions(correspondence="as-fitted")
 
 
 def surface_of(control_points):
     subdivision = MODEL.subdivision(LEVEL)
-    return FaceMesh(
-        subdivision.matrix @ control_points, subdivision.faces, np.zeros((subdivision.matrix.shape[0], 2))
-    )
+    vertices = subdivision.matrix @ control_points
+    return FaceMesh(vertices, subdivision.faces, np.zeros((len(vertices), 2)))
 
 
 def synthetic(seed, expression="neutral"):
-    made = face_shape.person(MODEL, np.random.default_rng(seed), expression=expression)
-    return surface_of(made)
+    return surface_of(face_shape.person(MODEL, np.random.default_rng(seed), expression=expression))
 
 
 def slid(mesh, mm):
@@ -202,22 +182,19 @@ def test_control_points_come_back_from_their_surface():
     assert_allclose(found, control, atol=1e-6)
 
 
-def test_the_level_of_a_mesh_is_found(person):
-    for level in (0, 2):
+def test_the_level_of_a_mesh_is_found(person, result, stored):
+    for level in (0, 1, 2):
         vertices, faces = MODEL.surface(level)
         assert refinement_level(FaceMesh(vertices, faces, vertices[:, :2]), MODEL) == level
-    vertices, faces = MODEL.surface(1)
-    assert refinement_level(FaceMesh(vertices, faces[:, [1, 2, 0]], vertices[:, :2]), MODEL) is None
-    assert refinement_level(person(0).mesh, MODEL) is None
-
-
-def test_faces_from_files_are_on_their_models_mesh(result, stored):
+    turned = FaceMesh(vertices, faces[:, [1, 2, 0]], vertices[:, :2])
+    for mesh in (turned, person(0).mesh):
+        assert refinement_level(mesh, MODEL) is None
     assert refinement_level(load_result(stored).mesh, result.fitted.model) == result.fitted.levels
 
 
-def test_what_slid_is_set_right():
-    rest, truth = synthetic(1), synthetic(1, "surprise").vertices
-    moved = slid(synthetic(1, "surprise"), 3.0)
+def test_what_slid_is_set_right_and_no_expression_stays_none():
+    rest, expression = synthetic(1), synthetic(1, "surprise")
+    truth, moved = expression.vertices, slid(expression, 3.0)
     found = refined_expression(rest, moved, MODEL, LEVEL)
     before, after = (np.linalg.norm(points - truth, axis=1).mean() for points in (moved, found))
     assert before > 1.5
@@ -225,97 +202,48 @@ def test_what_slid_is_set_right():
     skin = ~MODEL.in_region("between_lips")[MODEL.subdivision(LEVEL).parent]
     used = np.unique(rest.faces[skin])
     assert surface_query(truth, rest.faces).query(found[used]).distance.mean() < 0.05
-
-
-def test_no_expression_stays_none():
-    a = synthetic(1)
-    moved = expression_displacement(a, a, options=TransferOptions(correspondence="refined"))
-    assert np.abs(moved).max() < 1e-6
+    none = expression_displacement(rest, rest, options=TransferOptions(correspondence="refined"))
+    assert np.abs(none).max() < 1e-6
 
 
 def test_what_cannot_be_refined_is_told_and_left_by_default(person):
     a, smiling, b = person(0), person(0, "smile"), person(1)
+
+    def transferred(**options):
+        return transfer_expression(a, smiling, b, options=TransferOptions(**options)).image.position
+
     with pytest.raises(ApplicationError, match=r"not on the mesh of 'default.*give the model"):
-        transfer_expression(a, smiling, b, options=TransferOptions(correspondence="refined"))
-    by_default, left = (
-        transfer_expression(a, smiling, b, options=options) for options in (TransferOptions(), AS_FITTED)
-    )
-    assert_array_equal(by_default.image.position, left.image.position)
+        transferred(correspondence="refined")
+    assert_array_equal(transferred(), transferred(correspondence="as-fitted"))
 
 
-class Transfers:
-    """Scans of light-stage shapes through registration, fit and geometry image, and to another person."""
-
-    def __init__(self, path):
-        with np.load(path) as data:
-            self.faces, self.inner = data["faces"].astype(np.int64), int(data["narrow_face_vertices"])
-            shapes = {k.removeprefix("shape_"): data[k].astype(float) for k in data if k.startswith("shape_")}
-        rest = shapes["generic_neutral"]
-        smile = shapes["generic_mouthSmile_L_mouthSmile_R"] - rest
-        self.moves = {
-            "": np.zeros_like(rest),
-            "smile": smile,
-            "left smile": smile / (1 + np.exp(-rest[:, :1] / 6.0)),
-            "jaw": shapes["generic_jawOpen0.7"] - rest,
-        }
-        self.people = {"generic": rest, "person1": shapes["person1"], "person2": shapes["person2"]}
-        self.processed = cache(self._processed)
-
-    def shape(self, name, move):
-        return self.people[name] + self.moves[move]
-
-    def _processed(self, name, move="", unseen_below=None):
-        vertices, faces = self.shape(name, move), self.faces
-        if unseen_below is not None:
-            faces = faces[~(vertices[faces].mean(1)[:, 1] < unseen_below)]
-        scan = s2a.RawScan(vertices, faces, name=f"{name} {move}")
-        fitted = s2a.fit(scan, MODEL, s2a.register(scan, MODEL))
-        image = s2a.geometry_image(fitted, scan, size=128)
-        mesh = FaceMesh(fitted.vertices, fitted.faces, fitted.uv)
-        face = ProcessedFace(
-            scan.name, image, np.ones((128, 128, 3)), Reflectance("lambert"), (), mesh, MODEL.name
-        )
-        return face, fitted.model_from_scan
-
-    def error_mm(self, a, move, b, options=TransferOptions(), unseen_below=None):
-        """Mean distance of the measured points of B, carried by the new face, to where they belong."""
-        rest_a, expression = self.processed(a)[0], self.processed(a, move, unseen_below)[0]
-        rest_b, pose = self.processed(b)
-        made = transfer_expression(rest_a, expression, rest_b, options=options)
-        assert np.isfinite(made.image.position).all()
-        rest, truth = (transform_points(pose, self.shape(b, m)[: self.inner]) for m in ("", move))
-        hits = surface_query(rest_b.mesh.vertices, rest_b.mesh.faces).query(rest)
-        near = hits.distance < 2
-        assert near.mean() > 0.7
-        corners = made.mesh.vertices[made.mesh.faces[hits.face]]
-        carried = np.einsum("nk,nkc->nc", hits.barycentric, corners)
-        return np.linalg.norm(carried - truth, axis=1)[near].mean()
+def carried_without_chin(pair, correspondence):
+    """As `carried`, of an expression whose scan ends above the chin."""
+    faces = pair.faces[pair.moving[pair.faces].mean(1)[:, 1] >= -60]
+    a, moving = fitted(pair.a, pair.faces, pair.model), fitted(pair.moving, faces, pair.model)
+    options = TransferOptions(correspondence=correspondence)
+    return expression_displacement(mesh_of(a), mesh_of(moving), options=options, model=pair.model)
 
 
-@pytest.fixture(scope="module")
-def transfers(shared_data):
-    return Transfers(shared_data / "ict_faces.npz")
+def error_mm(pair, correspondence, transfer):
+    """Mean distance of the measured points of B, carried by the new face, to where they belong."""
+    return carried_errors(pair, transfer(pair, correspondence))["mean mm"]
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("shared_data")
 @pytest.mark.parametrize(
-    ("a", "move", "b", "bar_mm"),
+    ("a", "move", "b", "bar_mm", "transfer"),
     [
-        ("generic", "smile", "person2", 1.2),
-        ("person2", "smile", "generic", 1.2),
-        ("generic", "left smile", "person2", 0.8),
-        ("generic", "jaw", "person2", 1.5),
+        ("generic_neutral", "smile", "person2", 1.2, carried),
+        ("person2", "smile", "generic_neutral", 1.2, carried),
+        ("generic_neutral", "left smile", "person2", 0.8, carried),
+        ("generic_neutral", "jaw", "person2", 1.5, carried),
+        ("generic_neutral", "smile", "person2", 1.2, carried_without_chin),
     ],
 )
-def test_expressions_from_scans(transfers, a, move, b, bar_mm):
-    found = transfers.error_mm(a, move, b)
+def test_expressions_from_scans(a, move, b, bar_mm, transfer):
+    pair = measured_pair(a, move, b, own_model=False)
+    found = error_mm(pair, "refined", transfer)
     assert found < bar_mm
-    assert found < 0.9 * transfers.error_mm(a, move, b, AS_FITTED)
-
-
-@pytest.mark.slow
-def test_a_smile_whose_chin_was_not_scanned(transfers):
-    chin = {"unseen_below": -60.0}
-    found = transfers.error_mm("generic", "smile", "person2", **chin)
-    assert found < 1.2
-    assert found < 0.9 * transfers.error_mm("generic", "smile", "person2", AS_FITTED, **chin)
+    assert found < 0.9 * error_mm(pair, "as-fitted", transfer)

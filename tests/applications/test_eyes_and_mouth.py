@@ -6,7 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import trimesh
-from helpers.faces import painted, unseen
+from helpers.faces import unseen
+from helpers.meshes import sphere
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.applications import relight
@@ -15,11 +16,12 @@ from scan2albedo.applications.eyes_and_mouth import eyes_and_mouth, on_template
 from scan2albedo.applications.face_features import grown, named_texels
 from scan2albedo.applications.template_baking import TemplateTexture
 from scan2albedo.core.lights import PointLight
-from scan2albedo.geometry.mesh import vertex_normals
+from scan2albedo.geometry.mesh import join, vertex_normals
 from scan2albedo.geometry.rasterization import bilinear, pixels_from_uv
 from scan2albedo.io.glb import write_parts_glb
 from scan2albedo.synthetic.textures import landmark_uv
 from scan2albedo.templates import AnnotatedFaceModel
+from tests.applications.test_face_features import with_shut_eyes
 
 SIZE = 256
 
@@ -38,13 +40,6 @@ def seen(person):
         return replace(face, landmarks=at_uv(face, landmark_uv(AnnotatedFaceModel.default())))
 
     return made
-
-
-def painted_over(face, sides):
-    """Return a face with skin in place of the eyes of these sides."""
-    eyes = grown(named_texels(face, [f"{side}_eye" for side in sides]), 0)
-    skin = np.median(face.albedo_linear[grown(eyes, 0.02) & ~eyes], axis=0)
-    return painted(face, eyes, skin)
 
 
 def iris_centres(face):
@@ -76,15 +71,14 @@ def test_irises_are_found_where_they_are_painted(seen, seed):
 
 def test_shut_eyes_are_left_out_each_for_itself(seen):
     face = seen(1)
-    assert eyes_and_mouth(painted_over(face, ["left", "right"])).eyes == ()
-    winking = eyes_and_mouth(painted_over(face, ["left"]))
+    assert eyes_and_mouth(with_shut_eyes(face)).eyes == ()
+    winking = eyes_and_mouth(with_shut_eyes(face, ["left_eye"]))
     assert [eye.side for eye in winking.eyes] == ["right"]
 
 
 def test_holes_between_lids_get_usual_eyes_that_look_ahead(seen):
     face = seen(2)
-    open_at = eyes_and_mouth(face).cut_mm > 0
-    torn = unseen(painted_over(face, ["left", "right"]), open_at)
+    torn = unseen(with_shut_eyes(face), eyes_and_mouth(face).cut_mm > 0)
     found = eyes_and_mouth(torn)
     assert len(found.eyes) == 2
     assert "left out" in found.reason
@@ -148,38 +142,29 @@ def test_the_lower_teeth_follow_the_jaw_and_the_upper_ones_stay(seen):
 
 
 def test_relit_eyes_glint_and_stand_behind_the_lids(seen, tmp_path):
-    face = seen(4)
-    relit = relight(face, [PointLight(0.3, 0.3, intensity=2.0)])
+    relit = relight(seen(4), [PointLight(0.3, 0.3, intensity=2.0)])
     plain = replace(relit, face=replace(relit.face))
     with_eyes, without = (one.picture(shape=(300, 300)) for one in (relit, plain))
     assert_array_equal(with_eyes.alpha, without.alpha)
     changed = np.abs(with_eyes.linear - without.linear).max(-1) > 0.01
     assert 0.001 < changed.mean() < 0.05
-    rows, columns = np.nonzero(changed)
-    glint = with_eyes.linear.max(-1)[rows, columns].max()
-    assert glint > 1.2 * np.percentile(with_eyes.linear.max(-1)[with_eyes.alpha > 0], 99)
+    bright = with_eyes.linear.max(-1)
+    assert bright[changed].max() > 1.2 * np.percentile(bright[with_eyes.alpha > 0], 99)
     relit.write_glb(tmp_path / "relit.glb")
     assert {"face", "eye_left", "eye_right"} <= set(trimesh.load(tmp_path / "relit.glb").geometry)
 
 
 def test_a_template_keeps_eyeballs_of_its_own(seen):
     face = seen(5)
-    found = eyes_and_mouth(face)
-    fitted = SimpleNamespace(
-        vertices=face.mesh.vertices, faces=face.mesh.faces, uv=face.mesh.uv, landmarks=face.landmarks
-    )
-    bare = TemplateTexture(face.mesh.vertices, face.mesh.faces, face.mesh.uv[face.mesh.faces])
-    made = on_template(found, fitted, 2.0, bare)
+    found, mesh = eyes_and_mouth(face), face.mesh
+    fitted = SimpleNamespace(vertices=mesh.vertices, faces=mesh.faces, uv=mesh.uv, landmarks=face.landmarks)
+    made = on_template(found, fitted, 2.0, TemplateTexture(mesh.vertices, mesh.faces, mesh.uv[mesh.faces]))
     assert len(made.parts) == len(found.parts)
     assert_allclose(made.parts[0].color_linear, 2 * found.parts[0].color_linear)
     assert (made.cut_mm > 0).any()
-    ball = trimesh.creation.icosphere(3, 12.0)
-    vertices, faces = [bare.vertices], [bare.faces]
-    for eye in found.eyes:
-        faces.append(ball.faces + sum(map(len, vertices)))
-        vertices.append(ball.vertices + eye.center_mm)
-    whole = np.concatenate(faces)
-    own = TemplateTexture(np.concatenate(vertices), whole, np.zeros((len(whole), 3, 2)))
+    balls = [sphere(3, 12.0, eye.center_mm) for eye in found.eyes]
+    vertices, faces = join([(mesh.vertices, mesh.faces), *balls])
+    own = TemplateTexture(vertices, faces, np.zeros((len(faces), 3, 2)))
     made = on_template(found, fitted, 1.0, own)
     assert [part.name for part in made.parts] == ["mouth", "teeth_upper", "teeth_lower"]
     assert not (made.cut_mm > 0).any()

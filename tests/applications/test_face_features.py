@@ -103,11 +103,11 @@ def test_a_hole_in_a_brow_is_filled_from_the_other_side_of_the_same_face(person)
     assert gradient_correlation(made[0], replace(b, albedo_linear=b.albedo_linear[:, ::-1]), hole) > 0.9
 
 
-def with_shut_eyes(face):
+def with_shut_eyes(face, names=("left_eye", "right_eye")):
     """Return a face whose eyes are painted over with the skin around, as shut lids are."""
-    eyes = named_texels(face, ["left_eye", "right_eye"])
+    eyes = grown(named_texels(face, names), 0)
     skin = np.median(face.albedo_linear[grown(eyes, 0.02) & ~eyes], axis=0)
-    return painted(face, grown(eyes, 0), skin)
+    return painted(face, eyes, skin)
 
 
 def test_open_eyes_stay_whole_beside_shut_ones_and_the_face_says_so(person):

@@ -18,7 +18,7 @@ from scan2albedo.applications import (
 from scan2albedo.applications.face_reflectance import sampled_at_vertices
 from scan2albedo.core import PointLight
 from scan2albedo.errors import ApplicationError
-from scan2albedo.geometry.operators import linear_refinement
+from scan2albedo.geometry.mesh import normalized
 from scan2albedo.lighting.shading import Reflectance
 from scan2albedo.reflectance import (
     MorphableReflectanceModel,
@@ -38,13 +38,12 @@ ROUGH = Reflectance("oren-nayar", 0.3)
 LIGHTS = [PointLight(0.0, 0.0), PointLight(0.6, 0.3), PointLight(-0.4, 0.2, 900.0, 2.5)]
 
 
-def on_model(made, albedo_linear, reflectance, name="someone"):
+def on_model(made, albedo_linear, reflectance):
     """A synthetic face on the default model's mesh, as a processed scan has it."""
     model, (vertices, faces) = s2a.AnnotatedFaceModel.default(), made.image.occluder_mesh()
     level = round(np.log(len(faces) / len(model.control_faces)) / np.log(4))
-    uv = linear_refinement(len(model.uv), model.control_faces, level) @ model.uv
-    mesh = FaceMesh(vertices, faces, uv)
-    return ProcessedFace(name, made.image, albedo_linear, reflectance, made.lights, mesh, "default")
+    mesh = FaceMesh(vertices, faces, model.refined_uv(level))
+    return ProcessedFace("someone", made.image, albedo_linear, reflectance, made.lights, mesh, "default")
 
 
 @pytest.fixture(scope="module")
@@ -86,20 +85,14 @@ def test_the_albedo_of_an_estimate_is_the_true_one_up_to_its_scale(scene, true_a
 def sent_and_expected(face, light, reflectance):
     """(N, 3) what vertices send under one light, as a reflectance has it and as the relit face has it."""
     options = RelightOptions(gloss="found", fill_gaps=False)
-    picture = relight(
-        replace(face, casts_shadows=False), [light], ambient=0.0, options=options
-    ).texture_linear
+    bare = replace(face, casts_shadows=False)
+    picture = relight(bare, [light], ambient=0.0, options=options).texture_linear
     expected, known = sampled_at_vertices(picture.astype(float), face)
-    normals, _ = sampled_at_vertices(face.image.normal, face)
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    near = np.isfinite(light.distance_mm)
-    lobes = point_light_lobes(
-        face.mesh.vertices,
-        normals,
-        [[0, 0, FAR_MM]],
-        [light.direction * (light.distance_mm if near else FAR_MM)],
-        reference_distance_mm=light.distance_mm if near else None,
-    )
+    normals = normalized(sampled_at_vertices(face.image.normal, face)[0])
+    distance_mm = light.distance_mm if np.isfinite(light.distance_mm) else None
+    lamp = light.direction * (distance_mm or FAR_MM)
+    geometry = (face.mesh.vertices, normals, [[0, 0, FAR_MM]], [lamp])
+    lobes = point_light_lobes(*geometry, reference_distance_mm=distance_mm)
     sent = np.pi * light.intensity * point_light_radiance(reflectance, lobes)[0]
     used = known & (normals[:, 2] > 0.2)
     return sent[used], expected[used]
@@ -124,14 +117,6 @@ def test_rough_skin_is_that_matte_skin_which_is_nearest(true_face):
     assert min(errors, key=errors.get) == 1.0
 
 
-def test_highlights_are_those_of_the_estimate_times_the_annotation(true_face):
-    face = replace(true_face, reflectance=GLOSSY)
-    weights = reflectance_of_processed(face).reflectance.weights
-    scale = sampled_at_vertices(face.image.specular_scale[..., None].astype(float), face)[0]
-    assert_allclose(weights, scale * lobe_weights_of_phong(0.15, 8.0))
-    assert np.ptp(scale) > 0.1
-
-
 def test_vertices_that_were_not_seen_are_not_known_and_lend_nothing(true_face):
     seen = true_face.mask.copy()
     seen[:, : SIZE // 2] = False
@@ -151,18 +136,25 @@ def test_a_level_scales_albedo_and_highlights_alike(true_face):
     plain, brighter = (
         reflectance_of_processed(face, level=level).reflectance for level in (None, 2 * face.level())
     )
+    # Highlights are those of the estimate times the annotation.
+    scale = sampled_at_vertices(face.image.specular_scale[..., None].astype(float), face)[0]
+    assert_allclose(plain.weights, scale * lobe_weights_of_phong(0.15, 8.0))
+    assert np.ptp(scale) > 0.1
     assert_allclose(brighter.diffuse_linear, 2 * plain.diffuse_linear)
     assert_allclose(brighter.weights, 2 * plain.weights)
-    with pytest.raises(ValueError, match="level"):
-        reflectance_of_processed(face, level=0.0)
+    blind = replace(face.image, texture_valid=np.zeros_like(face.mask))
+    for wrong, options, error, words in (
+        ({}, {"level": 0.0}, ValueError, "level"),
+        ({"model_name": "none"}, {}, ApplicationError, "without a model"),
+        ({"image": blind}, {}, ApplicationError, "someone: no vertex"),
+    ):
+        with pytest.raises(error, match=words):
+            reflectance_of_processed(replace(face, **wrong), **options)
 
 
 def test_scans_of_one_model_make_a_morphable_one(scene):
-    faces = []
-    for seed in range(3):
-        made = scene(seed)
-        faces.append(on_model(made, made.albedo_linear, GLOSSY, f"person{seed}"))
-    people = [reflectance_of_processed(face).reflectance for face in faces]
+    made = [scene(seed) for seed in range(3)]
+    people = [reflectance_of_processed(on_model(one, one.albedo_linear, GLOSSY)).reflectance for one in made]
     model, person = MorphableReflectanceModel.from_samples(people), people[1]
     assert (model.components, model.samples) == (2, 3)
     both = model.known & person.known
@@ -173,21 +165,7 @@ def test_scans_of_one_model_make_a_morphable_one(scene):
 def test_a_folder_gives_what_its_result_gives(result, stored):
     of_folder, of_result = reflectance_of_processed(stored), reflectance_of_processed(result)
     assert_array_equal(of_folder.mesh.faces, result.fitted.faces)
-    assert_array_equal(of_folder.reflectance.known, of_result.reflectance.known)
-    known = of_result.reflectance.known
-    assert_allclose(
-        of_folder.reflectance.diffuse_linear[known], of_result.reflectance.diffuse_linear[known], rtol=1e-4
-    )
-    loaded = reflectance_of_processed(load_result(stored))
-    assert_array_equal(loaded.reflectance.weights, of_folder.reflectance.weights)
-
-
-def test_a_scan_whose_vertices_correspond_to_no_other_is_refused(true_face):
-    with pytest.raises(ApplicationError, match="without a model"):
-        reflectance_of_processed(replace(true_face, model_name="none"))
-
-
-def test_a_scan_that_shows_nothing_is_refused(true_face):
-    blind = replace(true_face.image, texture_valid=np.zeros_like(true_face.mask))
-    with pytest.raises(ApplicationError, match="someone: no vertex"):
-        reflectance_of_processed(replace(true_face, image=blind))
+    ours, theirs = of_folder.reflectance, of_result.reflectance
+    assert_array_equal(ours.known, theirs.known)
+    assert_allclose(ours.diffuse_linear, theirs.diffuse_linear, rtol=1e-4)
+    assert_array_equal(reflectance_of_processed(load_result(stored)).reflectance.weights, ours.weights)

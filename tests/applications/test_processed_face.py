@@ -14,24 +14,18 @@ APPLICATIONS = [blend_faces, swap_texture, lambda a, b: transfer_expression(a, a
 
 
 @pytest.mark.parametrize("apply", APPLICATIONS)
-def test_sizes_models_and_charts_must_agree(person, apply):
-    a, b = person(0), person(1)
-    with pytest.raises(ApplicationError, match=r"person0 and person1.*64 x 64 and 32 x 32.*--size"):
-        apply(a, person(1, size=32))
-    with pytest.raises(ApplicationError, match="different models, 'default annotated face model' and 'mine'"):
-        apply(a, replace(b, model_name="mine"))
-    with pytest.raises(ApplicationError, match="without a model"):
-        apply(
-            *(replace(face, model_name="none", mesh=flipped(face.mesh, k)) for k, face in enumerate((a, b)))
-        )
-    with pytest.raises(ApplicationError, match="charts differ"):
-        apply(a, replace(b, mesh=flipped(b.mesh, 1)))
-
-
-def flipped(mesh, turn):
-    """The mesh on a chart that is mirrored."""
-    uv = mesh.uv * [1, -1] + [0, 1] if turn else mesh.uv
-    return replace(mesh, uv=uv, from_chart=False)
+def test_sizes_models_and_charts_must_agree(person, two_people, apply):
+    a, b = two_people
+    mirrored = replace(b.mesh, uv=b.mesh.uv * [1, -1] + [0, 1], from_chart=False)
+    fitted = replace(a, model_name="none", mesh=replace(a.mesh, from_chart=False))
+    for one, other, words in (
+        (a, person(1, size=32), r"person0 and person1.*64 x 64 and 32 x 32.*--size"),
+        (a, replace(b, model_name="mine"), "different models, 'default annotated face model' and 'mine'"),
+        (fitted, replace(b, model_name="none", mesh=mirrored), "without a model"),
+        (a, replace(b, mesh=mirrored), "charts differ"),
+    ):
+        with pytest.raises(ApplicationError, match=words):
+            apply(one, other)
 
 
 def test_a_fitted_face_goes_with_itself_only_by_its_mesh(stored, person):
@@ -42,13 +36,12 @@ def test_a_fitted_face_goes_with_itself_only_by_its_mesh(stored, person):
     assert_allclose(made.image.normal, face.image.normal, atol=1e-6)
 
 
-def test_masks_that_differ_a_little_are_cut_to_what_both_have(person):
-    a, b = person(0), person(1)
-    image, mask = b.image, b.mask.copy()
+def test_masks_that_differ_a_little_are_cut_to_what_both_have(two_people):
+    a, b = two_people
+    mask = b.mask.copy()
     mask[30:33, 30:33] = False
-    smaller = replace(
-        b, image=replace(image, mask=mask), mesh=type(b.mesh).of_chart(replace(image, mask=mask))
-    )
+    image = replace(b.image, mask=mask)
+    smaller = replace(b, image=image, mesh=type(b.mesh).of_chart(image))
     cut, other = on_common_chart(a, smaller)
     assert np.array_equal(cut.mask, a.mask & mask)
     assert np.array_equal(cut.mask, other.mask)

@@ -54,9 +54,9 @@ def test_one_face_is_nowhere_beside_itself():
     assert np.abs(displacement(spots(0), spots(0), np.ones((256, 256), bool))).max() < 0.05
 
 
-def test_light_left_in_an_unsure_albedo_goes_and_a_sure_one_stays(person):
+def test_light_left_in_an_unsure_albedo_goes_and_a_sure_one_stays(two_people):
     """A smooth shade over one half of a face; what people differ by is known from the rest."""
-    a, b = person(0), person(1)
+    a, b = two_people
     ramp = np.linspace(-0.5, 0.5, a.mask.shape[1])[None, :, None]
     shaded = replace(b, albedo_linear=(b.albedo_linear * np.exp(ramp)).astype(np.float32))
 

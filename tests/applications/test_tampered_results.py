@@ -7,6 +7,9 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
+from helpers.gltf import Gltf
+from helpers.npz import rewritten
+from helpers.records import read_json
 
 from scan2albedo.applications import blend_faces, load_result, relight, swap_texture
 from scan2albedo.errors import Scan2AlbedoError
@@ -23,8 +26,7 @@ def record(text):
 
 def entry(*keys, value):
     def change(folder):
-        content = json.loads((folder / "result.json").read_text())
-        place = content
+        content = place = read_json(folder / "result.json")
         for key in keys[:-1]:
             place = place[key]
         place[keys[-1]] = value
@@ -35,10 +37,12 @@ def entry(*keys, value):
 
 def arrays(**changes):
     def change(folder):
-        stored = dict(np.load(folder / "geometry_image.npz"))
-        for name, value in changes.items():
-            stored[name] = value(stored[name]) if callable(value) else value
-        np.savez(folder / "geometry_image.npz", **stored)
+        file = folder / "geometry_image.npz"
+        with np.load(file) as stored:
+            made = {
+                name: value(stored[name]) if callable(value) else value for name, value in changes.items()
+            }
+        rewritten(file, **made)
 
     return "geometry_image.npz", change
 
@@ -56,9 +60,7 @@ def pickled(file):
 
 
 def gltf_1(file):
-    header = json.dumps({"asset": {"version": "1.0"}}).encode().ljust(40)
-    body = len(header).to_bytes(4, "little") + b"JSON" + header
-    file.write_bytes(b"glTF" + (2).to_bytes(4, "little") + (12 + len(body)).to_bytes(4, "little") + body)
+    Gltf({"asset": {"version": "1.0"}}).write(file)
 
 
 TAMPERED = {

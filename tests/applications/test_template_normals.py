@@ -1,13 +1,14 @@
 """Normal maps of templates: read as glTF says, they give back the shape the template lacks."""
 
-import json
-import struct
 from dataclasses import replace
 from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
+from helpers.eyeglasses import angle_deg
+from helpers.gltf import Gltf
+from helpers.meshes import grid
 from numpy.testing import assert_allclose, assert_array_equal
 
 import scan2albedo as s2a
@@ -24,13 +25,12 @@ HALF_MM = 60.0
 WAVE_MM = 9.0
 HEIGHT_MM = 3.0
 POSE = compose(rotation_from_vector([0.3, -1.0, 0.4]), np.array([10.0, 200.0, -30.0]))
-COMPONENTS = {5125: "<u4", 5126: "<f4"}
-WIDTH = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
 
 def bumps(cells):
     """A cap with bumps, the same on both sides of x = 0, on a grid of so many cells a side."""
-    x, y = (axis.ravel() for axis in np.meshgrid(*[np.linspace(-HALF_MM, HALF_MM, cells + 1)] * 2))
+    flat, _ = grid(cells + 1, cells + 1)
+    x, y, _ = (2 * flat.T - 1) * HALF_MM
     height = HEIGHT_MM * np.cos(x / WAVE_MM) * np.cos(y / WAVE_MM) - (x**2 + y**2) / 250
     corner = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).ravel()
     below, right = corner + cells + 1, (corner % (cells + 1) >= cells // 2).astype(int)
@@ -48,7 +48,7 @@ def true_normals(points):
 
 
 def plain(x, y, right):
-    return np.stack([(x + HALF_MM) / (2 * HALF_MM), (y + HALF_MM) / (2 * HALF_MM)], axis=-1)
+    return np.stack([x, y], axis=-1) / (2 * HALF_MM) + 0.5
 
 
 def turned(x, y, right):
@@ -57,35 +57,39 @@ def turned(x, y, right):
 
 def mirrored(x, y, right):
     """Both halves on the same texels, with a common line."""
-    return np.stack([np.abs(x) / HALF_MM, (y + HALF_MM) / (2 * HALF_MM)], axis=-1)
+    return np.stack([np.abs(x) / HALF_MM, y / (2 * HALF_MM) + 0.5], axis=-1)
 
 
 def two_tiles(x, y, right):
     """The left half is mirrored, in a tile of its own."""
-    return mirrored(x, y, right) * [0.9, 0.9] + 0.05 + np.where(right, 0, 1)[..., None] * [1, 0]
+    uv = mirrored(x, y, right) * 0.9 + 0.05
+    uv[..., 0] += ~right
+    return uv
+
+
+def charted(cells, chart):
+    """Return vertices and faces of bumps, and the coordinates (F, 3, 2) of their corners by a chart."""
+    vertices, faces = bumps(cells)
+    corners = vertices[faces]
+    right = np.broadcast_to(corners.mean(1)[:, :1] > 0, faces.shape)
+    return vertices, faces, chart(corners[..., 0], corners[..., 1], right)
 
 
 def carried(chart, noise_mm=0.0, scan_cells=120):
     """A coarse template on a smooth fitted surface, and a scan of it in another pose, with noise."""
-    vertices, faces = bumps(8)
+    vertices, faces, uv = charted(8, chart)
     fine, fine_faces = bumps(60)
     scanned, scan_faces = bumps(scan_cells)
     rng = np.random.default_rng(1)
     scanned = scanned + true_normals(scanned) * rng.normal(0, noise_mm, (len(scanned), 1))
-    corners = vertices[faces]
-    right = np.broadcast_to(corners.mean(1)[:, :1] > 0, faces.shape)
+    at_first = SurfacePoints(np.zeros(len(vertices), np.int64), np.tile([1.0, 0, 0], (len(vertices), 1)))
     model = replace(
-        s2a.AnnotatedFaceModel.default(),
-        template_points=SurfacePoints(
-            np.zeros(len(vertices), np.int64), np.eye(3)[np.zeros(len(vertices), int)]
-        ),
-        template_faces=faces,
-        template_uv=chart(corners[..., 0], corners[..., 1], right),
+        s2a.AnnotatedFaceModel.default(), template_points=at_first, template_faces=faces, template_uv=uv
     )
     fitted = FittedFace(
         vertices=fine,
         faces=fine_faces,
-        uv=np.zeros((len(fine), 2)),
+        uv=plain(*fine.T),
         region=np.zeros(len(fine_faces), np.uint8),
         control_points=model.control_vertices,
         landmarks=None,
@@ -99,35 +103,22 @@ def carried(chart, noise_mm=0.0, scan_cells=120):
         model=model,
     )
     color = np.full(scanned.shape, 0.5, np.float32)
-    return RawScan(
-        transform_points(invert_rigid(POSE), scanned), scan_faces, vertex_color_linear=color, name="cap"
-    ), fitted
+    placed = transform_points(invert_rigid(POSE), scanned)
+    return RawScan(placed, scan_faces, vertex_color_linear=color, name="cap"), fitted
 
 
 def parts_of(path):
-    """Yield of each mesh of a GLB its arrays by name, its material, and the textures it refers to."""
-    data = path.read_bytes()
-    size = struct.unpack("<I", data[12:16])[0]
-    tree, binary = json.loads(data[20 : 20 + size]), data[28 + size :]
-
-    def view(number):
-        entry = tree["bufferViews"][number]
-        return binary[entry["byteOffset"] : entry["byteOffset"] + entry["byteLength"]]
-
-    def array(number):
-        entry = tree["accessors"][number]
-        values = np.frombuffer(view(entry["bufferView"]), COMPONENTS[entry["componentType"]])
-        assert len(values) == entry["count"] * WIDTH[entry["type"]]
-        return values.reshape(entry["count"], -1).astype(float)
-
-    for mesh in tree["meshes"]:
+    """Yield of each mesh of a GLB its arrays by name, and the picture of its normals."""
+    file = Gltf.read(path)
+    for mesh in file.tree["meshes"]:
         (primitive,) = mesh["primitives"]
-        arrays = {name: array(number) for name, number in primitive["attributes"].items()}
-        arrays["faces"] = array(primitive["indices"]).astype(int).reshape(-1, 3)
-        material = tree["materials"][primitive["material"]]
-        image = tree["images"][tree["textures"][material["normalTexture"]["index"]]["source"]]
+        arrays = {name: file.array(number).astype(float) for name, number in primitive["attributes"].items()}
+        arrays["faces"] = file.array(primitive["indices"]).reshape(-1, 3)
+        texture = file.tree["materials"][primitive["material"]]["normalTexture"]
+        image = file.tree["images"][file.tree["textures"][texture["index"]]["source"]]
         assert image["mimeType"] == "image/png"
-        encoded = np.frombuffer(view(image["bufferView"]), np.uint8)
+        view = file.tree["bufferViews"][image["bufferView"]]
+        encoded = np.frombuffer(file.binary, np.uint8, view["byteLength"], view["byteOffset"])
         picture = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED)[..., ::-1]
         assert picture.shape[2] == 3
         yield arrays, picture
@@ -147,28 +138,23 @@ def shaded(arrays, picture):
     return point * 1000, flat, normalized(x * right + y * up + z * flat)
 
 
-def angles_deg(found, true):
-    return np.degrees(np.arccos(np.clip(np.einsum("ij,ij->i", found, true), -1, 1)))
-
-
 @pytest.mark.parametrize("chart", [plain, turned, mirrored, two_tiles])
 def test_a_coarse_template_is_shaded_like_the_fine_surface(tmp_path, chart):
-    scan, fitted = carried(chart)
-    painted = template_texture(scan, fitted, 256)
+    painted = template_texture(*carried(chart), 256)
     write_template(tmp_path, painted)
     parts = list(parts_of(tmp_path / "template.glb"))
     assert len(parts) == len(painted.tiles) == (2 if chart is two_tiles else 1)
     for arrays, picture in parts:
-        assert np.isin(arrays["TANGENT"][:, 3], [-1, 1]).all()
-        assert_allclose(np.linalg.norm(arrays["TANGENT"][:, :3], axis=1), 1, atol=1e-6)
-        across = np.einsum("ij,ij->i", arrays["TANGENT"][:, :3], arrays["NORMAL"])
-        assert_allclose(across, 0, atol=1e-6)
+        tangents, hands = np.split(arrays["TANGENT"], [3], axis=1)
+        assert np.isin(hands, [-1, 1]).all()
+        assert_allclose(np.linalg.norm(tangents, axis=1), 1, atol=1e-6)
+        assert_allclose(np.einsum("ij,ij->i", tangents, arrays["NORMAL"]), 0, atol=1e-6)
         at = np.linalg.norm(arrays["POSITION"][:, None] * 1000 - painted.vertices, axis=2).argmin(1)
         assert_allclose(arrays["NORMAL"], vertex_normals(painted.vertices, painted.faces)[at], atol=1e-6)
         points, without, with_map = shaded(arrays, picture)
         inner = np.abs(points[:, :2]).max(1) < HALF_MM - 5  # the grids' rims are one-sided
         true = true_normals(points)
-        before, after = (angles_deg(found, true)[inner] for found in (without, with_map))
+        before, after = (angle_deg(found, true)[inner] for found in (without, with_map))
         assert before.mean() > 6
         assert after.mean() < 0.5
         assert np.percentile(after, 95) < 1.5
@@ -182,16 +168,14 @@ def test_noise_of_the_scan_stays_out_and_without_a_scan_the_fit_serves():
         points = fitted.vertices[np.abs(fitted.vertices[:, :2]).max(1) < HALF_MM - 5]
         found, known = FineShape(fitted, scan if scanned else None).normals(points)
         assert known.all()
-        return angles_deg(found, true_normals(points)).mean()
+        return angle_deg(found, true_normals(points)).mean()
 
-    fit = mean_error(0.0, False)
     noisy = carried(plain, 0.1)[0]
-    raw = angles_deg(
-        vertex_normals(noisy.vertices, noisy.faces) @ POSE[:3, :3].T, true_normals(bumps(120)[0])
-    ).mean()
+    found = vertex_normals(noisy.vertices, noisy.faces) @ POSE[:3, :3].T
+    raw = angle_deg(found, true_normals(bumps(120)[0])).mean()
     assert raw > 3
     assert mean_error(0.1, True) < 0.4 * raw
-    assert mean_error(0.0, True) < fit
+    assert mean_error(0.0, True) < mean_error(0.0, False)
 
 
 def test_what_lies_far_is_flat_and_another_side_does_not_stand():

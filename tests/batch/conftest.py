@@ -5,11 +5,9 @@ import csv
 import numpy as np
 import pytest
 import trimesh
+from helpers.batches import TINY
 
 from scan2albedo.batch import execution, run, run_batch, worker
-from scan2albedo.pipeline.options import ProcessOptions
-
-TINY = ProcessOptions(model="none", size=32, pictures=False)
 
 
 @pytest.fixture(scope="session")

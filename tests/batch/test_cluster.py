@@ -9,13 +9,11 @@ from contextlib import nullcontext
 from types import SimpleNamespace
 
 import pytest
+from helpers.batches import TINY, statuses
 
-from scan2albedo.batch import load_catalogue, run_batch
+from scan2albedo.batch import run_batch
 from scan2albedo.batch.records import Layout
 from scan2albedo.errors import BatchError, MissingDependencyError
-from scan2albedo.pipeline.options import ProcessOptions
-
-TINY = ProcessOptions(model="none", size=32, pictures=False)
 
 
 @pytest.fixture(scope="module")
@@ -60,12 +58,10 @@ def test_a_worker_process_is_killed_in_the_middle(scans_in, tmp_path, quick_stag
 
 @pytest.mark.slow
 def test_a_scan_that_kills_every_worker_fails_alone(batched, tmp_path, quick_stages, cluster):
-    names = ("a", "kills-always", "b", "c")
-    address = cluster.scheduler_address
-    report = batched(*names, scheduler=address)
+    report = batched("a", "kills-always", "b", "c", scheduler=cluster.scheduler_address)
     assert report.failures.keys() == {"kills-always"}
     assert "KilledWorker" in report.failures["kills-always"]
-    assert {row["status"] for row in load_catalogue(tmp_path / "out").to_pylist()} == {"done", "failed"}
+    assert set(statuses(tmp_path / "out").values()) == {"done", "failed"}
     assert quick_stages("kills-always") == 4
 
 
@@ -113,19 +109,18 @@ class Answer:
 
 
 @pytest.fixture
-def answering(monkeypatch, scans_in, tmp_path, no_workers):
+def answering(monkeypatch, batched, no_workers):
     """Run a batch of the scans a, b and c on a cluster whose tasks end as told."""
 
     def run(**endings):
         stand_in = SimpleNamespace(Client=lambda address, **_: Answers(endings))
         monkeypatch.setitem(sys.modules, "distributed", stand_in)
-        manifest = scans_in("a", "b", "c")
-        return run_batch(manifest, tmp_path / "out", options=TINY, scheduler="tcp://127.0.0.1:9")
+        return batched("a", "b", "c", scheduler="tcp://127.0.0.1:9")
 
     return run
 
 
-def test_a_task_that_raises_in_its_worker_fails_alone(answering, tmp_path):
+def test_a_task_that_raises_in_its_worker_fails_alone(answering):
     report = answering(b=("error", ModuleNotFoundError("No module named 'scan2albedo'")))
     assert report.failures == {"b": "ModuleNotFoundError: No module named 'scan2albedo'"}
     assert report.progress.done == 2
@@ -134,5 +129,4 @@ def test_a_task_that_raises_in_its_worker_fails_alone(answering, tmp_path):
 def test_a_scheduler_that_is_lost_ends_the_batch(answering, tmp_path):
     with pytest.raises(BatchError, match=r"tcp://127\.0\.0\.1:9 is gone; --resume"):
         answering(b=("cancelled", CancelledError("b")))
-    rows = {row["name"]: row["status"] for row in load_catalogue(tmp_path / "out").to_pylist()}
-    assert rows == {"a": "done", "b": "not run", "c": "not run"}
+    assert statuses(tmp_path / "out") == {"a": "done", "b": "not run", "c": "not run"}

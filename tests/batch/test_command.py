@@ -5,12 +5,15 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from helpers.batches import statuses
+from helpers.cli import invoke as invoked
+from helpers.commands import printed, succeeded
+from helpers.records import read_json
+from helpers.usage import COMMAND, run_process, usage_error
 
 from scan2albedo.batch import load_albedos, load_catalogue, run_batch
 from scan2albedo.batch.records import Layout
@@ -18,11 +21,10 @@ from scan2albedo.cli.commands import app
 from scan2albedo.pipeline.options import ProcessOptions
 
 TINY = ("--model", "none", "--size", "32", "--unit", "mm", "--no-pictures", "--quality", "draft")
-COMMAND = [sys.executable, "-m", "scan2albedo", "batch"]
 
 
 def invoke(*arguments):
-    return CliRunner().invoke(app, ["batch", *map(str, arguments)])
+    return invoked("batch", *arguments)
 
 
 def test_exit_statuses_and_the_summary(scans_in, tmp_path, no_workers):
@@ -31,32 +33,24 @@ def test_exit_statuses_and_the_summary(scans_in, tmp_path, no_workers):
     assert json.loads(some.stdout)["failures"][0]["name"] == "nofile"
     assert "batch: 1 of 2 done, 1 failed" in some.stderr
     assert "failed: nofile:" in some.stderr
-    assert invoke(scans_in("nofile"), "-o", tmp_path / "none", *TINY).exit_code == 2
-    assert invoke(scans_in("a"), "-o", tmp_path / "all", *TINY).exit_code == 0
-    again = invoke(scans_in("a"), "-o", tmp_path / "all", *TINY, "--resume", "--json")
-    assert again.exit_code == 0
+    usage_error(invoke(scans_in("nofile"), "-o", tmp_path / "none", *TINY))
+    asked = (scans_in("a"), "-o", tmp_path / "all", *TINY)
+    succeeded(invoke(*asked))
+    again = invoke(*asked, "--resume", "--json")
+    assert printed(again)["kept"] == 1
     assert "batch: kept 1 (hashes verified), 0 to do" in again.stderr
-    assert json.loads(again.stdout)["kept"] == 1
 
 
 def test_scans_without_their_textures_are_told_and_strict_is_1(scans_in, tmp_path, no_workers):
-    manifest = scans_in("a", "bare")
-    done = invoke(manifest, "-o", tmp_path / "out", *TINY)
-    assert done.exit_code == 0
+    asked = (scans_in("a", "bare"), "-o", tmp_path / "out", *TINY)
+    done = succeeded(invoke(*asked))
     assert "  bare: texture skin.jpg is missing: went on without it" in done.stderr.splitlines()
-    assert invoke(manifest, "-o", tmp_path / "out", *TINY, "--resume", "--strict").exit_code == 1
-    assert invoke(scans_in("a"), "-o", tmp_path / "whole", *TINY, "--strict").exit_code == 0
+    assert invoke(*asked, "--resume", "--strict").exit_code == 1
+    succeeded(invoke(scans_in("a"), "-o", tmp_path / "whole", *TINY, "--strict"))
 
 
 def test_a_fault_of_the_manifest_is_one_line_and_leaves_nothing(tmp_path):
-    failed = subprocess.run(
-        [*COMMAND, "none.csv", "-o", "out"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+    failed = run_process("batch", "none.csv", "-o", "out", cwd=tmp_path)
     assert failed.returncode == 2
     assert failed.stderr.startswith("scan2albedo: error: manifest none.csv cannot be read")
     assert len(failed.stderr.splitlines()) == 1
@@ -65,7 +59,7 @@ def test_a_fault_of_the_manifest_is_one_line_and_leaves_nothing(tmp_path):
 
 @pytest.mark.parametrize("wrong", [("--timeout", "0"), ("--lights", "many"), ("--jobs", "-1")])
 def test_wrong_flags_are_2(wrong, tmp_path, scans_in):
-    assert invoke(scans_in("a"), "-o", tmp_path / "out", *wrong).exit_code == 2
+    usage_error(invoke(scans_in("a"), "-o", tmp_path / "out", *wrong))
     assert not (tmp_path / "out").exists()
 
 
@@ -80,10 +74,9 @@ def test_it_has_the_flags_of_process():
 
 def started(manifest, out, rows):
     """Begin a batch and return its process when it has that many rows; its lines go into a file."""
+    command = [*COMMAND, "batch", manifest, "-o", out, *TINY, "--jobs", "2"]
     with (manifest.parent / "stderr").open("w") as said:
-        process = subprocess.Popen(
-            [*COMMAND, manifest, "-o", out, *TINY, "--jobs", "2"], stderr=said, start_new_session=True
-        )
+        process = subprocess.Popen(command, stderr=said, start_new_session=True)
     deadline = time.monotonic() + 200
     while len(list(Layout(out).rows.glob("*.json"))) < rows and time.monotonic() < deadline:
         assert process.poll() is None, (manifest.parent / "stderr").read_text()
@@ -104,24 +97,17 @@ def test_what_was_done_before_a_kill_is_kept_untouched(scans_in, tmp_path):
     process = started(manifest, out, 2)
     process.kill()
     process.wait()
-    layout = Layout(out)
     time.sleep(1.5)  # workers end with their parent
-    finished = [path.stem for path in layout.rows.glob("*.json")]
+    finished = [path.stem for path in Layout(out).rows.glob("*.json")]
     assert 2 <= len(finished) < 5
     before = state(out, finished)
     assert len(before) >= 2 * 8
-    done = subprocess.run(
-        [*COMMAND, manifest, "-o", out, *TINY, "--resume", "--json"],
-        capture_output=True,
-        text=True,
-        timeout=280,
-        check=False,
-    )
+    done = run_process("batch", manifest, "-o", out, *TINY, "--resume", "--json")
     assert done.returncode == 0, done.stderr
     assert f"kept {len(finished)} (hashes verified), {5 - len(finished)} to do" in done.stderr
     assert json.loads(done.stdout)["kept"] == len(finished)
     assert state(out, finished) == before
-    assert [row["status"] for row in load_catalogue(out).to_pylist()] == ["done"] * 5
+    assert statuses(out) == dict.fromkeys(names, "done")
     assert not list(out.rglob("*.part*"))
     names_found, albedo_linear, _ = load_albedos(out)
     assert names_found == names
@@ -161,10 +147,10 @@ def test_ctrl_c_and_sigterm_leave_neither_workers_nor_half_files(
     _, alive = psutil.wait_procs(children, timeout=5)
     assert alive == []
     assert not list(out.rglob("*.part*"))
-    assert json.loads((out / "batch.json").read_text())["status"] == "interrupted"
-    assert {row["status"] for row in load_catalogue(out).to_pylist()} == {"done", "not run"}
-    assert invoke(manifest, "-o", out, *TINY, "--jobs", "1", "--resume").exit_code == 0
-    assert {row["status"] for row in load_catalogue(out).to_pylist()} == {"done"}
+    assert read_json(out / "batch.json")["status"] == "interrupted"
+    assert set(statuses(out).values()) == {"done", "not run"}
+    succeeded(invoke(manifest, "-o", out, *TINY, "--jobs", "1", "--resume"))
+    assert set(statuses(out).values()) == {"done"}
 
 
 @pytest.mark.slow

@@ -3,13 +3,10 @@
 import sys
 
 import pytest
+from helpers.batches import statuses
 
-from scan2albedo.batch import execution, load_catalogue
+from scan2albedo.batch import execution
 from scan2albedo.errors import BatchError, MissingDependencyError
-
-
-def statuses(out):
-    return {row["name"]: row["status"] for row in load_catalogue(out).to_pylist()}
 
 
 @pytest.mark.slow

@@ -1,13 +1,13 @@
 """Damaged, strange and hostile files: each is a row of the catalogue, and the other scans are processed."""
 
 import os
+from dataclasses import replace
 
 import pytest
+from helpers.batches import TINY
 
 from scan2albedo.batch import load_catalogue, run_batch
-from scan2albedo.pipeline.options import ProcessOptions
 
-TINY = ProcessOptions(model="none", size=32, unit="mm", pictures=False, skip=("albedo",))
 pytestmark = pytest.mark.usefixtures("stages_in_this_process", "no_endless_reading")
 
 
@@ -20,43 +20,28 @@ def scans(tmp_path, ball_text):
     return folder
 
 
-def deep_json(folder, ball):
-    (folder / "deep.gltf").write_text('{"nodes":' + "[" * 200_000)
-
-
-def pipe(folder, ball):
-    os.mkfifo(folder / "pipe.obj")
-
-
-def device(folder, ball):
-    (folder / "zero.ply").symlink_to("/dev/zero")
-
-
-def link_to_itself(folder, ball):
-    (folder / "loop.ply").symlink_to(folder / "loop.ply")
-
-
-def rows_of(folder, out, manifest=None):
+def rows_of(manifest, out):
     """Run a batch and return its rows by source."""
-    run_batch(folder if manifest is None else manifest, out, options=TINY, jobs=1)
-    run_batch(folder if manifest is None else manifest, out, options=TINY, jobs=1, resume=True)
+    options = replace(TINY, skip=("albedo",))
+    for resume in (False, True):
+        run_batch(manifest, out, options=options, jobs=1, resume=resume)
     return {row["source"]: row for row in load_catalogue(out).to_pylist()}
 
 
 @pytest.mark.parametrize(
-    ("made", "source", "words"),
+    ("name", "make", "words"),
     [
-        (deep_json, "deep.gltf", "recursion"),
-        (pipe, "pipe.obj", "is a pipe or a device"),
-        (device, "zero.ply", "is a pipe or a device"),
-        (link_to_itself, "loop.ply", "symbolic links"),
+        ("deep.gltf", lambda file: file.write_text('{"nodes":' + "[" * 200_000), "recursion"),
+        ("pipe.obj", os.mkfifo, "is a pipe or a device"),
+        ("zero.ply", lambda file: file.symlink_to("/dev/zero"), "is a pipe or a device"),
+        ("loop.ply", lambda file: file.symlink_to(file), "symbolic links"),
     ],
 )
-def test_a_file_that_cannot_be_read_fails_alone(scans, tmp_path, ball_text, made, source, words):
-    made(scans, ball_text)
+def test_a_file_that_cannot_be_read_fails_alone(scans, tmp_path, name, make, words):
+    make(scans / name)
     rows = rows_of(scans, tmp_path / "out")
-    assert rows[source]["status"] == "failed"
-    assert words in rows[source]["reason"]
+    assert rows[name]["status"] == "failed"
+    assert words in rows[name]["reason"]
     assert rows["~good.ply"]["status"] == "done"
 
 
@@ -84,7 +69,7 @@ def test_names_that_no_file_can_have_fail_alone(scans, tmp_path):
     manifest = tmp_path / "list.txt"
     long, many = "y" * 300 + ".ply", "z/" * 3000 + "z.ply"
     manifest.write_text(f"{long}\n{many}\nscans/~good.ply\n")
-    rows = rows_of(scans, tmp_path / "out", manifest)
+    rows = rows_of(manifest, tmp_path / "out")
     for name in (long, many):
         assert rows[name]["status"] == "failed"
         assert "File name too long" in rows[name]["reason"]
@@ -93,5 +78,5 @@ def test_names_that_no_file_can_have_fail_alone(scans, tmp_path):
 
 def test_cells_of_a_table_are_in_the_catalogue_without_what_a_terminal_obeys(scans, tmp_path):
     (tmp_path / "t.csv").write_text('scan,"co\x1b[0mhort"\nscans/~good.ply,"\x1b[31mred\nline"\n')
-    (row,) = rows_of(scans, tmp_path / "out", tmp_path / "t.csv").values()
+    (row,) = rows_of(tmp_path / "t.csv", tmp_path / "out").values()
     assert row[r"co\x1b[0mhort"] == r"\x1b[31mred\x0aline"

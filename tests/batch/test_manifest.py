@@ -15,13 +15,17 @@ def write(path, text):
     return path
 
 
+def listed(folder, *rows):
+    """Write a table, and return what is read of it."""
+    return read_manifest(write(folder / "list.csv", "\n".join(rows)))
+
+
 def test_a_table_with_options_and_columns_of_its_own(tmp_path):
-    file = write(
-        tmp_path / "list.csv",
-        "\ufeffScan;name;unit;lights;seed;Model;landmarks;group; age of x \n"
+    manifest = listed(
+        tmp_path,
+        "\ufeffScan;name;unit;lights;seed;Model;landmarks;group; age of x ",
         "a/one.ply;Anna;cm;2;7;mine.obj;one.pp;p 1 ; 4\n\n/far/two.OBJ;;;;;;;p2\n",
     )
-    manifest = read_manifest(file)
     first, second = manifest.scans
     assert (first.name, second.name) == ("Anna", "two")
     assert (first.path, second.path) == (tmp_path / "a" / "one.ply", Path("/far/two.OBJ"))
@@ -45,14 +49,8 @@ def test_columns_tell_scans_of_one_name_apart(tmp_path):
 
 
 def test_scans_of_one_person_are_one_entry(tmp_path):
-    rows = [
-        "scan,name,Person,light,seed",
-        "a/scan.obj,day,ann,sun,2",
-        "b.obj,,,lamp,",
-        "c/scan.obj,,ann,lamp,2",
-    ]
-    file = write(tmp_path / "list.csv", "\n".join(rows))
-    ann, alone = read_manifest(file).scans
+    head, rows = "scan,name,Person,light,seed", ["a/scan.obj,day,ann,sun,2", "b.obj,,,lamp,"]
+    ann, alone = listed(tmp_path, head, *rows, "c/scan.obj,,ann,lamp,2").scans
     assert (ann.name, alone.name, alone.members) == ("ann", "b", ())
     assert [(scan.name, scan.path) for scan in ann.members] == [
         ("day", tmp_path / "a" / "scan.obj"),
@@ -69,13 +67,10 @@ def test_a_list_of_paths(tmp_path):
 
 
 def test_a_folder_without_textures_results_and_hidden_files(tmp_path):
-    for name in ("one.OBJ", "one.mtl", "one.png", "sub/two.ply", ".hidden.ply", ".cache/three.ply"):
+    names = "one.OBJ one.mtl one.png sub/two.ply .hidden.ply .cache/three.ply out/y.ply"
+    names += " earlier/two/fitted.glb earlier/two/result.json batch/batch.json batch/x/fitted.glb"
+    for name in names.split():
         write(tmp_path / name, "")
-    write(tmp_path / "earlier" / "two" / "fitted.glb", "")
-    write(tmp_path / "earlier" / "two" / "result.json", "")
-    write(tmp_path / "batch" / "batch.json", "")
-    write(tmp_path / "batch" / "x" / "fitted.glb", "")
-    write(tmp_path / "out" / "y.ply", "")
     manifest = read_manifest(tmp_path, leave_out=tmp_path / "out")
     assert [scan.source for scan in manifest.scans] == ["one.OBJ", "sub/two.ply"]
 
@@ -122,10 +117,9 @@ def test_a_faulty_table_is_one_clear_error(tmp_path, text, words):
     ],
 )
 def test_an_option_that_is_none_is_named_with_its_line(tmp_path, column, cell, words):
-    manifest = read_manifest(write(tmp_path / "list.csv", f"scan,{column}\na.ply,{cell}\n"))
-    with pytest.raises(BatchError, match="line 2") as caught:
-        manifest.scans[0].options(ProcessOptions(), manifest.folder)
-    assert words in str(caught.value)
+    (scan,) = listed(tmp_path, f"scan,{column}", f"a.ply,{cell}").scans
+    with pytest.raises(BatchError, match=f"line 2.*{words}"):
+        scan.options(ProcessOptions(), tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -4,21 +4,21 @@ import json
 import os
 
 import pytest
+from helpers.batches import TINY
 from helpers.folders import contents
+from helpers.records import files_in, read_json
 
 from scan2albedo.batch import load_albedos, load_catalogue, run_batch
 from scan2albedo.batch.catalogue import write_catalogue
 from scan2albedo.batch.records import Layout
 from scan2albedo.errors import BatchError, OutputError
 from scan2albedo.io.leftovers import JOURNAL
-from scan2albedo.pipeline.options import ProcessOptions
 from scan2albedo.report import write_report
 
-TINY = ProcessOptions(model="none", size=32, unit="mm", pictures=False, quality="draft", lights=1)
 pytestmark = pytest.mark.usefixtures("stages_in_this_process")
 
 
-def test_a_folder_of_somebody_else_fails_its_scan_alone(scans_in, tmp_path):
+def test_a_folder_of_somebody_else_fails_its_scan_alone(batched, tmp_path):
     out = tmp_path / "out"
     for name, file in (("a", "albedo.png"), ("b", "result.json"), ("nofile", "template.obj")):
         (out / name).mkdir(parents=True)
@@ -26,7 +26,7 @@ def test_a_folder_of_somebody_else_fails_its_scan_alone(scans_in, tmp_path):
     (tmp_path / "mine").mkdir()
     (out / "linked").symlink_to(tmp_path / "mine")
     before = contents(out)
-    report = run_batch(scans_in("a", "b", "linked", "nofile", "good"), out, options=TINY)
+    report = batched("a", "b", "linked", "nofile", "good")
     assert sorted(report.failures) == ["a", "b", "linked", "nofile"]
     assert all("no run of scan2albedo wrote it" in report.failures[name] for name in ("a", "b", "nofile"))
     assert "is a link" in report.failures["linked"]
@@ -34,13 +34,13 @@ def test_a_folder_of_somebody_else_fails_its_scan_alone(scans_in, tmp_path):
     assert contents(tmp_path / "mine") == {}
 
 
-def test_a_hostile_journal_fails_its_scan_alone(scans_in, tmp_path):
-    manifest, out = scans_in("a", "b"), tmp_path / "out"
-    run_batch(manifest, out, options=TINY)
+def test_a_hostile_journal_fails_its_scan_alone(batched, tmp_path):
+    out = tmp_path / "out"
+    batched("a", "b")
     journal = {"holder": ".x-000000-1-00000000.part", "made": [], "dropped": ["../b/albedo.exr"]}
     (out / "a" / JOURNAL).write_text(json.dumps(journal))
     before = contents(out / "a"), contents(out / "b")
-    report = run_batch(manifest, out, options=TINY, resume=True)
+    report = batched("a", "b", resume=True)
     assert list(report.failures) == ["a"]
     assert "is not ours" in report.failures["a"]
     assert (contents(out / "a"), contents(out / "b")) == before
@@ -59,15 +59,15 @@ def test_a_scan_that_fails_leaves_its_older_result(scans_in, tmp_path):
     assert "the result of an earlier run is still in its folder" in row["notes"]
 
 
-def test_an_edited_result_of_a_batch_is_made_again(scans_in, tmp_path):
-    manifest, out = scans_in("a"), tmp_path / "out"
-    run_batch(manifest, out, options=TINY)
-    (out / "a" / "result.json").write_text("{")
-    (out / "a" / "notes.txt").write_text("mine")
-    assert run_batch(manifest, out, options=TINY, resume=True).failures == {}
-    assert json.loads((out / "a" / "result.json").read_text())["name"] == "a"
-    assert (out / "a" / "notes.txt").read_text() == "mine"
-    assert run_batch(manifest, out, options=TINY, resume=True).progress.kept == 1  # notes do not count
+def test_an_edited_result_of_a_batch_is_made_again(batched, tmp_path):
+    folder = tmp_path / "out" / "a"
+    batched("a")
+    (folder / "result.json").write_text("{")
+    (folder / "notes.txt").write_text("mine")
+    assert batched("a", resume=True).failures == {}
+    assert read_json(folder / "result.json")["name"] == "a"
+    assert (folder / "notes.txt").read_text() == "mine"
+    assert batched("a", resume=True).progress.kept == 1  # notes do not count
 
 
 @pytest.mark.parametrize(
@@ -78,41 +78,40 @@ def test_an_edited_result_of_a_batch_is_made_again(scans_in, tmp_path):
         ("catalogue.parquet", "mine", "is no whole catalogue"),
     ],
 )
-def test_a_record_or_catalogue_of_somebody_else_is_refused(scans_in, tmp_path, file, text, words):
+def test_a_record_or_catalogue_of_somebody_else_is_refused(batched, tmp_path, file, text, words):
     out = tmp_path / "out"
     out.mkdir()
     (out / file).write_text(text)
     for resume in (False, True):
         with pytest.raises(BatchError, match=words if resume else "holds a batch already"):
-            run_batch(scans_in("a"), out, options=TINY, resume=resume)
+            batched("a", resume=resume)
     assert (out / file).read_text() == text
     assert not (out / "a").exists()
 
 
-def test_links_in_the_place_of_records_are_not_followed(scans_in, tmp_path):
-    out, mine = tmp_path / "out", tmp_path / "mine"
+def test_links_in_the_place_of_records_are_not_followed(batched, tmp_path):
+    records, mine = tmp_path / "out" / ".batch", tmp_path / "mine"
     mine.mkdir()
     (mine / "a.json").write_text("mine")
-    out.mkdir()
-    (out / ".batch").symlink_to(mine)
+    records.parent.mkdir()
+    records.symlink_to(mine)
     with pytest.raises(BatchError, match=r"\.batch: is a link"):
-        run_batch(scans_in("a"), out, options=TINY)
-    (out / ".batch").unlink()
-    (out / ".batch").mkdir()
-    (out / ".batch" / "running").symlink_to(mine)
+        batched("a")
+    records.unlink()
+    records.mkdir()
+    (records / "running").symlink_to(mine)
     with pytest.raises(BatchError, match=r"running: is a link"):
-        run_batch(scans_in("a"), out, options=TINY)
+        batched("a")
     assert contents(mine) == {"a.json": b"mine"}
 
 
-def test_files_that_an_edited_record_names_elsewhere_are_not_read(scans_in, tmp_path):
-    manifest, out = scans_in("a"), tmp_path / "out"
-    run_batch(manifest, out, options=TINY)
-    row = Layout(out).row_file("a")
-    record = json.loads(row.read_text())
+def test_files_that_an_edited_record_names_elsewhere_are_not_read(batched, tmp_path):
+    batched("a")
+    row = Layout(tmp_path / "out").row_file("a")
+    record = read_json(row)
     record["files"] = {"/dev/zero": "0" * 64, **record["files"]}
     row.write_text(json.dumps(record))
-    report = run_batch(manifest, out, options=TINY, resume=True)
+    report = batched("a", resume=True)
     assert (report.progress.kept, report.progress.done) == (0, 1)
 
 
@@ -133,36 +132,42 @@ def pipe(file):
     ],
     ids=["pipe", "deep", "bytes", "huge", "cut", "folder"],
 )
-def test_a_scan_whose_record_was_edited_is_done_again_or_fails_alone(scans_in, tmp_path, change):
-    manifest, out = scans_in("a", "b"), tmp_path / "out"
-    run_batch(manifest, out, options=TINY)
-    change(Layout(out).row_file("a"))
-    if Layout(out).row_file("a").is_dir():
+def test_a_scan_whose_record_was_edited_is_done_again_or_fails_alone(batched, tmp_path, change):
+    batched("a", "b")
+    row = Layout(tmp_path / "out").row_file("a")
+    change(row)
+    if row.is_dir():
         with pytest.raises(OutputError, match=r"a\.json"):
-            run_batch(manifest, out, options=TINY, resume=True)
+            batched("a", "b", resume=True)
         return
-    report = run_batch(manifest, out, options=TINY, resume=True)
+    report = batched("a", "b", resume=True)
     assert (report.progress.kept, report.progress.done, report.failures) == (1, 2, {})
 
 
-def test_marks_that_are_none_are_left_alone(scans_in, tmp_path):
+def test_marks_that_are_none_are_left_alone(batched, tmp_path):
     running = Layout(tmp_path / "out").running
     running.mkdir(parents=True)
     os.mkfifo(running / "pipe")
     (running / "deep").write_text("[" * 100_000)
     (running / "a").write_text('{"pid": 1, "started_at": 1.0}')
-    assert run_batch(scans_in("a"), tmp_path / "out", options=TINY).progress.done == 1
-    assert sorted(path.name for path in running.iterdir()) == ["deep", "pipe"]
+    assert batched("a").progress.done == 1
+    assert files_in(running) == {"deep", "pipe"}
+
+
+def edited(out, name, value):
+    """Replace what a column of a catalogue with one scan holds."""
+    table = load_catalogue(out)
+    column = table.column_names.index(name)
+    write_catalogue(out / "catalogue.parquet", table.set_column(column, name, [[value]]))
+    return table
 
 
 @pytest.mark.parametrize("path", ["../mine/albedo.exr", "/mine/albedo.exr", "albedo.exr", "link/albedo.exr"])
-def test_a_catalogue_that_names_files_elsewhere_is_refused(scans_in, tmp_path, path):
+def test_a_catalogue_that_names_files_elsewhere_is_refused(batched, tmp_path, path):
     out = tmp_path / "out"
-    run_batch(scans_in("a"), out, options=TINY)
-    table = load_catalogue(out)
-    column = table.column_names.index("path_albedo_exr")
+    batched("a")
     (out / "link").symlink_to(out / "a")
-    write_catalogue(out / "catalogue.parquet", table.set_column(column, "path_albedo_exr", [[path]]))
+    table = edited(out, "path_albedo_exr", path)
     with pytest.raises(BatchError, match="no file of a scan in it"):
         load_albedos(out)
     write_catalogue(out / "catalogue.parquet", table.drop_columns("path_albedo_exr"))
@@ -170,11 +175,9 @@ def test_a_catalogue_that_names_files_elsewhere_is_refused(scans_in, tmp_path, p
         load_albedos(out)
 
 
-def test_a_report_reads_no_folder_elsewhere(scans_in, tmp_path):
+def test_a_report_reads_no_folder_elsewhere(batched, tmp_path):
     out = tmp_path / "out"
-    run_batch(scans_in("a"), out, options=TINY)
-    table = load_catalogue(out)
-    column = table.column_names.index("folder")
-    write_catalogue(out / "catalogue.parquet", table.set_column(column, "folder", [["../out/a"]]))
+    batched("a")
+    edited(out, "folder", "../out/a")
     assert write_report(out).sections == 0
     assert "names a folder that is not in that of the batch" in (out / "report.html").read_text()

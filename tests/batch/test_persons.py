@@ -1,12 +1,12 @@
 """Persons as tasks of a batch: real scans of the package's own faces."""
 
-import csv
-import json
 import threading
 import time
 
 import numpy as np
 import pytest
+from helpers.records import read_json
+from worlds.files import write_obj
 
 from scan2albedo.batch import load_albedos, load_catalogue, run_batch
 from scan2albedo.batch.records import Layout
@@ -18,26 +18,26 @@ DRAFT = ProcessOptions(quality="draft", size=64, pictures=False)
 
 @pytest.mark.slow
 def test_a_worker_is_killed_in_the_middle_of_a_person(tmp_path):
-    from worlds.files import write_obj
-
     psutil, distributed = pytest.importorskip("psutil"), pytest.importorskip("distributed")
     scanner = Scanner(size=64, picture_size=256, spacing_mm=4.0)
-    rows = [("person", "name", "scan"), ("ann", "broken", "none.obj")]
+    rows = ["person,name,scan", "ann,broken,none.obj"]
     for person, seed in (("ann", 3), ("bob", 8)):
         for k, side in enumerate((-30, 40)):
             lamp = light_at(side, 15, distance_mm=900.0, intensity=2.5)
             write_obj(raw_scan(seed, lights=(lamp,), scanner=scanner)[0], tmp_path / f"{person}{k}.obj")
-            rows.append((person, f"day{k}", f"{person}{k}.obj"))
+            rows.append(f"{person},day{k},{person}{k}.obj")
     manifest, layout, killed = tmp_path / "people.csv", Layout(tmp_path / "out"), []
-    with manifest.open("w", newline="") as file:
-        csv.writer(file).writerows(rows)
+    manifest.write_text("\n".join(rows))
 
     def kill_once():
         while layout.started_at("ann") is None:
             time.sleep(0.05)
         time.sleep(2.0)  # in the middle of its scans
-        killed.append(json.loads((layout.running / "ann").read_text())["pid"])
+        killed.append(read_json(layout.running / "ann")["pid"])
         psutil.Process(killed[0]).kill()
+
+    def again():
+        return run_batch(manifest, layout.out, options=DRAFT, jobs=1, resume=True)
 
     killer = threading.Thread(target=kill_once)
     killer.start()
@@ -58,9 +58,9 @@ def test_a_worker_is_killed_in_the_middle_of_a_person(tmp_path):
     assert np.isfinite(albedos[masks]).all()
     for name in ("ann/day0", "ann/day1", "bob/day1"):
         assert (layout.out / name / "albedo.exr").is_file()
-    kept = run_batch(manifest, layout.out, options=DRAFT, jobs=1, resume=True)
+    kept = again()
     assert kept.progress.kept == 2
     assert kept.files_verified > 40
     (layout.out / "bob" / "day1" / "albedo.exr").unlink()
-    assert run_batch(manifest, layout.out, options=DRAFT, jobs=1, resume=True).progress.kept == 1
+    assert again().progress.kept == 1
     assert (layout.out / "bob" / "day1" / "albedo.exr").is_file()

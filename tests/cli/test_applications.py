@@ -1,14 +1,14 @@
 """The commands for processed faces: what they write, one clear line an error, exit statuses."""
 
-import json
-import subprocess
-import sys
+import shutil
 
 import numpy as np
 import pytest
 from helpers.cli import invoke
 from helpers.commands import printed, succeeded
-from helpers.records import files_in
+from helpers.folders import contents
+from helpers.records import files_in, read_json
+from helpers.usage import run_process, usage_error
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
@@ -19,6 +19,7 @@ from scan2albedo.io.images import read_exr_channels, write_exr
 from scan2albedo.synthetic import face, light_at
 
 pytestmark = pytest.mark.slow
+INPUTS = {"swap": ("a", "b"), "blend": ("a", "b"), "transfer-expression": ("a", "a_smiling", "b")}
 
 
 @pytest.fixture(scope="module")
@@ -38,27 +39,13 @@ def test_what_is_written_is_read_back(folders):
     assert_array_equal(made.albedo_linear, scene.albedo_linear)
     assert_array_equal(made.image.position, scene.image.position)
     assert made.model_name == "default"
-    files = files_in(folders / "a")
-    assert files == set(json.loads((folders / "a" / "application.json").read_text())["files"])
+    assert files_in(folders / "a") == set(read_json(folders / "a" / "application.json")["files"])
 
 
 def test_relight_writes_a_picture_with_json_on_stdout(folders, tmp_path):
     out = tmp_path / "relit.png"
-    summary = printed(
-        invoke(
-            "relight",
-            folders / "a",
-            "--light",
-            "-40,20",
-            "--light",
-            "50,0,2,400",
-            "-o",
-            out,
-            "--size",
-            64,
-            "--json",
-        )
-    )
+    lights = ("--light", "-40,20", "--light", "50,0,2,400")
+    summary = printed(invoke("relight", folders / "a", *lights, "-o", out, "--size", 64, "--json"))
     assert summary["lights"] == 2
     assert "usual" in summary["notes"][0]
     assert np.asarray(Image.open(out)).shape == (64, 64, 3)
@@ -79,12 +66,10 @@ def test_relight_in_linear_colour_is_what_the_library_does(folders, tmp_path):
 def test_an_environment_lights_from_its_side(folders, tmp_path):
     sky = np.zeros((8, 16, 3), np.float32)
     sky[:, 10:13] = 1.0
-    write_exr(tmp_path / "sky.exr", sky)
-    out = tmp_path / "lit.exr"
-    succeeded(
-        invoke("relight", folders / "a", "--environment", tmp_path / "sky.exr", "--size", 32, "-o", out)
-    )
-    green = read_exr_channels(out)["G"]
+    files = tmp_path / "sky.exr", tmp_path / "lit.exr"
+    write_exr(files[0], sky)
+    succeeded(invoke("relight", folders / "a", "--environment", files[0], "--size", 32, "-o", files[1]))
+    green = read_exr_channels(files[1])["G"]
     assert green[:, 16:].sum() > 2 * green[:, :16].sum()
 
 
@@ -100,109 +85,87 @@ def test_relight_writes_glb_and_sweeps(folders, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("command", "inputs", "options"),
+    ("command", "options"),
     [
-        ("swap", ("a", "b"), ()),
-        ("swap", ("a", "b"), ("--keep-color",)),
-        ("blend", ("a", "b"), ("--weight", "0.3")),
-        ("transfer-expression", ("a", "a_smiling", "b"), ("--strength", "0.8")),
+        ("swap", ()),
+        ("swap", ("--keep-color",)),
+        ("blend", ("--weight", "0.3")),
+        ("transfer-expression", ("--strength", "0.8")),
     ],
 )
-def test_new_faces_go_on_to_other_commands(folders, tmp_path, command, inputs, options):
-    summary = printed(
-        invoke(command, *(folders / name for name in inputs), *options, "-o", tmp_path / "new", "--json")
+def test_new_faces_go_on_to_other_commands(folders, tmp_path, command, options):
+    inputs, new = INPUTS[command], tmp_path / "new"
+    made = invoke(command, *(folders / name for name in inputs), *options, "-o", new, "--json")
+    assert printed(made)["inputs"] == list(inputs)
+    assert {"application.json", "geometry_image.npz", "albedo.exr", "fitted.glb", "picture.png"} <= files_in(
+        new
     )
-    assert summary["inputs"] == list(inputs)
-    names = files_in(tmp_path / "new")
-    assert {"application.json", "geometry_image.npz", "albedo.exr", "fitted.glb", "picture.png"} <= names
-    succeeded(
-        invoke("relight", tmp_path / "new", "--light", "20,20", "--size", 32, "-o", tmp_path / "new.png")
-    )
+    succeeded(invoke("relight", new, "--light", "20,20", "--size", 32, "-o", tmp_path / "new.png"))
 
 
 def test_the_correspondence_used_is_told(folders, tmp_path):
-    faces = [folders / name for name in ("a", "a_smiling", "b")]
-    done = invoke("transfer-expression", *faces, "-o", tmp_path / "new", "--json")
-    assert json.loads(done.stdout)["options"]["correspondence"] == "as-fitted"
+    faces = [folders / name for name in INPUTS["transfer-expression"]]
+
+    def transferred(*faces_and_options):
+        return invoke("transfer-expression", *faces_and_options, "-o", tmp_path / "new")
+
+    done = transferred(*faces, "--json")
+    assert printed(done)["options"]["correspondence"] == "as-fitted"
     assert "two people" not in done.stderr
-    mixed = invoke("transfer-expression", *faces[::2], faces[0], "-o", tmp_path / "mixed")
-    assert "a and b seem to show two people" in mixed.stderr
-    refused = invoke("transfer-expression", *faces, "-o", tmp_path / "no", "--correspondence", "refined")
-    assert refused.exit_code != 0
-    wrong = invoke("transfer-expression", *faces, "-o", tmp_path / "no", "--correspondence", "guessed")
-    assert wrong.exit_code == 2
-    assert not (tmp_path / "no").exists()
+    assert "a and b seem to show two people" in transferred(*faces[::2], faces[0]).stderr
+    shutil.rmtree(tmp_path / "new")
+    assert transferred(*faces, "--correspondence", "refined").exit_code != 0
+    usage_error(transferred(*faces, "--correspondence", "guessed"))
+    assert not (tmp_path / "new").exists()
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--light", "ten,20"), "AZ,EL"),
-        (("--light", "10"), "AZ,EL"),
-        (("--light", "10,20,nan"), "other numbers of at most 1e9"),
-        (("--light", "1e308,10"), "angles of at most 360 degrees"),
-        (("--light", "0,0,1e308"), "other numbers of at most 1e9"),
-        (("--light", "10,20,-1"), "negative"),
-        (("--light", "0,0", "--view", "0,90"), "elevation"),
-        ((), "no light"),
-        (("--sweep", "2"), "folder of frames"),
-        (("--light", "0,0", "--exposure", "0"), "above 0"),
-        (("--light", "0,0", "--gloss", "much"), "expected one of"),
+        ("--light ten,20", "AZ,EL"),
+        ("--light 10", "AZ,EL"),
+        ("--light 10,20,nan", "other numbers of at most 1e9"),
+        ("--light 1e308,10", "angles of at most 360 degrees"),
+        ("--light 0,0,1e308", "other numbers of at most 1e9"),
+        ("--light 10,20,-1", "negative"),
+        ("--light 0,0 --view 0,90", "elevation"),
+        ("", "no light"),
+        ("--sweep 2", "folder of frames"),
+        ("--light 0,0 --exposure 0", "above 0"),
+        ("--light 0,0 --gloss much", "expected one of"),
     ],
 )
 def test_wrong_options_are_usage_errors(folders, tmp_path, arguments, words):
-    done = invoke("relight", folders / "a", *arguments, "-o", tmp_path / "out.png")
-    assert done.exit_code == 2
-    assert words in " ".join(done.output.replace("│", " ").split())
+    done = invoke("relight", folders / "a", *arguments.split(), "-o", tmp_path / "out.png")
+    assert words in usage_error(done)
     assert not (tmp_path / "out.png").exists()
 
 
 @pytest.mark.parametrize("weight", ["-0.1", "1.5", "nan"])
 def test_weights_are_parts(folders, tmp_path, weight):
     done = invoke("blend", folders / "a", folders / "b", "--weight", weight, "-o", tmp_path / "new")
-    assert done.exit_code == 2
-    assert "--weight is" in done.output
+    assert "--weight is" in usage_error(done)
 
 
-@pytest.mark.parametrize(
-    ("command", "inputs"),
-    [("swap", ("a", "b")), ("blend", ("a", "b")), ("transfer-expression", ("a", "a_smiling", "b"))],
-)
-def test_an_input_is_not_written_over(folders, command, inputs):
-    before = (folders / "b" / "albedo.exr").read_bytes()
-    done = invoke(command, *(folders / name for name in inputs), "-o", folders / "a" / ".." / "b")
-    assert done.exit_code == 2
-    assert "one of the inputs" in " ".join(done.output.replace("│", " ").split())
-    assert (folders / "b" / "albedo.exr").read_bytes() == before
+@pytest.mark.parametrize("command", INPUTS)
+def test_an_input_is_not_written_over(folders, command):
+    before = contents(folders)
+    done = invoke(command, *(folders / name for name in INPUTS[command]), "-o", folders / "a" / ".." / "b")
+    assert "one of the inputs" in usage_error(done)
+    assert contents(folders) == before
 
 
 def test_relight_leaves_the_result_as_it_is(folders):
-    before = (folders / "a" / "albedo.exr").read_bytes()
-    shown = invoke("relight", folders / "a", "--light", "0,0", "-o", folders / "a" / "albedo.exr")
-    swept = invoke("relight", folders / "a", "--sweep", 2, "-o", folders / "a")
-    assert (shown.exit_code, swept.exit_code) == (2, 2)
-    assert "processed scan itself" in " ".join(shown.output.replace("│", " ").split())
-    assert (folders / "a" / "albedo.exr").read_bytes() == before
-    assert not list((folders / "a").glob("frame_*"))
-
-
-def test_wrong_extensions_are_usage_errors(folders, tmp_path):
-    assert invoke("relight", folders / "a", "--light", "0,0", "-o", tmp_path / "out.bmp").exit_code == 2
-    assert invoke("relight", folders / "a", "--light", "0,0", "-o", tmp_path / "out").exit_code == 2
+    before = contents(folders)
+    for more in (("--light", "0,0", "-o", folders / "a" / "albedo.exr"), ("--sweep", 2, "-o", folders / "a")):
+        assert "processed scan itself" in usage_error(invoke("relight", folders / "a", *more))
+    for name in ("out.bmp", "out"):
+        usage_error(invoke("relight", folders / "a", "--light", "0,0", "-o", folders / name))
+    assert contents(folders) == before
 
 
 def test_bad_input_is_one_line_and_exit_2(folders, tmp_path):
-    command = [
-        sys.executable,
-        "-m",
-        "scan2albedo",
-        "blend",
-        folders / "a",
-        tmp_path,
-        "-o",
-        tmp_path / "new",
-    ]
-    done = subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False, timeout=100)
+    done = run_process("blend", folders / "a", tmp_path, "-o", tmp_path / "new")
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "result.json: is missing" in done.stderr
@@ -210,15 +173,14 @@ def test_bad_input_is_one_line_and_exit_2(folders, tmp_path):
 
 
 def test_personal_models_are_refused_where_they_cannot_be_made(folders, tmp_path):
+    model = tmp_path / "model.json"
     for arguments, words in (
         (("-o", tmp_path / "model.npz"), "ends in .json"),
-        (("-o", tmp_path / "model.json", "--model", tmp_path / "model.json"), "the model itself"),
-        (("-o", tmp_path / "model.json", "--model", "none"), "no shape"),
+        (("-o", model, "--model", model), "the model itself"),
+        (("-o", model, "--model", "none"), "no shape"),
     ):
-        done = invoke("personal-model", folders / "a", *arguments)
-        assert done.exit_code == 2
-        assert words in " ".join(done.output.replace("│", " ").split())
-    done = invoke("personal-model", folders / "a", "-o", tmp_path / "model.json")
+        assert words in usage_error(invoke("personal-model", folders / "a", *arguments))
+    done = invoke("personal-model", folders / "a", "-o", model)
     assert "processed with the model 'default', not" in str(done.exception)
     assert not list(tmp_path.iterdir())
 

@@ -1,12 +1,11 @@
 """`scan2albedo bake`: the colours of a mesh on another one's texture coordinates, as files."""
 
-import json
-
 import numpy as np
 import pytest
 from helpers.cli import invoke
-from helpers.commands import succeeded
+from helpers.commands import printed
 from helpers.meshes import grid
+from helpers.usage import usage_error
 from numpy.testing import assert_allclose
 
 from scan2albedo.cli import applications
@@ -29,13 +28,10 @@ def sheet(cells):
 def meshes(tmp_path):
     """A fine sheet whose picture grows redder to the right, and a coarse one whose u runs to the left."""
     vertices, faces, uv = sheet(12)
-    red = np.linspace(0.1, 0.9, 64, dtype=np.float32)
-    picture = np.stack(np.broadcast_arrays(red, np.float32(0.2), np.full((64, 1), 0.4, np.float32)), -1)
-    every = np.ones(len(faces), bool)
-    source = TexturedMesh(
-        vertices, faces, uv, (MeshPicture("fine.png", encode_image(picture, ".png"), every),)
-    )
-    write_textured_obj(tmp_path / "fine.obj", source)
+    picture = np.full((64, 64, 3), [0, 0.2, 0.4], np.float32)
+    picture[..., 0] = np.linspace(0.1, 0.9, 64)
+    shown = MeshPicture("fine.png", encode_image(picture, ".png"), np.ones(len(faces), bool))
+    write_textured_obj(tmp_path / "fine.obj", TexturedMesh(vertices, faces, uv, (shown,)))
     vertices, faces, uv = sheet(3)
     write_textured_obj(tmp_path / "coarse.obj", TexturedMesh(vertices, faces, uv * (-1, 1) + (1, 0)))
     return tmp_path
@@ -48,8 +44,8 @@ def run(monkeypatch, *arguments):
 
 def test_colours_are_laid_on_the_other_coordinates(meshes, monkeypatch):
     paths = meshes / "fine.obj", meshes / "coarse.obj"
-    done = succeeded(run(monkeypatch, *paths, "-o", meshes / "baked.obj", "--size", "32", "--json"))
-    assert json.loads(done.stdout)["seen"] > 0.95
+    done = run(monkeypatch, *paths, "-o", meshes / "baked.obj", "--size", "32", "--json")
+    assert printed(done)["seen"] > 0.95
     picture = read_image_linear(meshes / "baked.png")[..., :3]
     assert_allclose(picture[16, 2:30, 0], np.linspace(0.9, 0.1, 32)[2:30], atol=0.03)
     assert_allclose(picture[2:30, 16, 2], 0.4, atol=0.02)
@@ -64,8 +60,7 @@ def test_colours_are_laid_on_the_other_coordinates(meshes, monkeypatch):
 def test_nothing_given_is_overwritten(meshes, monkeypatch, out):
     before = (meshes / "coarse.obj").read_bytes()
     done = run(monkeypatch, meshes / "fine.obj", meshes / "coarse.obj", "-o", meshes / out)
-    assert done.exit_code == 2
-    assert "takes a new name that ends in .obj" in done.output
+    assert "takes a new name that ends in .obj" in usage_error(done)
     assert (meshes / "coarse.obj").read_bytes() == before
 
 

@@ -13,9 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.cli import invoke
-from helpers.commands import succeeded
+from helpers.commands import printed, refusal, succeeded
 from helpers.meshes import write_ball
 from helpers.square import write_square_obj
+from helpers.usage import COMMAND, run_process, usage_error
 
 from scan2albedo.cli import commands as cli
 from scan2albedo.cli import doctor
@@ -26,17 +27,9 @@ from scan2albedo.pipeline import sequence, validation
 from scan2albedo.pipeline.sequence import SequenceResult
 from scan2albedo.sampling import geometry_image_of_scan
 
-COMMAND = [sys.executable, "-m", "scan2albedo"]
-
 both_signals = pytest.mark.parametrize(
     ("number", "status", "word"), [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")]
 )
-
-
-def run(*arguments, **options):
-    return subprocess.run(
-        [*COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=300, check=False, **options
-    )
 
 
 def test_the_version_is_printed():
@@ -49,8 +42,14 @@ def ball(tmp_path_factory):
     return write_ball(tmp_path_factory.mktemp("scans") / "ball.ply", 3)
 
 
+@pytest.fixture
+def own_signals(monkeypatch):
+    """Signals stay those of pytest."""
+    monkeypatch.setattr(cli.common, "stop_cleanly_on_interrupt", lambda out: None)
+
+
 def test_an_object_is_processed_and_summarised_as_json(ball, tmp_path):
-    done = run("process", ball, "-o", tmp_path, "--model", "none", "--size", 64, "--json")
+    done = run_process("process", ball, "-o", tmp_path, "--model", "none", "--size", 64, "--json")
     assert done.returncode == 0, done.stderr
     summary = json.loads(done.stdout)
     assert summary["status"] == "done"
@@ -62,54 +61,49 @@ def test_an_object_is_processed_and_summarised_as_json(ball, tmp_path):
 
 @pytest.mark.slow
 def test_some_failed_is_1_and_all_failed_is_2(ball, tmp_path):
-    some = run(
-        "process", ball, tmp_path / "none.obj", "-o", tmp_path, "--model", "none", "--size", 32, "--json"
-    )
+    quick = ("--model", "none", "--size", 32, "--json")
+    some = run_process("process", ball, tmp_path / "none.obj", "-o", tmp_path, *quick)
     assert some.returncode == 1
     assert [entry["status"] for entry in json.loads(some.stdout)] == ["done", "failed"]
-    every = run("process", tmp_path / "none.obj", tmp_path / "no.ply", "-o", tmp_path)
+    every = run_process("process", tmp_path / "none.obj", tmp_path / "no.ply", "-o", tmp_path)
     assert every.returncode == 2
 
 
-def bad_files(folder):
-    """Name -> (content, words of the message)."""
-    return {
-        "empty.obj": (b"", "empty"),
-        "cloud.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "point cloud"),
-        "nan.obj": (b"v 0 0 nan\nv 100 0 0\nv 0 100 0\nf 1 2 3\n", "NaN"),
-        "index.obj": (b"v 0 0 0\nv 100 0 0\nv 0 100 0\nf 1 2 9\n", "damaged or truncated"),
-        "five.obj": (
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("empty.obj", b"", "empty"),
+        ("cloud.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "point cloud"),
+        ("nan.obj", b"v 0 0 nan\nv 100 0 0\nv 0 100 0\nf 1 2 3\n", "NaN"),
+        ("index.obj", b"v 0 0 0\nv 100 0 0\nv 0 100 0\nf 1 2 9\n", "damaged or truncated"),
+        (
+            "five.obj",
             b"v 0 0 0\nv 100 0 0\nv 0 100 0\nv 0 0 100\nv 90 90 90\nf 1 2 3\nf 2 3 4\nf 3 4 5\n",
             "5 vertices",
         ),
-        "garbage.ply": (bytes(range(256)) * 4, "garbage.ply"),
-        "notes.txt": (b"hello", "not supported"),
-    }
-
-
-@pytest.mark.parametrize("name", sorted(bad_files(None)))
-def test_a_bad_file_ends_in_one_line_and_exit_2(name, tmp_path):
-    content, words = bad_files(tmp_path)[name]
+        ("garbage.ply", bytes(range(256)) * 4, "garbage.ply"),
+        ("notes.txt", b"hello", "not supported"),
+    ],
+)
+def test_a_bad_file_ends_in_one_line_and_exit_2(tmp_path, name, content, words):
     (tmp_path / name).write_bytes(content)
     failed = invoke("process", tmp_path / name, "-o", tmp_path / "out")
-    assert failed.exit_code == 2
     assert isinstance(failed.exception, SystemExit)
-    lines = [line for line in failed.stderr.splitlines() if "error:" in line]
-    assert len(lines) == 1
-    assert words in lines[0]
-    assert name.split(".")[0] in lines[0]
+    line = refusal(failed)
+    assert words in line
+    assert name.split(".")[0] in line
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.usefixtures("own_signals")
 def test_every_table_of_the_paper_is_printed_and_summarised_as_json(monkeypatch):
     row = validation.ValidationRow(30.0, "wood", "lambert", 5.0, 0.02, 0.03, 0.01, 0.5, 1)
     monkeypatch.setattr(validation, "validation_row", lambda scene, angle, brdf: row)
     monkeypatch.setattr(
         validation, "lighting_row", lambda seed, size: validation.LightingRow(seed, 12.0, 2.0)
     )
-    monkeypatch.setattr(cli.common, "stop_cleanly_on_interrupt", lambda out: None)
-    done = succeeded(invoke("validate", "--size", 16, "--json"))
-    tables = json.loads(done.stdout)
+    done = invoke("validate", "--size", 16, "--json")
+    tables = printed(done)
     assert [len(tables[name]["rows"]) for name in ("hemisphere", "face", "lighting")] == [12, 12, 2]
     assert tables["hemisphere"]["worst_mse_percent"] == 0.03
     assert tables["lighting"]["albedo_std_percent"] == 2.0
@@ -120,47 +114,45 @@ def test_every_table_of_the_paper_is_printed_and_summarised_as_json(monkeypatch)
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("process", "x.obj"),
-        ("process", "x.obj", "-o", "out", "--lights", "many"),
-        ("process", "x.obj", "-o", "out", "--skip", "nonsense"),
-        ("process", "x.obj", "-o", "out", "--force", "fit"),
-        ("process", "x.obj", "-o", "out", "--lights", "0"),
-        ("process", "x.obj", "-o", "out", "--brdf", "phong"),
-        ("process", "x.obj", "-o", "out", "--unit", "yard"),
-        ("process", "x.obj", "-o", "out", "--budget", "0"),
-        ("process", "x.obj", "-o", "out", "--size", "7"),
-        ("validate", "everything"),
-        ("frobnicate",),
+        "process x.obj",
+        "process x.obj -o out --lights many",
+        "process x.obj -o out --skip nonsense",
+        "process x.obj -o out --force fit",
+        "process x.obj -o out --lights 0",
+        "process x.obj -o out --brdf phong",
+        "process x.obj -o out --unit yard",
+        "process x.obj -o out --budget 0",
+        "process x.obj -o out --size 7",
+        "validate everything",
+        "frobnicate",
     ],
 )
 def test_usage_errors_are_2(arguments, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    failed = invoke(*arguments)
-    assert failed.exit_code == 2
+    failed = invoke(*arguments.split())
     assert isinstance(failed.exception, SystemExit)
-    assert failed.stderr.count("Error") == 1
+    assert usage_error(failed).count("Error") == 1
     assert failed.stdout == ""
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_usage_error_shows_no_traceback(tmp_path):
-    failed = run("process", "x.obj", "-o", "out", "--size", "7", cwd=tmp_path)
+    failed = run_process("process", "x.obj", "-o", "out", "--size", "7", cwd=tmp_path)
     assert failed.returncode == 2
     assert "Traceback" not in failed.stderr
     assert failed.stdout == ""
 
 
-def test_two_scans_of_one_name_are_refused_before_one_overwrites_the_other(tmp_path):
-    answer = invoke("process", "a/face.obj", "b/face.ply", "-o", tmp_path)
-    assert answer.exit_code == 2
-    assert "would both be written" in answer.stderr
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("a/face.obj", "b/face.ply"), "would both be written"),
+        (("a.obj", "b.obj", "--landmarks", "marks.csv"), "folder with files"),
+    ],
+)
+def test_scans_of_one_name_or_one_file_of_landmarks_are_refused(tmp_path, arguments, words):
+    assert words in usage_error(invoke("process", *arguments, "-o", tmp_path))
     assert list(tmp_path.iterdir()) == []
-
-
-def test_one_file_of_landmarks_is_not_taken_for_several_scans(tmp_path):
-    answer = invoke("process", "a.obj", "b.obj", "-o", tmp_path, "--landmarks", tmp_path / "marks.csv")
-    assert answer.exit_code == 2
-    assert "folder with files" in answer.stderr
 
 
 def test_what_is_infinite_is_null_in_the_summary(capsys):
@@ -170,11 +162,8 @@ def test_what_is_infinite_is_null_in_the_summary(capsys):
 
 @both_signals
 def test_interrupting_leaves_nothing_behind(ball, tmp_path, number, status, word):
-    process = subprocess.Popen(
-        [*COMMAND, "process", str(ball), "-o", str(tmp_path), "--model", "none", "--size", "2048"],
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    command = [*COMMAND, "process", ball, "-o", tmp_path, "--model", "none", "--size", "2048"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     assert "reading" in process.stderr.readline()
     time.sleep(0.5)
     process.send_signal(number)
@@ -213,7 +202,7 @@ def test_a_signal_while_a_line_is_written_ends_the_process(number, status, word,
 
 @pytest.mark.slow
 def test_doctor_finds_a_healthy_machine():
-    examined = run("doctor", "--json")
+    examined = run_process("doctor", "--json")
     assert examined.returncode == 0, examined.stdout
     findings = json.loads(examined.stdout)
     assert {"open3d", "numpy", "default face model"} <= {finding["subject"] for finding in findings}
@@ -232,17 +221,12 @@ def test_doctor_finds_every_library_of_pyproject_by_the_name_that_imports_it():
     assert set(doctor.IMPORT_NAMES) <= set(found)
 
 
-def test_doctor_tells_what_an_extra_that_is_not_installed_is_for():
-    finding = doctor.examined_library("no-such-package", "no-such-package>=1", "report")
-    assert finding.good
-    assert "[report] alone" in finding.detail
-    assert "pip install 'scan2albedo[report]'" in finding.remedy
-
-
 def test_doctor_tells_the_command_for_a_missing_library():
-    finding = doctor.examined_library("no-such-package", "no-such-package>=1")
-    assert not finding.good
-    assert "pip install 'no-such-package>=1'" in finding.remedy
+    for extra, installed in (("", "no-such-package>=1"), ("report", "scan2albedo[report]")):
+        finding = doctor.examined_library("no-such-package", "no-such-package>=1", extra)
+        assert finding.good == bool(extra)
+        assert f"pip install '{installed}'" in finding.remedy
+    assert "[report] alone" in finding.detail
 
 
 def test_doctor_names_the_system_packages_when_open3d_cannot_load(monkeypatch):
@@ -257,6 +241,7 @@ def test_doctor_names_the_system_packages_when_open3d_cannot_load(monkeypatch):
     assert "libGL.so.1" in finding.detail
 
 
+@pytest.mark.usefixtures("own_signals")
 @pytest.mark.parametrize("error", [MemoryError, RecursionError, OverflowError])
 def test_a_scan_that_is_too_large_does_not_stop_the_next(tmp_path, monkeypatch, error):
     taken = []
@@ -266,38 +251,35 @@ def test_a_scan_that_is_too_large_does_not_stop_the_next(tmp_path, monkeypatch, 
         raise error
 
     monkeypatch.setattr("scan2albedo.pipeline.process.register", too_large)
-    for name in ("first", "second"):
-        write_square_obj(tmp_path, name=name, texture=f"{name}.png")
-    monkeypatch.setattr(cli.common, "stop_cleanly_on_interrupt", lambda out: None)
-    failed = invoke("process", tmp_path / "first.obj", tmp_path / "second.obj", "-o", tmp_path / "out")
-    assert failed.exit_code == 2
+    files = [write_square_obj(tmp_path, name=name, texture=f"{name}.png") for name in ("first", "second")]
+    told = usage_error(invoke("process", *files, "-o", tmp_path / "out"))
     assert taken == ["first", "second"]
     for name in taken:
-        assert f"error: {name}: " in failed.stderr
-    assert "Traceback" not in failed.stderr
+        assert f"error: {name}: " in told
+    assert "Traceback" not in told
 
 
-def test_strict_is_1_where_a_texture_is_missing(tmp_path, monkeypatch):
-    write_square_obj(tmp_path, name="bare", texture="tex.png")
-    monkeypatch.setattr(cli.common, "stop_cleanly_on_interrupt", lambda out: None)
-    asked = ("process", tmp_path / "bare.obj", "-o", tmp_path / "out", "--model", "none", "--unit", "cm")
+@pytest.mark.usefixtures("own_signals")
+def test_strict_is_1_where_a_texture_is_missing(tmp_path):
+    path = write_square_obj(tmp_path)
+    asked = ("process", path, "-o", tmp_path / "out", "--model", "none", "--unit", "cm")
     asked += ("--size", "16", "--no-pictures")
-    assert invoke(*asked, "--strict").exit_code == 0
-    (tmp_path / "tex.png").unlink()
-    assert invoke(*asked).exit_code == 0
+    succeeded(invoke(*asked, "--strict"))
+    (tmp_path / "face.png").unlink()
+    succeeded(invoke(*asked))
     told = invoke(*asked, "--strict")
     assert told.exit_code == 1
-    assert "no albedo: texture tex.png is missing beside the scan (--textures names" in told.stderr
-    assert (tmp_path / "out" / "bare" / "result.json").exists()
+    assert "no albedo: texture face.png is missing beside the scan (--textures names" in told.stderr
+    assert (tmp_path / "out" / "face" / "result.json").exists()
 
 
+@pytest.mark.usefixtures("own_signals")
 @pytest.mark.parametrize("error", [MemoryError(), ValueError("no such light"), RecursionError("too deep")])
 def test_no_error_leaves_the_commands_bare(monkeypatch, capsys, error):
     def fail():
         raise error
 
     monkeypatch.setattr(cli, "app", fail)
-    monkeypatch.setattr(cli.common, "stop_cleanly_on_interrupt", lambda out: None)
     with pytest.raises(SystemExit, match="2"):
         cli.main()
     shown = capsys.readouterr().err
@@ -305,6 +287,7 @@ def test_no_error_leaves_the_commands_bare(monkeypatch, capsys, error):
     assert shown.count("\n") == 1
 
 
+@pytest.mark.usefixtures("own_signals")
 def test_frames_of_a_take_are_followed_and_a_broken_one_fails_by_name(monkeypatch, tmp_path):
     """The command says what the result does, and leaves options to the library."""
     called = []
@@ -321,21 +304,19 @@ def test_frames_of_a_take_are_followed_and_a_broken_one_fails_by_name(monkeypatc
         return SequenceResult(**whole, **absent, frames=tuple(rows), fps=fps, timings_s={}, options={})
 
     monkeypatch.setattr(sequence, "process_sequence", follow)
-    monkeypatch.setattr(cli.common, "stop_cleanly_on_interrupt", lambda out: None)
     frames = [Path(folder) / "scan.obj" for folder in "abc"]  # of one name: they get no folders
-    given = ("person", "smile", *frames, "-o", tmp_path, "--sequence", "--fps", 25, "--quality", "draft")
-    done = invoke(*given, "--json")
+    given = ("person", "smile", *frames, "-o", tmp_path)
+    done = invoke(*given, "--sequence", "--fps", 25, "--quality", "draft", "--json")
     assert done.exit_code == 1, done.output
     assert called == [(frames, "smile", 25.0, "draft")]
     assert "followed through 2 of 3 frames; fit 0.25 mm mean" in done.stderr
     assert "frame 2, b/scan.obj: left out: it is empty" in done.stderr
-    summary = json.loads(done.stdout)
-    assert [frame["used"] for frame in summary["frames"]] == [True, False, True]
-    assert invoke("person", "smile", *frames, "-o", tmp_path).exit_code == 2
+    assert [frame["used"] for frame in json.loads(done.stdout)["frames"]] == [True, False, True]
+    usage_error(invoke(*given))
 
 
 def test_a_person_of_no_usable_scan_is_one_line(tmp_path):
-    done = run("person", "ann", tmp_path / "missing.obj", "-o", tmp_path / "out")
+    done = run_process("person", "ann", tmp_path / "missing.obj", "-o", tmp_path / "out")
     assert done.returncode == 2
     assert "ann: no scan can be used:" in done.stderr
     assert "missing.obj" in done.stderr

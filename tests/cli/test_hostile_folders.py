@@ -21,18 +21,6 @@ from scan2albedo.io.leftovers import _HOST, JOURNAL
 from scan2albedo.io.load_scan import load_scan
 from scan2albedo.recognition import read_face
 
-RECORDS = (
-    "application.json",
-    "batch.json",
-    "cameras.json",
-    "capture.json",
-    "landmarks.json",
-    "model.json",
-    "photograph.json",
-    "reflectance.json",
-    "result.json",
-)
-
 
 @pytest.fixture
 def hostile(tmp_path):
@@ -48,11 +36,13 @@ def hostile(tmp_path):
     ended.wait()
     holder = f".scan-{_HOST}-{ended.pid}-00000000.part"
     (folder / holder / "link").mkdir(parents=True)
-    for name in ("link/albedo.exr", "report.html"):
-        (folder / holder / name).write_text("new here")
     made, dropped = ["link/albedo.exr", "report.html"], ["notes.txt", "albedo.exr"]
+    for name in made:
+        (folder / holder / name).write_text("new here")
     (folder / JOURNAL).write_text(json.dumps({"holder": holder, "made": made, "dropped": dropped}))
-    for name in (*RECORDS, "notes.txt", "albedo.exr", "geometry_image.npz", "expected_error.exr"):
+    records = "application batch cameras capture landmarks model photograph reflectance result"
+    others = ("notes.txt", "albedo.exr", "geometry_image.npz", "expected_error.exr")
+    for name in (*(f"{record}.json" for record in records.split()), *others):
         (folder / name).write_text("{}")
     write_square_obj(folder)
     write_ball(folder / "fitted.glb")

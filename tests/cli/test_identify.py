@@ -1,15 +1,13 @@
 """The command `identify`: its files, its table, one clear line an error."""
 
 import csv
-import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 from helpers.cli import invoke
-from helpers.commands import succeeded
+from helpers.commands import printed, succeeded
 from helpers.records import files_in, read_json
+from helpers.usage import run_process, usage_error
 from jsonschema import Draft202012Validator
 from PIL import Image
 
@@ -17,6 +15,11 @@ from scan2albedo.errors import OutputError
 from scan2albedo.io.images import write_exr
 from scan2albedo.runs.recognition import FILES, IdentificationRecord
 from scan2albedo.synthetic import face
+
+
+def table_in(folder):
+    """Return the rows of the table that a run wrote."""
+    return list(csv.DictReader((folder / "identification.csv").read_text(encoding="utf-8").splitlines()))
 
 
 @pytest.fixture(scope="module")
@@ -28,23 +31,24 @@ def folder(tmp_path_factory):
         write_exr(root / f"{name}.exr", albedo)
         grain = np.random.default_rng(seed).standard_normal(albedo.shape[:2])[..., None]
         write_exr(root / f"{name}-2.exr", albedo * (1 + 0.05 * grain))
-    lists = {
+    for name, lines in {
         "gallery": ["ann,ann.exr", "bob,bob.exr", "cy,cy.exr"],
         "probes": ["bob,bob-2.exr", "cy,cy-2.exr", ",ann-2.exr"],
         "unnamed": [",ann-2.exr"],
         "one": ["ann,ann.exr"],
-    }
-    for name, lines in lists.items():
+        "signs": ["=1+1,ann.exr", "+bob,bob.exr", "@cy,cy.exr", "-ann,ann-2.exr"],
+    }.items():
         (root / f"{name}.csv").write_text("\n".join(["person,result", *lines]))
     return root
 
 
-def run(folder, *arguments, gallery="gallery.csv", size=("--size", 64)):
+def run(folder, *arguments, probes="probes", gallery="gallery.csv", size=("--size", 64)):
+    arguments += ("--probes", folder / f"{probes}.csv") if probes else ()
     return invoke("identify", "--gallery", folder / gallery, *size, *arguments)
 
 
 def test_a_table_on_stdout_and_the_rate_on_stderr(folder):
-    done = succeeded(run(folder, "--probes", folder / "probes.csv"))
+    done = succeeded(run(folder))
     head, *rows = [line.split() for line in done.stdout.splitlines()]
     assert head[:5] == ["probe", "person", "predicted", "log", "odds"]
     assert "decided by albedo (3)" in done.stderr
@@ -57,47 +61,39 @@ def test_a_table_on_stdout_and_the_rate_on_stderr(folder):
 
 
 def test_files_and_json_tell_the_same(folder, tmp_path):
-    done = succeeded(run(folder, "--probes", folder / "probes.csv", "-o", tmp_path / "out", "--json"))
-    out = tmp_path / "out"
-    assert files_in(out) == {*FILES.names, FILES.record}
-    record = read_json(out / "identification.json")
-    assert json.loads(done.stdout) == record
+    done = run(folder, "-o", tmp_path, "--json")
+    assert files_in(tmp_path) == {*FILES.names, FILES.record}
+    record = read_json(tmp_path / "identification.json")
+    assert printed(done) == record
     Draft202012Validator(IdentificationRecord.model_json_schema(mode="serialization")).validate(record)
     assert record["rates"]["rank_1_rate"] == 1
-    rows = list(csv.DictReader((out / "identification.csv").read_text(encoding="utf-8").splitlines()))
+    rows = table_in(tmp_path)
     assert record["use"] == ["albedo"]  # images have no shape
     assert "no result has shape; they are compared without" in done.stderr
     assert list(rows[0])[:5] == ["probe", "person", "predicted", "log_odds", "decided_by"]
     assert [row["rank"] for row in rows] == ["1", "1", ""]
-    with np.load(out / "similarities.npz") as arrays:
+    with np.load(tmp_path / "similarities.npz") as arrays:
         assert arrays["persons"].tolist() == ["ann", "bob", "cy"]
         assert arrays["probe_persons"].tolist() == ["bob", "cy", ""]
         best = arrays["log_odds"].max(1)
     np.testing.assert_allclose([float(row["log_odds"]) for row in rows], best, atol=1e-3)
     assert [row["decided_by"] for row in rows] == ["albedo"] * 3
     for name in ("cmc.png", "roc.png"):
-        with Image.open(out / name) as picture:
+        with Image.open(tmp_path / name) as picture:
             assert min(picture.size) > 300
 
 
 def test_without_named_probes_there_is_no_rate_and_no_curve_of_an_older_run(folder, tmp_path):
-    succeeded(run(folder, "--probes", folder / "probes.csv", "-o", tmp_path))
-    done = succeeded(run(folder, "--probes", folder / "unnamed.csv", "-o", tmp_path))
+    succeeded(run(folder, "-o", tmp_path))
+    done = succeeded(run(folder, "-o", tmp_path, probes="unnamed"))
     assert "rank 1" not in done.stderr
-    assert files_in(tmp_path) == {
-        "identification.csv",
-        "similarities.npz",
-        FILES.record,
-    }
+    assert files_in(tmp_path) == {"identification.csv", "similarities.npz", FILES.record}
     assert read_json(tmp_path / "identification.json")["rates"] is None
 
 
 def test_names_that_a_spreadsheet_would_run_are_quoted(folder, tmp_path):
-    persons = ["=1+1", "+bob", "@cy"]
-    rows = [f"{person},{name}.exr" for person, name in zip(persons, ("ann", "bob", "cy"), strict=True)]
-    (folder / "signs.csv").write_text("\n".join(["person,result", *rows, "-ann,ann-2.exr"]))
-    succeeded(run(folder, "--probes", folder / "unnamed.csv", "-o", tmp_path, gallery="signs.csv"))
-    (row,) = csv.DictReader((tmp_path / "identification.csv").read_text(encoding="utf-8").splitlines())
+    succeeded(run(folder, "-o", tmp_path, probes="unnamed", gallery="signs.csv"))
+    (row,) = table_in(tmp_path)
     assert row["predicted"] in ("'=1+1", "'-ann")
     assert row["next_person"] in ("'=1+1", "'-ann", "'+bob", "'@cy")
     assert float(row["log_odds"])
@@ -105,7 +101,7 @@ def test_names_that_a_spreadsheet_would_run_are_quoted(folder, tmp_path):
 
 
 def test_a_gallery_of_one_person_has_no_impostor(folder, tmp_path):
-    done = succeeded(run(folder, "--probes", folder / "one.csv", "-o", tmp_path, gallery="one.csv"))
+    done = succeeded(run(folder, "-o", tmp_path, probes="one", gallery="one.csv"))
     assert "1 of 1 probes are in the gallery themselves" in done.stderr
     record = read_json(tmp_path / "identification.json")
     assert record["rates"]["equal_error_rate"] is None
@@ -114,46 +110,30 @@ def test_a_gallery_of_one_person_has_no_impostor(folder, tmp_path):
 
 
 def test_a_gallery_is_kept_and_used_again(folder, tmp_path):
-    kept = succeeded(run(folder, "--save-templates", tmp_path / "gallery.npz", "--json"))
-    assert json.loads(kept.stdout)["persons"] == ["ann", "bob", "cy"]
-    plain = run(folder, "--probes", folder / "probes.csv")
-    again = succeeded(
-        run(folder, "--probes", folder / "probes.csv", gallery=tmp_path / "gallery.npz", size=())
-    )
-    assert again.stdout == plain.stdout
+    kept = run(folder, "--save-templates", tmp_path / "gallery.npz", "--json", probes=None)
+    assert printed(kept)["persons"] == ["ann", "bob", "cy"]
+    again = succeeded(run(folder, gallery=tmp_path / "gallery.npz", size=()))
+    assert again.stdout == run(folder).stdout
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ((), "no probes"),
-        (("-o", "out"), "no probes"),
-        (("--probes", "probes.csv", "--combine", "worst"), "--combine is 'worst'"),
-        (
-            ("--probes", "probes.csv", "--use", "colour"),
-            "--use is 'colour', expected some of albedo,texture,shape",
-        ),
-        (("--save-templates", "gallery.bin"), "ends in .npz"),
+        ("", "no probes"),
+        ("-o out", "no probes"),
+        ("--probes probes.csv --combine worst", "--combine is 'worst'"),
+        ("--probes probes.csv --use colour", "--use is 'colour', expected some of albedo,texture,shape"),
+        ("--save-templates gallery.bin", "ends in .npz"),
     ],
 )
 def test_wrong_options_are_usage_errors(folder, arguments, words):
-    done = run(folder, *arguments)
-    assert done.exit_code == 2
-    assert words in " ".join(done.output.replace("│", " ").split())
+    assert words in usage_error(run(folder, *arguments.split(), probes=None))
 
 
 def test_bad_input_is_one_line_and_exit_2(folder, tmp_path):
     (tmp_path / "gallery.csv").write_text("name,result\nann,ann.exr\n")
-    command = [
-        sys.executable,
-        "-m",
-        "scan2albedo",
-        "identify",
-        "--gallery",
-        tmp_path / "gallery.csv",
-    ]
-    command += ["--probes", folder / "probes.csv", "-o", tmp_path / "out"]
-    done = subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False, timeout=100)
+    lists = ("--gallery", tmp_path / "gallery.csv", "--probes", folder / "probes.csv")
+    done = run_process("identify", *lists, "-o", tmp_path / "out")
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "lacks the column person" in done.stderr
@@ -162,5 +142,5 @@ def test_bad_input_is_one_line_and_exit_2(folder, tmp_path):
 
 def test_a_folder_that_cannot_be_written_is_told_before_anything_is_read(folder, tmp_path):
     (tmp_path / "file").touch()
-    done = run(folder, "--probes", folder / "probes.csv", "-o", tmp_path / "file", gallery="none.csv")
+    done = run(folder, "-o", tmp_path / "file", gallery="none.csv")
     assert isinstance(done.exception, OutputError)

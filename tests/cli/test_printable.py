@@ -3,9 +3,11 @@
 import json
 import re
 
+import numpy as np
 import pytest
 from helpers.cli import invoke
-from helpers.meshes import sphere
+from helpers.commands import refusal, succeeded
+from helpers.meshes import obj_text, sphere
 
 from scan2albedo.cli import progress
 from scan2albedo.core import TraceRow
@@ -23,22 +25,19 @@ def raw(text):
 def scan(tmp_path):
     """A ball with a name, a material and a texture that are not harmless."""
     vertices, faces = sphere(2)
-    lines = [f"mtllib {'a.mtl'}", *(f"v {x} {y} {z}" for x, y, z in vertices), "vt 0 0"]
-    lines += ["usemtl skin\x1b[31m", *(f"f {a + 1}/1 {b + 1}/1 {c + 1}/1" for a, b, c in faces)]
     path = tmp_path / f"ball{EVIL}.obj"
-    path.write_text("\n".join(lines))
+    mesh = obj_text(vertices, faces, np.zeros((len(vertices), 2)))
+    path.write_text(f"mtllib a.mtl\nusemtl skin\x1b[31m\n{mesh}")
     (tmp_path / "a.mtl").write_text("newmtl skin\x1b[31m\nmap_Kd lost\x1b[2J.png\n")
     return path
 
 
 def test_a_processed_scan(scan, tmp_path):
-    done = invoke("process", scan, "-o", tmp_path / "out", "--model", "none", "--size", 32, "--json")
-    assert done.exit_code == 0, done.output
+    done = succeeded(
+        invoke("process", scan, "-o", tmp_path / "out", "--model", "none", "--size", 32, "--json")
+    )
     assert raw(done.stderr) == raw(done.stdout) == []
     assert r"texture lost\x1b[2J.png is missing" in done.stderr
-    assert not [
-        line for line in done.stderr.splitlines() if line.startswith("\x1b") or "reading" in line[60:] * 0
-    ]
     (folder,) = (tmp_path / "out").iterdir()
     assert raw(folder.name) == []
     record = (folder / "result.json").read_text()
@@ -50,9 +49,8 @@ def test_errors_of_the_scan_and_of_the_usage(tmp_path):
     scan = tmp_path / f"a{EVIL}.obj"
     scan.write_text("v 0 0 x\x1b[2J\n")
     failed = invoke("process", scan, "-o", tmp_path / "out")
-    assert failed.exit_code == 2
+    assert refusal(failed)
     assert raw(failed.stderr) == []
-    assert len([line for line in failed.stderr.splitlines() if "error:" in line]) == 1
     for wrong in (
         ("process", scan, scan.with_name(scan.name), "-o", tmp_path / "out"),
         ("process", scan, "-o", tmp_path / "out", "--unit", EVIL),

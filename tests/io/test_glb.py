@@ -8,6 +8,7 @@ from helpers.meshes import sphere
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
+from scan2albedo.geometry.rigid import compose, transform_points
 from scan2albedo.io.glb import GlbPart, write_glb, write_parts_glb
 
 
@@ -51,17 +52,16 @@ def moving(path):
 def test_a_moving_face_has_targets_whose_weights_and_pose_are_animated(tmp_path):
     rng, (vertices, faces) = np.random.default_rng(0), sphere(1, 20.0)
     targets, weights = rng.normal(size=(2, len(vertices), 3)), rng.normal(size=(4, 2))
-    poses = np.tile(np.eye(4), (4, 1, 1))
-    poses[1:, :3, :3] = Rotation.random(3, random_state=1).as_matrix()
-    poses[1:, :3, 3] = rng.normal(size=(3, 3)) * 30
-    file = tmp_path / "a.glb"
-    take = {"time_s": np.arange(4) / 25, "targets": targets, "weights": weights, "pose": poses}
+    turns = Rotation.random(3, random_state=1).as_matrix()
+    poses = np.array([np.eye(4), *map(compose, turns, rng.normal(size=(3, 3)) * 30)])
+    file, times = tmp_path / "a.glb", np.arange(4) / 25
+    take = {"time_s": times, "targets": targets, "weights": weights, "pose": poses}
     write_glb(file, vertices, faces, take=take)
     assert trimesh.load_scene(file).geometry["face"].faces.shape == faces.shape
     base, moved, curves = moving(file)
-    assert_allclose(curves["time_s"], np.arange(4) / 25, rtol=1e-6)
-    for t in range(4):
+    assert_allclose(curves["time_s"], times, rtol=1e-6)
+    for t, pose in enumerate(poses):
         bent = base + np.tensordot(curves["weights"].reshape(4, 2)[t], moved, 1)
         placed = Rotation.from_quat(curves["rotation"][t]).apply(bent) + curves["translation"][t]
-        true = (vertices + np.tensordot(weights[t], targets, 1)) @ poses[t, :3, :3].T + poses[t, :3, 3]
+        true = transform_points(pose, vertices + np.tensordot(weights[t], targets, 1))
         assert_allclose(1000 * placed, true, atol=1e-3)

@@ -1,9 +1,9 @@
 import copy
-import json
 
 import numpy as np
 import pytest
 from helpers.gltf import Gltf
+from helpers.scan_files import textured_gltf
 from helpers.square import (
     SQUARE_FACES,
     SQUARE_MM,
@@ -17,6 +17,7 @@ from helpers.square import (
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import MissingDependencyError, ScanError
+from scan2albedo.geometry.mesh import face_normals
 from scan2albedo.io import load_scan
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.load_scan import read_mesh_file
@@ -24,6 +25,7 @@ from scan2albedo.io.load_scan import read_mesh_file
 PNG = png_bytes(quarters())
 UV_DOWN = SQUARE_UV * (1, -1) + (0, 1)
 DRACO = "KHR_draco_mesh_compression"
+MESHOPT = r".*EXT_meshopt_compression, .*export it again without compression \(gltfpack"
 
 
 def test_a_file_written_by_hand_shows_its_corners(tmp_path):
@@ -55,11 +57,23 @@ def test_scene_transforms_keep_faces_outward_and_colours_in_place(tmp_path, node
     file.tree["nodes"] = nodes
     scan = file.load(tmp_path)
     assert_allclose(scan.vertices[-4:], places, atol=1e-4)
-    corners = scan.vertices[scan.faces]
-    assert (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0).all()
+    assert (face_normals(scan.vertices, scan.faces)[:, 2] > 0).all()
     assert_corner_colors(scan, places)
     assert scan.texture_linear.shape == (8, 8, 3)
     assert ("2 loose components, all kept" in scan.notes) == (len(scan.vertices) == 8)
+
+
+def test_gltf_with_files_beside_it_and_a_damaged_texture(tmp_path):
+    write_image(tmp_path / "face.png", quarters())
+    path = textured_gltf(tmp_path, "face.png").rename(tmp_path / "a.GLTF")
+    assert_corner_colors(load_scan(path))
+    (tmp_path / "face.png").unlink()
+    for scan in (load_scan(path), square_gltf(png_bytes(quarters(64))[:-60]).load(tmp_path)):
+        assert scan.texture_linear is None
+        assert LOST in scan.notes
+    (tmp_path / "data.bin").unlink()
+    with pytest.raises(ScanError, match=r"a\.GLTF: cannot be read as GLTF.*missing file"):
+        load_scan(path)
 
 
 PICTURE = {"index": 0}
@@ -139,45 +153,12 @@ def test_strips_and_interleaved_arrays_and_lines(tmp_path):
 LOST = "the texture of skin is missing, damaged or of an unknown kind: went on without it"
 
 
-def test_gltf_with_files_beside_it(tmp_path):
-    file = square_gltf()
-    file.tree["buffers"][0]["uri"] = "data.bin"
-    file.tree |= {"images": [{"uri": "face.png"}], "textures": [{"source": 0}]}
-    file.material["pbrMetallicRoughness"] = TEXTURE
-    (tmp_path / "data.bin").write_bytes(file.binary)
-    write_image(tmp_path / "face.png", quarters())
-    path = tmp_path / "a.GLTF"
-    path.write_text(json.dumps(file.tree))
-    assert_corner_colors(load_scan(path))
-    (tmp_path / "face.png").unlink()
-    scan = load_scan(path)
-    assert scan.texture_linear is None
-    assert LOST in scan.notes
-    (tmp_path / "data.bin").unlink()
-    with pytest.raises(ScanError, match=r"a\.GLTF: cannot be read as GLTF.*missing file"):
-        load_scan(path)
-
-
-def test_a_damaged_texture_is_told(tmp_path):
-    scan = square_gltf(png_bytes(quarters(64))[:-60]).load(tmp_path)
-    assert scan.texture_linear is None
-    assert LOST in scan.notes
-
-
 @pytest.mark.parametrize("part", [0.01, 0.1, 0.5, 0.95])
 def test_truncated_files_are_refused_by_name(tmp_path, part):
-    data = square_gltf().data()
-    (tmp_path / "a.glb").write_bytes(data[: int(len(data) * part)])
+    path = square_gltf().write(tmp_path / "a.glb")
+    path.write_bytes(path.read_bytes()[: int(path.stat().st_size * part)])
     with pytest.raises(ScanError, match=r"a\.glb: "):
-        load_scan(tmp_path / "a.glb")
-
-
-def wrong_index(file):
-    file.binary = np.array([0, 1, 2, 0, 2, 77], "<u2").tobytes() + file.binary[12:]
-
-
-def unknown_compression(file):
-    file.tree["extensionsRequired"] = ["EXT_meshopt_compression"]
+        load_scan(path)
 
 
 def compressed_nowhere(file):
@@ -190,11 +171,14 @@ def compressed_nowhere(file):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (wrong_index, "a face refers to vertex 77, but there are 4"),
-        (unknown_compression, r".*EXT_meshopt_compression, .*export it again without compression \(gltfpack"),
+        (lambda file: file.tree.update(extensionsRequired=["EXT_meshopt_compression"]), MESHOPT),
         (compressed_nowhere, ""),
         (lambda file: file.tree["bufferViews"][1].update(buffer=-1), ".*a view of buffer"),
         (lambda file: file.tree["bufferViews"][1].update(byteStride=3), ".*a view of buffer"),
+        (
+            lambda file: file.primitive.update(indices=file.add(np.array([0, 1, 2, 0, 2, 77], "<u2"))),
+            "a face refers to vertex 77, but there are 4",
+        ),
     ],
 )
 def test_what_cannot_be_read_is_refused_by_name(tmp_path, change, message):
@@ -208,10 +192,10 @@ def test_what_cannot_be_read_is_refused_by_name(tmp_path, change, message):
 @pytest.mark.parametrize("stride", [None, 8])
 def test_texture_coordinates_of_few_bits(tmp_path, dtype, stride):
     file, kind = square_gltf(PNG), np.dtype(dtype)
-    stored = np.zeros((4, 2 if stride is None else stride // kind.itemsize), kind)
+    stored = np.zeros((4, (stride or 2 * kind.itemsize) // kind.itemsize), kind)
     stored[:, :2] = UV_DOWN * np.iinfo(kind).max
     number = file.add(stored[:, :2], normalized=True)
-    if stride is not None:
+    if stride:
         place = file.view(stored.tobytes(), byteStride=stride)
         file.tree["accessors"][number]["bufferView"] = place
     file.attributes["TEXCOORD_0"] = number
@@ -265,25 +249,25 @@ def test_what_we_write_follows_the_standard(tmp_path):
     """v is counted from the top and lengths are metres in the file itself, not just for our reader."""
     write_glb(tmp_path / "a.glb", SQUARE_MM, SQUARE_FACES, SQUARE_UV, quarters())
     file = Gltf.read(tmp_path / "a.glb")
-    for name, expected in (
-        ("POSITION", SQUARE_MM / 1000),
-        ("TEXCOORD_0", UV_DOWN),
-        ("NORMAL", [[0, 0, 1]] * 4),
-    ):
-        assert_allclose(file.array(file.attributes[name]), expected, atol=1e-7)
+    expected = {"POSITION": SQUARE_MM / 1000, "TEXCOORD_0": UV_DOWN, "NORMAL": [[0, 0, 1]] * 4}
+    for name, values in expected.items():
+        assert_allclose(file.array(file.attributes[name]), values, atol=1e-7)
     assert_corner_colors(load_scan(tmp_path / "a.glb"))
+    write_glb(tmp_path / "bare.glb", SQUARE_MM, SQUARE_FACES, SQUARE_UV)
+    assert_allclose(load_scan(tmp_path / "bare.glb").vertices, SQUARE_MM, atol=1e-4)
 
 
-def test_a_glb_without_texture_and_wrong_calls(tmp_path):
-    write_glb(tmp_path / "a.glb", SQUARE_MM, SQUARE_FACES, SQUARE_UV)
-    assert_allclose(load_scan(tmp_path / "a.glb").vertices, SQUARE_MM, atol=1e-4)
-    for wrong, message in (
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
         ((SQUARE_MM, SQUARE_FACES, None, quarters()), "a texture needs uv"),
         ((SQUARE_MM, SQUARE_FACES, SQUARE_UV[:3]), r"uv has shape \(3, 2\), expected \(4, 2\)"),
         ((SQUARE_MM[:, :2], SQUARE_FACES), "expected"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            write_glb(tmp_path / "b.glb", *wrong)
+    ],
+)
+def test_wrong_calls_write_nothing(tmp_path, wrong, message):
+    with pytest.raises(ValueError, match=message):
+        write_glb(tmp_path / "b.glb", *wrong)
     assert not (tmp_path / "b.glb").exists()
 
 

@@ -1,9 +1,9 @@
-import json
 import shutil
 import sys
 
 import numpy as np
 import pytest
+from helpers.scan_files import textured_gltf, textured_ply, with_picture_file, write_gltf
 from helpers.square import png_bytes, quarters, square_gltf, write_image, write_square_obj
 
 from scan2albedo.core import RawScan
@@ -34,31 +34,19 @@ def test_a_file_that_names_no_others_stands_alone(tmp_path, name):
 
 
 def glb_with_files(folder):
-    file = square_gltf()
-    file.tree |= {"images": [{"uri": "a%20skin.png"}], "textures": [{"source": 0}]}
-    file.material["pbrMetallicRoughness"]["baseColorTexture"] = {"index": 0}
-    write_image(folder / "a skin.png", quarters())
+    file = with_picture_file(square_gltf(), "skin.png")
     file.tree["buffers"].append({"uri": "lost.bin", "byteLength": 8})
     return file.write(folder / "face.glb")
 
 
-def gltf_with_files(folder):
-    file = square_gltf(png_bytes(quarters()))
-    file.tree["buffers"][0]["uri"] = "data.bin"
-    (folder / "data.bin").write_bytes(file.binary)
-    (folder / "face.gltf").write_text(json.dumps(file.tree))
-    return folder / "face.gltf"
+def with_skin(write):
+    """Return what writes a scan and the picture that it names."""
 
+    def made(folder):
+        write_image(folder / "skin.png", quarters())
+        return write(folder)
 
-def ply_with_texture(folder):
-    (folder / "face.ply").write_bytes(
-        b"ply\nformat ascii 1.0\ncomment TextureFile face.png\nelement vertex 4\nproperty float x\n"
-        b"property float y\nproperty float z\nproperty float s\nproperty float t\nelement face 1\n"
-        b"property list uchar int vertex_indices\nend_header\n0 0 0 0 0\n100 0 0 1 0\n100 120 0 1 1\n"
-        b"0 120 0 0 1\n4 0 1 2 3\n"
-    )
-    write_image(folder / "face.png", quarters())
-    return folder / "face.ply"
+    return made
 
 
 def obj_of_several_libraries(folder):
@@ -70,10 +58,11 @@ def obj_of_several_libraries(folder):
 
 def obj_whose_own_texture_is_missing(folder):
     """Of two materials the unused one has its picture; the used one takes that of the scan's name."""
-    library = "newmtl skin\nmap_Kd lost.png\nnewmtl lips\nmap_Kd lips.png\n"
-    path = write_square_obj(folder, mtl=library)
-    write_image(folder / "lips.png", quarters())
-    return path
+    return write_square_obj(folder, mtl="newmtl skin\nmap_Kd lost.png\nnewmtl lips\nmap_Kd skin.png\n")
+
+
+def gltf_with_picture_inside(folder):
+    return write_gltf(folder / "face.gltf", square_gltf(png_bytes(quarters())))
 
 
 def outcome(path):
@@ -86,17 +75,18 @@ def outcome(path):
     return repr((scan.vertices.tolist(), scan.uv, texture, scan.notes))
 
 
-@pytest.mark.parametrize(
-    "made",
-    [
-        write_square_obj,
-        obj_of_several_libraries,
-        obj_whose_own_texture_is_missing,
-        ply_with_texture,
-        gltf_with_files,
-        glb_with_files,
-    ],
-)
+MADE = [
+    write_square_obj,
+    obj_of_several_libraries,
+    with_skin(obj_whose_own_texture_is_missing),
+    with_skin(lambda folder: textured_ply(folder, "skin.png")),
+    with_skin(lambda folder: textured_gltf(folder, "skin.png")),
+    with_skin(glb_with_files),
+    gltf_with_picture_inside,
+]
+
+
+@pytest.mark.parametrize("made", MADE)
 def test_no_file_that_changes_what_is_read_is_left_out_of_the_hash(tmp_path, made):
     path = made(tmp_path)
     before, read, counted = input_sha256(path), outcome(path), set()
@@ -115,16 +105,20 @@ def test_a_file_that_is_not_hashed_is_not_read(tmp_path, monkeypatch):
     module = sys.modules["scan2albedo.io.load_scan"]
     monkeypatch.setattr(module, "files_of_scan", lambda path, textures: (path,))
     with pytest.raises(ScanError, match=r"refers to a missing file"):
-        load_scan(gltf_with_files(tmp_path))
-    for made in (write_square_obj, ply_with_texture, glb_with_files):
+        load_scan(gltf_with_picture_inside(tmp_path))
+    for made in (MADE[0], MADE[3], MADE[5]):
         assert load_scan(made(tmp_path), "mm").texture_linear is None
 
 
 def test_scans_in_memory_are_hashed_by_value():
-    scan = RawScan(np.eye(3), [[0, 1, 2]])
-    assert input_sha256(scan) == input_sha256(RawScan(np.eye(3), [[0, 1, 2]], name="other"))
-    assert input_sha256(scan) != input_sha256(RawScan(np.eye(3), [[0, 2, 1]]))
-    assert input_sha256(scan) != input_sha256(RawScan(np.eye(3), [[0, 1, 2]], vertex_color_linear=np.eye(3)))
+    faces = [[0, 1, 2]]
+    scan = RawScan(np.eye(3), faces)
+    assert input_sha256(scan) == input_sha256(RawScan(np.eye(3), faces, name="other"))
+    for other in (
+        RawScan(np.eye(3), [[0, 2, 1]]),
+        RawScan(np.eye(3), faces, vertex_color_linear=np.eye(3)),
+    ):
+        assert input_sha256(scan) != input_sha256(other)
     assert len(input_sha256(scan)) == 64
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from helpers.scan_files import VERTEX, ply_head
 from helpers.square import quarters, square_gltf, write_image, write_square_obj
 
 import scan2albedo as s2a
@@ -45,14 +46,13 @@ def png_of(width, height):
 
 def declaring(extension, side):
     """Return a whole picture of 16 x 16 pixels whose header declares `side` x `side`."""
-    picture = quarters(16)
-    if extension == ".hdr":
-        data = cv2.imencode(".hdr", picture.astype(np.float32))[1].tobytes()
-        return data.replace(b"-Y 16 +X 16", b"-Y %d +X %d" % (side, side))
-    options = [cv2.IMWRITE_TIFF_COMPRESSION, 1] if extension == ".tif" else []
-    data = bytearray(cv2.imencode(extension, picture, options)[1].tobytes())
     if extension == ".png":
         return png_of(side, side)
+    dtype = np.float32 if extension == ".hdr" else np.uint8
+    options = [cv2.IMWRITE_TIFF_COMPRESSION, 1] if extension == ".tif" else []
+    data = bytearray(cv2.imencode(extension, quarters(16).astype(dtype), options)[1])
+    if extension == ".hdr":
+        return data.replace(b"-Y 16 +X 16", b"-Y %d +X %d" % (side, side))
     if extension == ".bmp":
         data[18:26] = struct.pack("<ii", side, -side)
     elif extension == ".jpg":
@@ -110,14 +110,15 @@ def test_no_room_is_made_before_the_chunks_of_a_png_are_there(tmp_path):
 
 
 def test_exr_windows_are_judged_before_the_pixels(tmp_path):
-    write_exr(tmp_path / "a.exr", np.zeros((4, 4, 3)))
-    data = (tmp_path / "a.exr").read_bytes()
+    file = tmp_path / "a.exr"
+    write_exr(file, np.zeros((4, 4, 3)))
+    data = bytearray(file.read_bytes())
     window = data.index(b"dataWindow") + len(b"dataWindow\0box2i\0") + 4
-    changed = data[:window] + struct.pack("<iiii", 0, 0, 59_999, 59_999) + data[window + 16 :]
-    (tmp_path / "a.exr").write_bytes(changed)
+    data[window : window + 16] = struct.pack("<iiii", 0, 0, 59_999, 59_999)
+    file.write_bytes(data)
     for read in (read_exr_channels, read_image_linear):
         with pytest.raises(ScanError, match=r"a\.exr"):
-            read(tmp_path / "a.exr")
+            read(file)
 
 
 def test_a_texture_that_is_too_large_is_an_error_not_a_scan_without_colour(tmp_path):
@@ -141,23 +142,24 @@ def test_pixels_of_all_materials_count_together_and_shared_pictures_once(tmp_pat
     assert scan.texture_linear.shape == (8, 8, 3)
 
 
-def long_line_off(rows):
-    corners = " ".join(map(str, range(rows)))
-    lines = [f"{i % 317} {i // 317} {i % 7}" for i in range(rows)]
-    return "\n".join(["OFF", f"{rows} 1 0", *lines, f"{rows} {corners}"])
+def long_line_off(rows, lines):
+    return f"OFF\n{rows} 1 0\n{lines}"
 
 
-def long_line_ply(rows):
-    head = ["ply", "format ascii 1.0", f"element vertex {rows}", *(f"property float {a}" for a in "xyz")]
-    head += ["element face 1", "property list int int vertex_indices", "end_header"]
-    return "\n".join([*head, *long_line_off(rows).splitlines()[2:]])
+def long_line_ply(rows, lines):
+    return ply_head(rows, 1).replace("uchar", "int") + lines
 
 
 @pytest.mark.parametrize(("name", "text"), [("a.off", long_line_off), ("a.ply", long_line_ply)])
 def test_one_long_line_makes_no_table_of_all_rows(tmp_path, name, text):
     rows = 60_000  # a table of all rows would have 29 GB
-    (tmp_path / name).write_text(text(rows))
+    lines = [f"{i % 317} {i // 317} {i % 7}" for i in range(rows)]
+    lines.append(" ".join(map(str, (rows, *range(rows)))))
+    (tmp_path / name).write_text(text(rows, "\n".join(lines)))
     assert len(load_scan(tmp_path / name, "mm").faces) > rows / 2
+
+
+FACES = "element face 2\nproperty list uint int vertex_indices"
 
 
 @pytest.mark.parametrize(
@@ -185,31 +187,34 @@ def test_files_are_judged_by_their_size(tmp_path, extension):
         load_scan(path)
 
 
-def binary_ply(head, body):
-    return "\n".join(["ply", "format binary_little_endian 1.0", *head, "end_header\n"]).encode() + body
-
-
-LISTS = ["element face 2", "property list uint int vertex_indices"]
-
-
 @pytest.mark.parametrize(
     ("head", "body", "message"),
     [
-        (LISTS, struct.pack("<I", 0xFFFFFFFF) + bytes(64), "it declares 2 face rows, but ends before"),
-        (LISTS, struct.pack("<IiiiI", 3, 0, 1, 2, 0x7FFFFFFF) + bytes(64), "it declares 2 face rows"),
-        (["element face 4000000000", LISTS[1]], bytes(64), "it declares 4000000000 face rows"),
+        (FACES, struct.pack("<I", 0xFFFFFFFF) + bytes(64), "it declares 2 face rows, but ends before"),
+        (FACES, struct.pack("<IiiiI", 3, 0, 1, 2, 0x7FFFFFFF) + bytes(64), "it declares 2 face rows"),
+        (FACES.replace("2", "4000000000"), bytes(64), "it declares 4000000000 face rows"),
         (
-            ["element vertex 1", *(f"property float x{i}" for i in range(2000))],
+            "\n".join(["element more 1", *(f"property float x{i}" for i in range(2000))]),
             bytes(8000),
-            "2,000 properties of vertex are more than the 1,024",
+            "2,000 properties of more are more than the 1,024",
         ),
     ],
 )
 def test_counts_of_ply_files_make_no_room(tmp_path, head, body, message):
-    vertex = ["element vertex 0", *(f"property float {axis}" for axis in "xyz")]
-    (tmp_path / "a.ply").write_bytes(binary_ply([*([] if "vertex" in head[0] else vertex), *head], body))
+    lines = ["ply", "format binary_little_endian 1.0", "element vertex 0", *VERTEX, head, "end_header\n"]
+    (tmp_path / "a.ply").write_bytes("\n".join(lines).encode() + body)
     with pytest.raises(ScanError, match=message):
         load_scan(tmp_path / "a.ply")
+
+
+def nodes(*tree_nodes, scene=(0,)):
+    return {"nodes": list(tree_nodes), "scenes": [{"nodes": list(scene)}]}
+
+
+MESH = {"mesh": 0}
+
+
+FLOATS = {"componentType": 5126, "count": 10**9, "type": "VEC3"}
 
 
 def test_material_libraries_and_names_are_limited(tmp_path, monkeypatch):
@@ -235,49 +240,23 @@ def test_options_of_a_picture_that_never_end_take_no_time(tmp_path):
     load_scan(write_square_obj(tmp_path, mtl=library))
 
 
-def doubling(tree):
-    tree["nodes"] = [{"children": [i + 1, i + 1]} for i in range(40)] + [{"mesh": 0}]
-
-
-def circle(tree):
-    tree["nodes"] = [{"children": [1], "mesh": 0}, {"children": [0]}]
-
-
-def repeated(tree):
-    tree["nodes"] = [{"mesh": 0} for _ in range(3000)]
-    tree["scenes"][0]["nodes"] = list(range(3000))
-    tree["meshes"][0]["primitives"] *= 2
-
-
-def placeholder(tree):
-    tree["accessors"][1] = {"componentType": 5126, "count": 10**9, "type": "VEC3"}
-
-
-def minus(tree):
-    tree["accessors"][1]["count"] = -4
-
-
-def three(tree):
-    tree["nodes"] = [{"mesh": 0}] * 3
-    tree["scenes"][0]["nodes"] = [0, 1, 2]
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (doubling, ".* nodes"),
-        (circle, "4,097 nodes in its scene"),
-        (repeated, "4,097 primitives of its meshes"),
-        (placeholder, "12,000,.* bytes of arrays"),
-        (minus, "cannot be read as GLB .*an accessor has -4 elements"),
-        (three, "12 vertices of its meshes"),
+        (nodes(*({"children": [i + 1, i + 1]} for i in range(40)), MESH), ".* nodes"),
+        (nodes({"children": [1], **MESH}, {"children": [0]}), "4,097 nodes in its scene"),
+        (nodes(*[MESH] * 3000, scene=range(3000)), "4,097 primitives of its meshes"),
+        ({"accessors": [FLOATS] * 3}, "36,000,000,000 bytes of arrays"),
+        ({"accessors": [FLOATS | {"count": -4}] * 3}, "cannot be read as GLB .*an accessor has -4 elements"),
+        (nodes(MESH, MESH, MESH, scene=range(3)), "12 vertices of its meshes"),
     ],
 )
 def test_scenes_are_judged_before_they_are_made(tmp_path, change, message, monkeypatch):
-    if change is three:
+    if "vertices" in message:
         monkeypatch.setattr(limits, "VERTICES", 10)
     file = square_gltf()
-    change(file.tree)
+    file.tree |= change
+    file.tree["meshes"][0]["primitives"] *= 2
     with pytest.raises(ScanError, match=rf"a\.glb: {message}"):
         file.load(tmp_path)
 

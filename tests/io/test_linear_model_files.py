@@ -8,12 +8,16 @@ import types
 
 import numpy as np
 import pytest
+from helpers.npz import rewritten
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import sparse
 from scipy.io import savemat
+from scipy.spatial.transform import Rotation
 
 from scan2albedo.errors import MissingDependencyError, ModelError
+from scan2albedo.geometry.rigid import compose, transform_points
 from scan2albedo.io.linear_model_files import LinearFaceModel
+from scan2albedo.reflectance.shape_model import MorphableShapeModel
 
 V = 12
 K = 3
@@ -22,6 +26,7 @@ RNG = np.random.default_rng(0)
 MEAN = RNG.normal(size=(V, 3))
 BASIS = RNG.normal(size=(V, 3, K))
 EXPRESSION = RNG.normal(size=(V, 3, E))
+BOTH = np.concatenate([BASIS, EXPRESSION], axis=2)
 DEVIATION = np.array([3.0, 2.0, 0.5])
 FACES = np.array([[0, 1, 2], [2, 3, 4], [5, 6, 11]])
 WEIGHTS = RNG.dirichlet(np.ones(5), V)
@@ -40,11 +45,6 @@ def orthonormal(values):
     return np.linalg.qr(values.reshape(3 * V, -1))[0]
 
 
-def npz(path, **arrays):
-    np.savez(path, **arrays)
-    return path
-
-
 def load(path, data):
     path.write_bytes(data)
     return LinearFaceModel.load(path)
@@ -60,19 +60,18 @@ def assert_same(model, basis, shapes, faces=FACES):
 
 def test_own_layout_scales_directions_to_unit_variance(tmp_path):
     uv, uv_faces = RNG.random((7, 2)), np.array([[0, 1, 2], [3, 4, 5], [6, 0, 1]])
-    model = LinearFaceModel.load(npz(tmp_path / "own.npz", **OWN, uv=uv, uv_faces=uv_faces))
+    np.savez(tmp_path / "own.npz", **OWN, uv=uv, uv_faces=uv_faces)
+    model = LinearFaceModel.load(tmp_path / "own.npz")
     assert_same(model, np.concatenate([BASIS * DEVIATION, EXPRESSION], axis=2), K)
     assert model.name == "own"
     assert_array_equal(model.uv, uv[uv_faces])
 
 
 def test_morphable_shape_models_of_ours_are_read(tmp_path):
-    from scan2albedo.reflectance.shape_model import MorphableShapeModel
-
-    basis = np.moveaxis(np.concatenate([BASIS, EXPRESSION], axis=2), 2, 0)
-    landmarks = np.zeros(68, int)
-    MorphableShapeModel(MEAN, basis, K, FACES, landmarks).save(tmp_path / "ours.npz")
-    assert_same(LinearFaceModel.load(tmp_path / "ours.npz"), np.concatenate([BASIS, EXPRESSION], axis=2), K)
+    MorphableShapeModel(MEAN, np.moveaxis(BOTH, 2, 0), K, FACES, np.zeros(68, int)).save(
+        tmp_path / "ours.npz"
+    )
+    assert_same(LinearFaceModel.load(tmp_path / "ours.npz"), BOTH, K)
 
 
 def test_basel_2009_counts_vertices_from_one_and_has_standard_deviations(tmp_path):
@@ -84,27 +83,33 @@ def test_basel_2009_counts_vertices_from_one_and_has_standard_deviations(tmp_pat
 
 
 def test_basel_2017_adds_the_mean_expression(tmp_path):
-    h5py = pytest.importorskip("h5py")
     basis, expression = orthonormal(BASIS), orthonormal(EXPRESSION)
-    with h5py.File(tmp_path / "bfm.h5", "w") as file:
-        file["shape/model/mean"] = MEAN.ravel() - 1
-        file["shape/model/pcaBasis"], file["shape/model/pcaVariance"] = basis, DEVIATION**2
-        file["expression/model/mean"] = np.ones(3 * V)
-        file["expression/model/pcaBasis"] = expression
-        file["expression/model/pcaVariance"] = np.array([4.0, 1.0])
-        file["shape/representer/cells"], file["shape/representer/points"] = FACES.T, MEAN.T
+    arrays = {
+        "shape/model/mean": MEAN.ravel() - 1,
+        "shape/model/pcaBasis": basis,
+        "shape/model/pcaVariance": DEVIATION**2,
+        "expression/model/mean": np.ones(3 * V),
+        "expression/model/pcaBasis": expression,
+        "expression/model/pcaVariance": np.array([4.0, 1.0]),
+        "shape/representer/cells": FACES.T,
+        "shape/representer/points": MEAN.T,
+    }
     both = np.concatenate([basis * DEVIATION, expression * [2, 1]], axis=1).reshape(V, 3, K + E)
-    assert_same(LinearFaceModel.load(tmp_path / "bfm.h5"), both, K)
+    assert_same(hdf5(tmp_path / "bfm.h5", arrays), both, K)
+
+
+def hdf5(path, arrays):
+    """Write arrays by their names, and return the model that is read of them."""
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        for name, array in arrays.items():
+            file[name] = array
+    return LinearFaceModel.load(path)
 
 
 def test_own_layout_in_hdf5_with_joints(tmp_path):
-    h5py = pytest.importorskip("h5py")
-    with h5py.File(tmp_path / "own.h5", "w") as file:
-        for name, array in OWN.items():
-            file[name] = array
-        file["joints"], file["skinning_weights"] = ["neck", "jaw"], WEIGHTS[:, :2]
-        file["joint_parents"], file["joint_positions"] = [-1, 0], np.eye(3)[:2]
-    model = LinearFaceModel.load(tmp_path / "own.h5")
+    joints = {"joints": ["neck", "jaw"], "skinning_weights": WEIGHTS[:, :2], "joint_parents": [-1, 0]}
+    model = hdf5(tmp_path / "own.h5", OWN | joints | {"joint_positions": np.eye(3)[:2]})
     assert model.joints == ("neck", "jaw")
     assert_array_equal(model.joint_mean, np.eye(3)[:2])
 
@@ -151,7 +156,7 @@ def flame(monkeypatch, **changes):
     monkeypatch.setitem(sys.modules, "chumpy.ch", module)
     return {
         "v_template": Ch(MEAN),
-        "shapedirs": Ch(np.concatenate([BASIS, EXPRESSION], axis=2)),
+        "shapedirs": Ch(BOTH),
         "f": FACES.astype(np.uint32),
         "weights": WEIGHTS,
         "J_regressor": sparse.csc_matrix(REGRESSOR),
@@ -170,7 +175,7 @@ def test_flame_is_read_without_chumpy(tmp_path, monkeypatch, protocol):
     for name in ("chumpy", "chumpy.ch"):
         monkeypatch.setitem(sys.modules, name, None)
     model = load(tmp_path / "generic_model.pkl", text)
-    assert_same(model, np.concatenate([BASIS, EXPRESSION], axis=2), K + E)  # below 300 all are shape
+    assert_same(model, BOTH, K + E)  # below 300 all are shape
     assert model.joints == ("root", "neck", "jaw", "left_eye", "right_eye")
     assert model.parents.tolist() == [-1, 0, 1, 1, 1]
     assert_allclose(model.joint_mean, REGRESSOR @ MEAN)
@@ -186,23 +191,17 @@ def test_flame_of_python_2_is_read(tmp_path):
 
 def test_flame_follows_the_skinning_of_smpl(tmp_path, monkeypatch):
     """Against a plain evaluation with 4 x 4 matrices along the chain (Loper et al., SMPL, 2015)."""
-    from scipy.spatial.transform import Rotation
-
     model = load(tmp_path / "m.pkl", pickle.dumps(flame(monkeypatch)))
     c, vectors = RNG.normal(size=K + E), 0.3 * RNG.normal(size=(5, 3))
     turns = Rotation.from_rotvec(vectors).as_matrix()
-    shaped = MEAN + np.concatenate([BASIS, EXPRESSION], axis=2) @ c
+    shaped = MEAN + BOTH @ c
     joints = REGRESSOR @ shaped
     posed = shaped + POSE @ (turns[1:] - np.eye(3)).ravel()
-    world = []
+    world, expected = [], np.zeros_like(posed)
     for k, parent in enumerate([-1, 0, 1, 1, 1]):
-        local = np.eye(4)
-        local[:3, :3], local[:3, 3] = turns[k], joints[k] - (joints[parent] if k else 0)
+        local = compose(turns[k], joints[k] - (joints[parent] if k else 0))
         world.append(local if k == 0 else world[parent] @ local)
-    expected = np.zeros_like(posed)
-    for k, matrix in enumerate(world):
-        moved = (posed - joints[k]) @ matrix[:3, :3].T + matrix[:3, 3]
-        expected += WEIGHTS[:, k : k + 1] * moved
+        expected += WEIGHTS[:, k : k + 1] * transform_points(world[k], posed - joints[k])
     assert_allclose(model.at(c, vectors), expected, atol=1e-6)
 
 
@@ -225,16 +224,12 @@ def test_hostile_pickles_run_nothing(tmp_path, monkeypatch, protocol):
     assert not os.path.exists(made)
 
 
-NAN = MEAN.copy()
-NAN[3, 1] = np.nan
-
-
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
         ({"mean": None}, "has no mean"),
         ({"faces": None}, "has no faces"),
-        ({"mean": NAN}, "mean holds NaN"),
+        ({"mean": np.where(np.arange(3 * V).reshape(V, 3) == 10, np.nan, MEAN)}, "mean holds NaN"),
         ({"basis": BASIS[:-1]}, r"basis has shape \(11, 3, 3\), expected \(12, 3, K\)"),
         ({"deviation": DEVIATION[:2]}, r"deviation has shape \(2,\), expected \(3,\)"),
         ({"deviation": -DEVIATION}, "0 or more"),
@@ -248,17 +243,13 @@ NAN[3, 1] = np.nan
     ],
 )
 def test_faults_are_one_error_that_names_the_file(tmp_path, changes, said):
-    arrays = {name: array for name, array in {**OWN, **changes}.items() if array is not None}
+    np.savez(tmp_path / "own.npz", **OWN)
+    rewritten(tmp_path / "own.npz", **changes)
     with pytest.raises(ModelError, match=rf"linear model .*own\.npz: .*{said}.*face_model\.md") as caught:
-        LinearFaceModel.load(npz(tmp_path / "own.npz", **arrays))
+        LinearFaceModel.load(tmp_path / "own.npz")
     assert str(caught.value).count("own.npz") == 1
 
 
-OTHER_FILES = {
-    f"{name}, {len(content)} bytes": (name, content, "")
-    for name in ("m.npz", "m.mat", "m.pkl", "m.bin")
-    for content in (b"", b"PK\x03\x04 no model", b"x" * 300, bytes(301))
-}
 CODE = (
     b"cbuiltins\neval\n(S'1'\ntR.",
     b"cnumpy\nload\n(S'x'\ntR.",
@@ -267,31 +258,26 @@ CODE = (
     b"ccopyreg\n__newobj__\n.",
     b"cnumpy.core.multiarray\n_reconstruct\n(cnumpy\nndarray\n(I0\ntS'b'\ntR(dS'a'\ncos\nsystem\nsb.",
 )
-OTHER_FILES |= {f"code {k}": ("m.pkl", text, "the pickle asks for") for k, text in enumerate(CODE)}
-OTHER_FILES |= {
-    f"eos cut at {k}": (
-        "m.bin",
-        eos_bytes(MEAN.reshape(-1, 1), orthonormal(BASIS), DEVIATION.reshape(-1, 1))[:k],
-        "",
-    )
-    for k in (2, 9, 90, 400)
-}
-OTHER_FILES |= {
-    "a memo that would fill memory": ("m.pkl", b"\x80\x04}r\xff\xff\xff\x7f.", "has no mean"),
-    "objects": (
-        "m.pkl",
-        pickle.dumps({"v_template": np.array([{}], object)}),
-        "holds an array of object, expected numbers",
-    ),
-    "a pickle cut short": ("m.pkl", pickle.dumps({"v_template": MEAN})[:-20], ""),
-    "another ending": ("m.fbx", b"x", r"ends in '\.fbx', expected \.npz"),
-    "no file": ("m.npz", None, "No such file"),
-}
+OTHER_FILES = [
+    (name, content, "")
+    for name in ("m.npz", "m.mat", "m.pkl", "m.bin")
+    for content in (b"", b"PK\x03\x04 no model", b"x" * 300, bytes(301))
+]
+OTHER_FILES += [("m.pkl", text, "the pickle asks for") for text in CODE]
+EOS = eos_bytes(MEAN.reshape(-1, 1), orthonormal(BASIS), DEVIATION.reshape(-1, 1))
+OTHER_FILES += [("m.bin", EOS[:size], "") for size in (2, 9, 90, 400)]
+OBJECTS = pickle.dumps({"v_template": np.array([{}], object)})
+OTHER_FILES += [
+    ("m.pkl", b"\x80\x04}r\xff\xff\xff\x7f.", "has no mean"),  # a memo that would fill memory
+    ("m.pkl", OBJECTS, "holds an array of object, expected numbers"),
+    ("m.pkl", pickle.dumps({"v_template": MEAN})[:-20], ""),
+    ("m.fbx", b"x", r"ends in '\.fbx', expected \.npz"),
+    ("m.npz", None, "No such file"),
+]
 
 
-@pytest.mark.parametrize("kind", OTHER_FILES)
-def test_other_files_are_named(tmp_path, kind):
-    name, content, said = OTHER_FILES[kind]
+@pytest.mark.parametrize(("name", "content", "said"), OTHER_FILES, ids=range(len(OTHER_FILES)))
+def test_other_files_are_named(tmp_path, name, content, said):
     if content is not None:
         (tmp_path / name).write_bytes(content)
     with pytest.raises(ModelError, match=rf"linear model .*{name}: {said}"):

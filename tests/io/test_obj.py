@@ -1,4 +1,5 @@
 import unicodedata
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from helpers.square import (
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import OutputError, ScanError
-from scan2albedo.io import load_scan
+from scan2albedo.io import load_scan, parsed_mesh
 from scan2albedo.io.color import srgb_to_linear
 from scan2albedo.io.load_scan import input_sha256
 from scan2albedo.io.obj import read_obj, write_obj
@@ -40,9 +41,8 @@ def test_positions_coordinates_and_colours_arrive(tmp_path):
 @pytest.mark.parametrize("bits", [np.uint8, np.uint16])
 def test_grey_and_rgba_and_deep_textures(tmp_path, bits):
     color = quarters(dtype=bits)
-    alpha = np.full((8, 8, 1), 3, bits)
-    scan = load_scan(write_square_obj(tmp_path, name="rgba", image=np.concatenate([color, alpha], 2)))
-    assert_corner_colors(scan)
+    rgba = np.dstack([color, np.full((8, 8), 3, bits)])
+    assert_corner_colors(load_scan(write_square_obj(tmp_path, name="rgba", image=rgba)))
     scan = load_scan(write_square_obj(tmp_path, name="grey", image=color[..., 0]))
     assert_allclose(color_near_corner(scan, SQUARE_MM[3]), CORNER_LINEAR[3], atol=1e-6)
 
@@ -129,13 +129,14 @@ def test_ways_to_write_the_same_square(tmp_path, text):
 
 def test_libraries_of_utf16_and_of_lines_that_end_with_cr_are_found(tmp_path):
     path = write_square_obj(tmp_path)
-    text, before = path.read_text(), input_sha256(path)
+    text, before, library = path.read_text(), input_sha256(path), tmp_path / "face.mtl"
+    skin = library.read_text()
     for written in (text.encode("utf-16"), ("# of a Mac\n" + text).replace("\n", "\r").encode()):
         path.write_bytes(written)
         assert_corner_colors(load_scan(path))
-        (path.parent / "face.mtl").write_text("newmtl skin\nmap_Kd face.png\n" + "#" * 9)
+        library.write_text(skin + "#" * 9)
         changed = input_sha256(path)
-        (path.parent / "face.mtl").write_text("newmtl skin\nmap_Kd face.png\n")
+        library.write_text(skin)
         assert len({before, changed, input_sha256(path)}) == 3
 
 
@@ -157,18 +158,15 @@ def test_vertex_colours_are_srgb(tmp_path):
         assert_allclose(scan.vertex_color_linear, expected, rtol=1e-6)
 
 
+TWO_MATERIALS = ("f 1/1 3/3", "usemtl other\nf 1/1 3/3")
+
+
 def test_several_materials_become_one_texture(tmp_path):
-    mesh = ["v 0 0 0", "v 100 0 0", "v 100 100 0", "v 0 100 0", "v 200 0 0", "v 200 100 0"]
-    mesh += ["vt 0 0", "vt 1 0", "vt 1 1", "vt 0 1", "mtllib a.mtl"]
-    mesh += ["usemtl left", "f 1/1 2/2 3/3 4/4", "usemtl right", "f 2/1 5/2 6/3 3/4"]
-    (tmp_path / "a.mtl").write_text("newmtl left\nmap_Kd left.png\nnewmtl right\nmap_Kd right.png\n")
-    write_image(tmp_path / "left.png", quarters(8))
-    write_image(tmp_path / "right.png", np.ascontiguousarray(quarters(16)[:, ::-1]))
-    scan = load_scan(write(tmp_path, "\n".join(mesh)))
-    left, right = scan.uv[:2].mean((0, 1)), scan.uv[2:].mean((0, 1))
-    assert not np.allclose(left, right)
-    for place, color in (((0, 0, 0), [1, 0, 0]), ((200, 0, 0), [1, 0, 0]), ((200, 100, 0), CORNER_LINEAR[3])):
-        assert_allclose(color_near_corner(scan, np.array(place, float)), color, atol=1e-6)
+    write_image(tmp_path / "other.png", np.ascontiguousarray(quarters(16)[:, ::-1]))
+    library = "newmtl skin\nmap_Kd face.png\nnewmtl other\nmap_Kd other.png\n"
+    scan = load_scan(write_square_obj(tmp_path, mtl=library, change=TWO_MATERIALS))
+    found = [color_near_corner(scan, SQUARE_MM[corner]) for corner in (1, 3)]
+    assert_allclose(found, CORNER_LINEAR[[1, 2]], atol=1e-6)
     assert any(note.startswith("packed 2 textures into one of") for note in scan.notes)
 
 
@@ -191,11 +189,6 @@ def test_faces_without_coordinates_get_their_materials_colour(tmp_path):
     assert_corner_colors(scan)
     assert_allclose(color_near_corner(scan, np.array([200.0, 120, 0])), [0.21404114, 0, 1], rtol=1e-6)
     assert "faces without texture, given their material's colour: 1" in scan.notes
-
-
-def test_an_unknown_material_is_told(tmp_path):
-    notes = load_scan(write_square_obj(tmp_path, change=("usemtl skin", "usemtl other"))).notes
-    assert any("material other is not in the material library" in note for note in notes)
 
 
 def test_numbers_are_read_to_the_last_bit_but_one(tmp_path):
@@ -261,25 +254,13 @@ def test_a_picture_of_the_scans_own_name_stands_in_for_what_is_missing(tmp_path,
     assert input_sha256(path) != before
 
 
-def test_a_plain_material_needs_no_picture(tmp_path):
-    path = write_square_obj(tmp_path, mtl="newmtl skin\nKd 1 0 0\n")
-    assert load_scan(path).texture_linear is None
-
-
-def test_materials_that_share_a_picture_read_it_once(tmp_path, monkeypatch):
-    from scan2albedo.io import parsed_mesh
-
+def test_materials_that_share_a_picture_read_it_once(tmp_path):
     library = "newmtl skin\nmap_Kd face.png\nnewmtl other\nmap_Kd -clamp on ./face.png\n"
-    path = write_square_obj(tmp_path, mtl=library, change=("f 1/1 3/3", "usemtl other\nf 1/1 3/3"))
-    taken, read = [], parsed_mesh.read_image_linear
-
-    def reading(file, **options):
-        taken.append(file)
-        return read(file, **options)
-
-    monkeypatch.setattr(parsed_mesh, "read_image_linear", reading)
-    scan = load_scan(path)
-    assert len(taken) == 1
+    path = write_square_obj(tmp_path, mtl=library, change=TWO_MATERIALS)
+    read = parsed_mesh.read_image_linear
+    with mock.patch.object(parsed_mesh, "read_image_linear", wraps=read) as reading:
+        scan = load_scan(path)
+    reading.assert_called_once()
     assert scan.texture_linear.shape == (8, 8, 3)
     assert not any("packed" in note for note in scan.notes)
     assert_corner_colors(scan)
@@ -321,11 +302,11 @@ def test_a_picture_in_another_slot_is_the_colour_of_a_material_without(kind):
 
 @pytest.mark.parametrize("weight", ["", "1 "])
 def test_vertices_without_a_colour_were_not_seen(tmp_path, weight):
-    colors = ["1 0 0", "", "0 1 0", "0 0 1"]
-    rows = [f"v {x} {y} {z} {weight * bool(c)}{c}" for (x, y, z), c in zip(SQUARE_MM, colors, strict=True)]
-    (tmp_path / "a.obj").write_text("\n".join([*rows, "f 1 2 3", "f 1 3 4"]))
-    scan = load_scan(tmp_path / "a.obj")
-    assert_array_equal(scan.vertex_color_linear[[0, 2, 3]], np.eye(3)[[0, 1, 2]])
+    text = obj_text(SQUARE_MM, [(0, 1, 2), (0, 2, 3)])
+    for place, color in (("0 0 0", "1 0 0"), ("100 120 0", "0 1 0"), ("0 120 0", "0 0 1")):
+        text = text.replace(f"v {place}\n", f"v {place} {weight}{color}\n")
+    scan = load_scan(write(tmp_path, text))
+    assert_array_equal(scan.vertex_color_linear[[0, 2, 3]], np.eye(3))
     assert scan.color_seen.tolist() == [True, False, True, True]
 
 

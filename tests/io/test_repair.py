@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from helpers.meshes import obj_text, sphere
+from helpers.square import SQUARE_FACES, SQUARE_MM, SQUARE_UV
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
@@ -25,14 +26,6 @@ SHAPES = st.tuples(st.integers(1, 40), st.just(3))
 def test_equal_rows_are_found_as_a_slow_search_finds_them(rows):
     slow = [next(j for j in range(len(rows)) if (rows[j] == rows[i]).all()) for i in range(len(rows))]
     assert first_equal_row(rows).tolist() == slow
-
-
-def test_a_clean_mesh_stays_as_it_is():
-    mesh = ParsedMesh(VERTICES, FACES)
-    fixed = repair(mesh)
-    assert fixed.notes == ()
-    assert_array_equal(fixed.vertices, VERTICES)
-    assert_array_equal(fixed.faces, FACES)
 
 
 def test_each_fault_is_mended_and_told():
@@ -72,24 +65,28 @@ def test_slivers_go_and_thin_triangles_stay_at_any_scale(scale, offset):
     assert_array_equal(fixed.vertices, vertices[3:])
 
 
-def test_broken_vertices_count_only_when_faces_use_them(tmp_path):
+def test_a_clean_mesh_stays_as_it_is_and_broken_vertices_count_only_when_faces_use_them():
+    fixed = repair(ParsedMesh(VERTICES, FACES))
+    assert fixed.notes == ()
+    assert_array_equal(fixed.vertices, VERTICES)
+    assert_array_equal(fixed.faces, FACES)
     vertices = np.concatenate([VERTICES, [[np.nan, 0, 0]]])
     assert len(repair(ParsedMesh(vertices, FACES)).vertices) == len(VERTICES)
     require_usable(ParsedMesh(vertices, FACES), "a.obj")
     vertices[[5, 9], 1] = np.inf, 1e200
-    with pytest.raises(
-        ScanError, match=r"a\.obj: 2 vertices used by faces are NaN or infinite .*, the first is vertex 5 "
-    ):
+    told = r"a\.obj: 2 vertices used by faces are NaN or infinite .*, the first is vertex 5 "
+    with pytest.raises(ScanError, match=told):
         require_usable(ParsedMesh(vertices, FACES), "a.obj")
 
 
 def test_seams_of_an_obj_are_closed_and_their_coordinates_kept(tmp_path):
     """Two triangles that share an edge only by position."""
-    places = [(0, 0, 0), (100, 0, 0), (100, 100, 0), (0, 0, 0), (100, 100, 0), (0, 100, 0)]
-    uv = [(0, 0), (0.4, 0), (0.4, 0.4), (0.6, 0.6), (1, 1), (0.6, 1)]
-    (tmp_path / "a.obj").write_text(obj_text(places, [(0, 1, 2), (3, 4, 5)], uv))
+    places = SQUARE_MM[SQUARE_FACES].reshape(-1, 3)
+    uv = SQUARE_UV[SQUARE_FACES].reshape(-1, 2) * 0.4
+    uv[3:] += 0.6
+    (tmp_path / "a.obj").write_text(obj_text(places, np.arange(6).reshape(2, 3), uv))
     scan = load_scan(tmp_path / "a.obj")
     assert len(scan.vertices) == 4
     assert vertex_components(len(scan.vertices), scan.faces).max() == 0
-    assert_allclose(scan.uv[1], [[0.6, 0.6], [1, 1], [0.6, 1]])
+    assert_allclose(scan.uv, uv.reshape(2, 3, 2))
     assert "vertices merged at equal positions (seams): 2" in scan.notes

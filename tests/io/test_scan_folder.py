@@ -1,12 +1,13 @@
 """A scan's materials and textures come from its own folder, and from one more where the user says so."""
 
-import json
 import shutil
 
-import numpy as np
 import pytest
 from helpers.cli import invoke
-from helpers.square import quarters, square_gltf, write_image, write_square_obj
+from helpers.commands import succeeded
+from helpers.records import read_json
+from helpers.scan_files import textured_gltf, textured_ply
+from helpers.square import quarters, write_image, write_square_obj
 
 from scan2albedo import load_scan
 from scan2albedo.errors import ScanError
@@ -14,25 +15,6 @@ from scan2albedo.io.load_scan import files_of_scan, input_sha256
 from scan2albedo.io.parsed_mesh import ScanFolder
 
 OUTSIDE = "lies outside the scan's folder, and only --textures"
-
-
-def ply(folder, texture):
-    lines = ["ply", "format ascii 1.0", f"comment TextureFile {texture}", "element vertex 3"]
-    lines += [f"property float {name}" for name in "xyzst"]
-    lines += ["element face 1", "property list uchar int vertex_indices", "end_header"]
-    lines += ["0 0 0 0 0", "100 0 0 1 0", "0 100 0 0 1", "3 0 1 2"]
-    (folder / "face.ply").write_text("\n".join(lines) + "\n")
-    return folder / "face.ply"
-
-
-def gltf(folder, texture):
-    file = square_gltf()
-    file.tree["buffers"][0]["uri"] = "face.bin"
-    file.tree |= {"images": [{"uri": texture}], "textures": [{"source": 0}]}
-    file.material["pbrMetallicRoughness"]["baseColorTexture"] = {"index": 0}
-    (folder / "face.bin").write_bytes(file.binary)
-    (folder / "face.gltf").write_text(json.dumps(file.tree))
-    return folder / "face.gltf"
 
 
 def obj(folder, texture):
@@ -45,14 +27,14 @@ def obj(folder, texture):
 def places(tmp_path):
     """The scan's folder, and another with a texture."""
     scan, other = tmp_path / "scan", tmp_path / "other"
+    for folder in (other, other / "deep"):
+        folder.mkdir()
+        write_image(folder / "secret.png", quarters())
     scan.mkdir()
-    (other / "deep").mkdir(parents=True)
-    write_image(other / "secret.png", quarters())
-    write_image(other / "deep" / "secret.png", quarters())
     return scan, other
 
 
-@pytest.mark.parametrize("written", [obj, ply, gltf])
+@pytest.mark.parametrize("written", [obj, textured_ply, textured_gltf])
 @pytest.mark.parametrize("way", ["absolute", "upward", "a link", "a linked folder"])
 def test_a_texture_elsewhere_is_not_read_unless_its_folder_is_given(places, written, way):
     scan, other = places
@@ -66,7 +48,7 @@ def test_a_texture_elsewhere_is_not_read_unless_its_folder_is_given(places, writ
     assert not [file for file in files_of_scan(path) if file.suffix == ".png"]
     allowed = load_scan(path, textures=other)
     assert allowed.texture_linear.shape == (8, 8, 3)
-    assert [file.name for file in files_of_scan(path, other)][-1].endswith(".png")
+    assert files_of_scan(path, other)[-1].suffix == ".png"
     assert input_sha256(path) != input_sha256(path, other)
     assert load_scan(path, textures=other / "deep").texture_linear is not None or way.startswith("a link")
 
@@ -109,14 +91,13 @@ def test_names_that_no_file_has_find_nothing(places, name):
 
 def test_the_command_takes_the_folder(places, tmp_path):
     scan, other = places
-    path = obj(scan, "../other/secret.png")
-    arguments = ["process", path, "-o", tmp_path / "out", "--model", "none", "--size", 32, "--no-pictures"]
+    path, out = obj(scan, "../other/secret.png"), tmp_path / "out"
+    arguments = ["process", path, "-o", out, "--model", "none", "--size", 32, "--no-pictures"]
     arguments += ["--quality", "draft", "--lights", 1]
     for more, seen in (((), False), (("--textures", other), True)):
-        done = invoke(*arguments, *more)
-        assert done.exit_code == 0, done.output
+        done = succeeded(invoke(*arguments, *more))
         assert (OUTSIDE in done.stderr) is not seen
-        assert (tmp_path / "out" / "face" / "albedo.exr").exists() is seen
-    record = json.loads((tmp_path / "out" / "face" / "result.json").read_text())
+        assert (out / "face" / "albedo.exr").exists() is seen
+    record = read_json(out / "face" / "result.json")
     assert record["options"]["textures"] == str(other)
-    np.testing.assert_equal(record["input"]["sha256"], input_sha256(path, other))
+    assert record["input"]["sha256"] == input_sha256(path, other)

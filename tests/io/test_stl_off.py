@@ -20,21 +20,32 @@ def written(path, data):
     return path
 
 
+@pytest.mark.parametrize(
+    ("kind", "old", "new"),
+    [
+        ("stl", b"", b""),
+        ("stl_ascii", b"endloop\n", b"endloop "),
+        ("stl_ascii", b"solid \n", b"solid by # 5 vertex\n"),
+        ("stl_ascii", b"solid", b"solid Gesch\xfctz"),  # in no particular encoding
+    ],
+)
+def test_an_stl_of_other_lines_or_that_begins_with_solid_gives_the_same(tmp_path, kind, old, new):
+    data = exported(kind)
+    assert old in data
+    # A binary file may begin with "solid", too.
+    changed = b"solid" + data[5:] if kind == "stl" else data.replace(old, new)
+    plain, other = (load_scan(written(tmp_path / "a.stl", each)) for each in (data, changed))
+    assert_allclose(other.vertices, plain.vertices, rtol=1e-14)
+    assert_array_equal(other.faces, plain.faces)
+
+
 @pytest.mark.parametrize("kind", ["stl", "stl_ascii"])
 def test_stl_comes_back_welded(tmp_path, kind):
     scan = load_scan(written(tmp_path / "a.STL", exported(kind)))
     assert scan.vertices.shape == SPHERE.vertices.shape
-    assert_allclose(
-        np.sort(scan.vertices[scan.faces].reshape(-1, 9), axis=0),
-        np.sort(SPHERE.triangles.reshape(-1, 9), axis=0),
-        atol=1e-4,
-    )
+    corners, true = (np.sort(c.reshape(-1, 9), axis=0) for c in (scan.vertices[scan.faces], SPHERE.triangles))
+    assert_allclose(corners, true, atol=1e-4)
     assert f"vertices merged at equal positions (seams): {3 * len(SPHERE.faces) - 162}" in scan.notes
-
-
-def test_a_binary_stl_may_begin_with_solid(tmp_path):
-    path = written(tmp_path / "a.stl", b"solid" + exported("stl")[5:])
-    assert len(load_scan(path).faces) == len(SPHERE.faces)
 
 
 @pytest.mark.parametrize("part", [0.001, 0.3, 0.999])
@@ -55,23 +66,6 @@ def test_all_solids_of_a_text_stl_are_read(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("old", "new"), [(b"endloop\n", b"endloop "), (b"solid \n", b"solid by # 5 vertex\n")]
-)
-def test_a_text_stl_of_other_lines_gives_the_same(tmp_path, old, new):
-    text = exported("stl_ascii")
-    assert old in text
-    plain = load_scan(written(tmp_path / "a.stl", text))
-    other = load_scan(written(tmp_path / "b.stl", text.replace(old, new)))
-    assert_allclose(other.vertices, plain.vertices, rtol=1e-14)
-    assert_array_equal(other.faces, plain.faces)
-
-
-def test_the_name_of_a_text_stl_may_be_in_any_encoding(tmp_path):
-    text = exported("stl_ascii").replace(b"solid", b"solid Gesch\xfctz", 1)
-    assert len(load_scan(written(tmp_path / "a.stl", text)).faces) == len(SPHERE.faces)
-
-
-@pytest.mark.parametrize(
     "data", [bytes(84), b"solid\nvertex 0 0\nvertex 1 0\nvertex 1 1\nendsolid\n", b"solid\nendsolid\n"]
 )
 def test_an_stl_without_triangles_is_refused_by_name(tmp_path, data):
@@ -79,35 +73,32 @@ def test_an_stl_without_triangles_is_refused_by_name(tmp_path, data):
         load_scan(written(tmp_path / "a.stl", data))
 
 
-def off(path, header="OFF", vertices=None, faces=None, counts=None):
-    rows = [" ".join(str(x) for x in v) for v in (SQUARE_MM if vertices is None else vertices)]
-    cells = faces or ["3 0 1 2", "3 0 2 3"]
-    counts = counts or f"{len(rows)} {len(cells)} 0"
-    path.write_text("\n".join([header, counts, *rows, *cells]))
+def off(path, header="OFF", vertices=SQUARE_MM, faces=("3 0 1 2", "3 0 2 3"), counts=None):
+    rows = [" ".join(map(str, vertex)) for vertex in vertices]
+    counts = counts or f"{len(rows)} {len(faces)} 0"
+    path.write_text("\n".join([header, counts, *rows, *faces]))
     return path
 
 
 @pytest.mark.parametrize(
-    ("header", "counts"),
-    [("OFF", None), ("# made by hand\nOFF # it is\n\n", None), ("OFF 4 2 0", "# counted")],
+    "options",
+    [
+        {},
+        {"header": "# made by hand\nOFF # it is\n\n"},
+        {"header": "OFF 4 2 0", "counts": "# counted"},
+        {"faces": ["4 0 1 2 3 255 0 0"]},
+    ],
 )
-def test_off(tmp_path, header, counts):
-    scan = load_scan(off(tmp_path / "a.off", header, counts=counts))
+def test_off(tmp_path, options):
+    scan = load_scan(off(tmp_path / "a.off", **options))
     assert_array_equal(scan.vertices, SQUARE_MM)
-    assert_array_equal(scan.faces, SQUARE_FACES)
-
-
-def test_off_polygons_and_face_colours(tmp_path):
-    scan = load_scan(off(tmp_path / "a.off", faces=["4 0 1 2 3 255 0 0"]))
     assert_array_equal(scan.faces, SQUARE_FACES)
 
 
 @pytest.mark.parametrize("top", [1, 255])
 def test_coff_vertex_colours(tmp_path, top):
-    rows = [
-        (*v, *(c / 255 * top for c in color), top)
-        for v, color in zip(SQUARE_MM, CORNER_COLORS.values(), strict=True)
-    ]
+    colors = np.array(list(CORNER_COLORS.values())) / 255 * top
+    rows = np.column_stack([SQUARE_MM, colors, np.full(4, top)])
     scan = load_scan(off(tmp_path / "a.off", "COFF", vertices=rows))
     assert_allclose(scan.vertex_color_linear, CORNER_LINEAR, rtol=1e-5)
 

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from scan2albedo.geometry.rasterization import bilinear, pixels_from_uv
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh
 from scan2albedo.io.texture_atlas import pack_texture
 
@@ -11,20 +12,14 @@ RNG = np.random.default_rng(3)
 def smooth(height, width, seed):
     """A texture whose bilinear lookup is exact for linear ramps."""
     slope = np.random.default_rng(seed).random((2, 3))
-    rows, columns = (np.arange(height) + 0.5) / height, (np.arange(width) + 0.5) / width
-    return (rows[:, None, None] * slope[0] + columns[None, :, None] * slope[1]).astype(np.float32)
+    places = np.stack(np.mgrid[0.5:height, 0.5:width], -1) / (height, width)
+    return (places @ slope).astype(np.float32)
 
 
-def bilinear(texture, uv):
+def looked_up(texture, uv):
     """Bilinear lookup with the convention of `RawScan`; texel centres at half-integers."""
-    height, width = texture.shape[:2]
-    x = np.clip(uv[..., 0] * width - 0.5, 0, width - 1)
-    y = np.clip((1 - uv[..., 1]) * height - 0.5, 0, height - 1)
-    left, top = np.minimum(x.astype(int), width - 2), np.minimum(y.astype(int), height - 2)
-    a, b = (x - left)[..., None], (y - top)[..., None]
-    upper = texture[top, left] * (1 - a) + texture[top, left + 1] * a
-    lower = texture[top + 1, left] * (1 - a) + texture[top + 1, left + 1] * a
-    return upper * (1 - b) + lower * b
+    values = bilinear(texture, pixels_from_uv(uv.reshape(-1, 2), texture.shape[:2]))
+    return values.reshape(*uv.shape[:-1], -1)
 
 
 def packed_of(uv, *materials, material=None):
@@ -51,7 +46,7 @@ def test_interpolated_lookups_are_the_same_in_the_atlas():
     for i, texture in enumerate(textures):
         mine = material == i
         assert_allclose(
-            bilinear(packed.texture_linear, packed.uv[mine]), bilinear(texture, uv[mine]), atol=1e-5
+            looked_up(packed.texture_linear, packed.uv[mine]), looked_up(texture, uv[mine]), atol=1e-5
         )
     assert packed.uv.min() >= 0
     assert packed.uv.max() <= 1
@@ -70,10 +65,10 @@ def test_untextured_faces_get_colour_and_unused_textures_no_room():
     packed = packed_of(uv, *materials, material=np.array([0, 1, 0, -1]))
     assert max(packed.texture_linear.shape) < 30
     # No picture showed the colour of a material: its alpha is 0.
-    assert_allclose(bilinear(packed.texture_linear, packed.uv[1]), [[0.1, 0.2, 0.3, 0]] * 3, rtol=1e-6)
+    assert_allclose(looked_up(packed.texture_linear, packed.uv[1]), [[0.1, 0.2, 0.3, 0]] * 3, rtol=1e-6)
     plain = np.tile([0.5, 0.5, 0.5, 0], (2, 3, 1))
-    assert_allclose(bilinear(packed.texture_linear, packed.uv[[2, 3]]), plain, rtol=1e-6)
-    assert bilinear(packed.texture_linear, packed.uv[0])[:, 3].min() == 1
+    assert_allclose(looked_up(packed.texture_linear, packed.uv[[2, 3]]), plain, rtol=1e-6)
+    assert looked_up(packed.texture_linear, packed.uv[0])[:, 3].min() == 1
     assert "faces without texture, given their material's colour: 3" in packed.notes
 
 
@@ -93,31 +88,27 @@ def test_faces_across_a_period_get_the_texture_repeated():
     uv = np.array([[[0.5, 0.5], [2.5, 0.5], [0.5, 1.25]]])
     packed = packed_of(uv, texture)
     assert packed.texture_linear.shape == (16, 24, 3)
-    inside = (uv[0] + 1e-9) % 1
-    inner = (np.array([[0.2, 0.3, 0.5], [0.6, 0.3, 0.1], [0.1, 0.8, 0.1]]) @ uv[0]) % 1
-    looked = np.array([[0.2, 0.3, 0.5], [0.6, 0.3, 0.1], [0.1, 0.8, 0.1]]) @ packed.uv[0]
-    for want, got in ((inside, packed.uv[0] + 1e-10), (inner, looked)):
-        nearest = [texture[int((1 - v) * 8), int(u * 8)] for u, v in want]
-        found = [packed.texture_linear[int((1 - v) * 16), int(u * 24)] for u, v in got]
-        assert_array_equal(found, nearest)
+    # At the corners, and between them.
+    weights = np.concatenate([np.eye(3), [[0.2, 0.3, 0.5], [0.6, 0.3, 0.1], [0.1, 0.8, 0.1]]])
+    want, got = (weights @ uv[0] + 1e-9) % 1, weights @ packed.uv[0] + 1e-10
+    nearest = [texture[int((1 - v) * 8), int(u * 8)] for u, v in want]
+    found = [packed.texture_linear[int((1 - v) * 16), int(u * 24)] for u, v in got]
+    assert_array_equal(found, nearest)
     assert packed.notes == ("a: texture coordinates outside [0, 1] repeat the texture: laid out 3x2 times",)
 
 
-def test_rounding_beyond_the_rim_does_not_repeat_the_texture():
-    texture = smooth(8, 8, 4)
-    uv = np.array([[[-1e-4, 0.0], [1.0001, 0.5], [0.5, 1.0]]])
-    packed = packed_of(uv, texture)
-    assert packed.texture_linear is texture
-    assert_array_equal(packed.uv, np.clip(uv, 0, 1))
-
-
-def test_absurd_repeats_are_clamped_and_told():
-    texture = smooth(64, 64, 4)
-    uv = np.array([[[0.0, 0.0], [900.0, 0.5], [0.5, 900.0]], [[0.1, 0.1], [0.2, 0.1], [0.1, 0.2]]])
-    packed = packed_of(uv, texture)
-    assert packed.texture_linear is texture
-    assert packed.notes == ("a: texture coordinates of 1 faces span 900x900 repeats: clamped to one",)
-    assert_array_equal(packed.uv[1], uv[1])
+def test_rounding_beyond_the_rim_and_absurd_repeats_do_not_repeat_the_texture():
+    texture, inside = smooth(64, 64, 4), np.array([[[0.1, 0.1], [0.2, 0.1], [0.1, 0.2]]])
+    rounded = np.array([[[-1e-4, 0.0], [1.0001, 0.5], [0.5, 1.0]]])
+    absurd = np.array([[[0.0, 0.0], [900.0, 0.5], [0.5, 900.0]]])
+    told = "a: texture coordinates of 1 faces span 900x900 repeats: clamped to one"
+    for uv, notes in ((rounded, ()), (absurd, (told,))):
+        packed = packed_of(np.concatenate([uv, inside]), texture)
+        assert packed.texture_linear is texture
+        assert packed.notes == notes
+        assert_array_equal(packed.uv[1], inside[0])
+        if uv is rounded:
+            assert_array_equal(packed.uv[0], np.clip(rounded[0], 0, 1))
 
 
 def test_a_texture_without_coordinates_is_left_out_and_told():

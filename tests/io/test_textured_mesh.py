@@ -19,19 +19,19 @@ COLORS = [(0.8, 0.1, 0.1), (0.1, 0.6, 0.2)]
 
 
 def bent_sheet():
-    """A sheet whose left and right half have a picture each, apart on the texture."""
-    vertices, faces = grid(6, 6)
-    vertices *= 100
+    """Vertices, faces and coordinates of a sheet of 100 mm."""
+    flat, faces = grid(6, 6)
+    vertices = 100 * flat
     vertices[:, 2] = 0.01 * vertices[:, 0] ** 2
-    uv = (vertices[:, :2] / 100)[faces]
-    right = vertices[faces].mean(1)[:, 0] > 50
-    uv[right, :, 0] += 1.0  # the next tile
-    return vertices, faces, uv, right
+    return vertices, faces, flat[faces][..., :2]
 
 
 @pytest.fixture
 def sheet():
-    vertices, faces, uv, right = bent_sheet()
+    """A sheet whose left and right half have a picture each, in tiles of their own, and which is right."""
+    vertices, faces, uv = bent_sheet()
+    right = vertices[faces].mean(1)[:, 0] > 50
+    uv[right, :, 0] += 1.0
     pictures = tuple(
         MeshPicture(f"mine.{number}.png", encode_image(np.full((8, 8, 3), color), ".png"), chosen)
         for number, color, chosen in zip((1001, 1002), COLORS, (~right, right), strict=True)
@@ -67,7 +67,7 @@ def test_a_glb_has_them_too_and_light_without_seams(sheet, tmp_path):
 
 
 def test_vertex_colours_stand_in_both(tmp_path):
-    vertices, faces, _, _ = bent_sheet()
+    vertices, faces, _ = bent_sheet()
     colors = (vertices / 100).astype(np.float32)
     mesh = TexturedMesh(vertices, faces, vertex_color_linear=colors)
     assert write_textured_obj(tmp_path / "mine.obj", mesh) == ()
@@ -80,8 +80,7 @@ def test_vertex_colours_stand_in_both(tmp_path):
 
 def test_morph_targets_lead_from_the_rest_to_the_vertices(sheet, tmp_path):
     mesh, _ = sheet
-    lift = np.zeros_like(mesh.vertices)
-    lift[:, 2] = 0.2 * mesh.vertices[:, 0]
+    lift = mesh.vertices[:, :1] * [0, 0, 0.2]
     targets, weights = {"jawOpen": lift, "eyeWideLeft": np.roll(lift, 1, axis=1)}, np.array([0.75, 0.0])
     moving = replace(mesh, rest=mesh.vertices - 0.75 * lift, targets=targets, weights=weights)
     write_textured_glb(tmp_path / "mine.glb", moving)
@@ -91,11 +90,9 @@ def test_morph_targets_lead_from_the_rest_to_the_vertices(sheet, tmp_path):
         assert part["extras"] == {"targetNames": ["jawOpen", "eyeWideLeft"]}
         assert part["weights"] == [0.75, 0.0]
         (primitive,) = part["primitives"]
-        moved, turned = (
-            file.array(primitive["attributes"][name]).astype(float) for name in ("POSITION", "NORMAL")
-        )
+        moved, turned = (file.array(primitive["attributes"][name]) for name in ("POSITION", "NORMAL"))
         for weight, target in zip(weights, primitive["targets"], strict=True):
-            moved += weight * file.array(target["POSITION"])
+            moved = moved + weight * file.array(target["POSITION"])
         nearest = np.linalg.norm(1000 * moved[:, None] - mesh.vertices, axis=2)
         assert nearest.min(1).max() < 1e-3
         # The first target tilts the sheet by as much everywhere, also beside the seam.

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 import trimesh
+from helpers.meshes import sphere
 from helpers.square import SQUARE_MM, assert_corner_colors, write_square_obj
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -12,12 +13,16 @@ from scan2albedo.geometry.rigid import rotation_from_vector
 from scan2albedo.io import load_scan
 from scan2albedo.io.units import MM_PER_UNIT, largest_extent, millimetres_per_unit
 
-HEAD = trimesh.creation.icosphere(subdivisions=3, radius=1.0)
-ONE_PIECE = np.zeros(len(HEAD.vertices), np.int64)
+HEAD, _ = sphere(3, 1.0)
+
+
+def extent_of(*pieces):
+    """Return the largest extent of pieces (V, 3) that hang together within themselves alone."""
+    return largest_extent(np.concatenate(pieces), np.repeat(range(len(pieces)), [len(p) for p in pieces]))
 
 
 def decide(extent, unit="auto"):
-    return millimetres_per_unit(np.asarray(HEAD.vertices) * extent / 2, ONE_PIECE, unit, "x.obj")
+    return millimetres_per_unit(HEAD * extent / 2, np.zeros(len(HEAD), int), unit, "x.obj")
 
 
 @pytest.mark.parametrize(("unit", "scale"), [("mm", 1), ("cm", 0.1), ("m", 0.001)])
@@ -38,11 +43,9 @@ def test_every_size_from_a_face_to_shoulders_is_read_in_every_unit(extent_mm, un
 
 @pytest.mark.parametrize("extent", [0.9, 4.0, 1500.0])
 def test_an_implausible_size_is_shown_and_a_given_unit_ends_the_matter(extent):
-    with pytest.raises(
-        ScanError, match=r"x\.obj: the scan is [\d.e+]+ units long.*unit='mm', 'cm' or 'm'"
-    ) as caught:
+    told = rf"x\.obj: the scan is {extent_of(HEAD * extent / 2):.4g} units long.*unit='mm', 'cm' or 'm'"
+    with pytest.raises(ScanError, match=told):
         decide(extent)
-    assert f"{largest_extent(np.asarray(HEAD.vertices) * extent / 2, ONE_PIECE):.4g}" in str(caught.value)
     factor, note = decide(extent, "cm")
     assert factor == 10
     assert "as given" in note
@@ -54,12 +57,10 @@ def test_an_unknown_unit_is_a_wrong_call(tmp_path):
 
 
 def test_spikes_and_far_crumbs_do_not_change_the_unit():
-    vertices = np.asarray(HEAD.vertices) * 90
-    spiky = vertices.copy()
+    spiky = HEAD * 90
     spiky[:2] *= 400
-    assert largest_extent(spiky, ONE_PIECE) < 200
-    crumbs = np.concatenate([vertices, vertices[:200] * 0.1 + 1e5])
-    assert largest_extent(crumbs, np.repeat([0, 1], [len(vertices), 200])) < 200
+    assert extent_of(spiky) < 200
+    assert extent_of(HEAD * 90, HEAD[:200] * 9 + 1e5) < 200
 
 
 @pytest.mark.parametrize("unit", MM_PER_UNIT)
@@ -67,29 +68,26 @@ def test_stray_patches_that_hang_on_the_face_do_not_change_the_unit(tmp_path, un
     """A fifth of the vertices in patches up to 1.3 m away, each joined to the face by a long triangle."""
     scan, _ = stereo_scan(3, features=(), scanner=StereoScanner(stray=(0.2, 0.2)))
     parts = vertex_components(len(scan.vertices), scan.faces)
-    alone = scan.vertices[parts == np.argmax(np.bincount(parts))]
+    largest = np.argmax(np.bincount(parts))
     first = np.unique(parts, return_index=True)[1]
-    joined = np.stack([first, first + 1, np.full(len(first), first[np.argmax(np.bincount(parts))])], axis=1)
-    file = tmp_path / "stray.ply"
-    factor = MM_PER_UNIT[unit]
-    trimesh.Trimesh(scan.vertices / factor, np.concatenate([scan.faces, joined]), process=False).export(file)
-    loaded = load_scan(file)
-    assert loaded.notes[0].startswith(f"unit: {unit} ")
-    extent = float(loaded.notes[0].split("largest extent ")[1].split()[0])
-    assert extent < 1.6 * largest_extent(alone, np.zeros(len(alone), int))
+    joined = np.stack([first, first + 1, np.full(len(first), first[largest])], axis=1)
+    file, faces = tmp_path / "stray.ply", np.concatenate([scan.faces, joined])
+    trimesh.Trimesh(scan.vertices / MM_PER_UNIT[unit], faces, process=False).export(file)
+    note = load_scan(file).notes[0]
+    assert note.startswith(f"unit: {unit} ")
+    extent = float(note.split("largest extent ")[1].split()[0])
+    assert extent < 1.6 * extent_of(scan.vertices[parts == largest])
 
 
 def test_a_scan_in_two_halves_counts_both():
-    halves = np.concatenate([np.asarray(HEAD.vertices) * 30, np.asarray(HEAD.vertices) * 30 + (100, 0, 0)])
-    assert largest_extent(halves, np.repeat([0, 1], len(HEAD.vertices))) == pytest.approx(60, rel=0.05)
-    three = np.concatenate([halves, halves[:10] + 50])
-    labels = np.repeat([0, 1, 2], [len(HEAD.vertices), len(HEAD.vertices), 10])
-    assert largest_extent(three, labels) == pytest.approx(160, rel=0.05)
+    halves = HEAD * 30, HEAD * 30 + (100, 0, 0)
+    assert extent_of(*halves) == pytest.approx(60, rel=0.05)
+    assert extent_of(*halves, halves[0][:10] + 50) == pytest.approx(160, rel=0.05)
 
 
 @given(st.tuples(*[st.floats(-3, 3)] * 3), st.floats(-1e6, 1e6))
 @settings(max_examples=20, deadline=None)
 def test_the_extent_does_not_depend_on_the_pose(turn, far):
-    vertices = np.asarray(HEAD.vertices) * (100, 130, 90)
+    vertices = HEAD * (100, 130, 90)
     moved = vertices @ rotation_from_vector(list(turn)).T + far
-    assert largest_extent(moved, ONE_PIECE) == pytest.approx(largest_extent(vertices, ONE_PIECE), rel=1e-3)
+    assert extent_of(moved) == pytest.approx(extent_of(vertices), rel=1e-3)

@@ -12,14 +12,9 @@ from scan2albedo.io import load_scan
 from scan2albedo.io.color import srgb_to_linear
 from scan2albedo.io.texture_atlas import seen_colors
 
-SIDE = 40
+VERTICES, FACES = grid(41, 41)
+"""Of a square of 40 x 40 cells, each two faces; its coordinates are those of its vertices."""
 ORANGE = (255, 127, 39)
-
-
-def square():
-    """A square of 40 x 40 cells, each two faces: vertices, faces, and coordinates of the corners."""
-    vertices, faces = grid(SIDE + 1, SIDE + 1)
-    return vertices * 160, faces, vertices[faces][..., :2]
 
 
 def picture(seed=0):
@@ -33,9 +28,8 @@ def picture(seed=0):
 
 def written(folder, pixels, **options):
     """Write the square with a texture as OBJ and return its path."""
-    vertices, faces = grid(SIDE + 1, SIDE + 1)
     Image.fromarray(pixels).save(folder / "skin.png", **options)
-    text = obj_text(160 * vertices, faces, vertices[:, :2])
+    text = obj_text(160 * VERTICES, FACES, VERTICES[:, :2])
     (folder / "skin.obj").write_text(f"mtllib skin.mtl\nusemtl skin\n{text}")
     (folder / "skin.mtl").write_text("newmtl skin\nmap_Kd skin.png\n")
     return folder / "skin.obj"
@@ -52,20 +46,19 @@ def test_a_colour_that_was_filled_in_was_not_seen(tmp_path, fill):
     assert scan.has_color
 
 
-def test_what_is_transparent_was_not_seen(tmp_path):
+@pytest.mark.parametrize("kind", ["RGBA", "LA", "P"])
+def test_what_is_transparent_was_not_seen(tmp_path, kind):
     pixels, hole = picture()
-    for kind in ("RGBA", "LA", "P"):
-        image = Image.fromarray(np.dstack([pixels, np.where(hole, 0, 255).astype(np.uint8)]))
-        if kind == "P":
-            index = np.where(hole, 0, np.clip(pixels[..., 0], 1, 255)).astype(np.uint8)
-            image = Image.fromarray(index, "L").convert("P")
-            image.info["transparency"] = 0
-        elif kind == "LA":
-            image = image.convert("LA")
-        image.save(tmp_path / "kind.png")
-        file = written(tmp_path, pixels)
-        (tmp_path / "kind.png").rename(tmp_path / "skin.png")
-        assert_array_equal(load_scan(file, unit="mm").color_seen, ~hole, err_msg=kind)
+    image = Image.fromarray(np.dstack([pixels, np.where(hole, 0, 255).astype(np.uint8)]))
+    if kind == "P":
+        index = np.where(hole, 0, np.clip(pixels[..., 0], 1, 255)).astype(np.uint8)
+        image = Image.fromarray(index, "L").convert("P")
+        image.info["transparency"] = 0
+    elif kind == "LA":
+        image = image.convert("LA")
+    file = written(tmp_path, pixels)
+    image.save(tmp_path / "skin.png")
+    assert_array_equal(load_scan(file, unit="mm").color_seen, ~hole)
 
 
 def test_an_alpha_that_is_alike_everywhere_says_nothing(tmp_path):
@@ -77,12 +70,11 @@ def test_an_alpha_that_is_alike_everywhere_says_nothing(tmp_path):
 
 def test_photographs_and_clipped_white_were_seen():
     pixels, hole = picture()
-    _, faces, uv = square()
-    assert seen_colors(srgb_to_linear(pixels / 255).astype(np.float32), faces, uv)[1] is None
-    pixels[hole] = 255
-    assert seen_colors(srgb_to_linear(pixels / 255).astype(np.float32), faces, uv)[1] is None
-    # So coarse that most faces lie in one pixel.
-    assert seen_colors(srgb_to_linear(pixels[::40, ::40] / 255).astype(np.float32), faces, uv)[1] is None
+    clipped = np.where(hole[..., None], np.uint8(255), pixels)
+    # The last one is so coarse that most faces lie in one pixel.
+    for shown in (pixels, clipped, clipped[::40, ::40]):
+        linear = srgb_to_linear(shown / 255).astype(np.float32)
+        assert seen_colors(linear, FACES, VERTICES[FACES][..., :2])[1] is None
 
 
 def test_a_scan_of_one_colour_has_no_colour(tmp_path):
@@ -94,12 +86,11 @@ def test_a_scan_of_one_colour_has_no_colour(tmp_path):
 
 
 def test_vertices_of_one_colour_were_not_seen():
-    vertices, faces, _ = square()
-    colors = np.random.default_rng(0).uniform(0.2, 0.6, (len(vertices), 3)).astype(np.float32)
-    assert seen_colors(colors, faces)[1] is None
-    hole = np.linalg.norm(vertices - [80, 80, 0], axis=1) < 30
+    colors = np.random.default_rng(0).uniform(0.2, 0.6, VERTICES.shape).astype(np.float32)
+    assert seen_colors(colors, FACES)[1] is None
+    hole = np.linalg.norm(160 * VERTICES - [80, 80, 0], axis=1) < 30
     colors[hole] = 0.5
-    assert_array_equal(seen_colors(colors, faces)[1], ~hole)
-    found, seen = seen_colors(np.column_stack([colors, ~hole]).astype(np.float32), faces)
+    assert_array_equal(seen_colors(colors, FACES)[1], ~hole)
+    found, seen = seen_colors(np.column_stack([colors, ~hole]).astype(np.float32), FACES)
     assert_array_equal(found, colors)
     assert_array_equal(seen, ~hole)

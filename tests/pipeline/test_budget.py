@@ -40,16 +40,18 @@ class Run:
         self.pace = pace
         self.lit = []
         monkeypatch.setattr(clocks, "time", SimpleNamespace(perf_counter=lambda: self.now))
-        tile = SimpleNamespace(seen=np.ones(1))
-        baked = SimpleNamespace(tiles=(tile,), parts=())
+        baked = SimpleNamespace(tiles=(SimpleNamespace(seen=np.ones(1)),), parts=())
         eyes = SimpleNamespace(reason="made up")
-        monkeypatch.setattr(outputs, "LightRemoval", lambda *stages: SimpleNamespace(unlit=self.unlit))
-        monkeypatch.setattr(outputs, "template_texture", lambda *given: self.takes("template_texture", baked))
-        monkeypatch.setattr(outputs, "engine_maps", lambda *given: self.takes("maps", baked))
-        monkeypatch.setattr(outputs, "load_result", lambda *given: None)
-        monkeypatch.setattr(outputs, "usual_light", lambda *given: 1.0)
-        monkeypatch.setattr(outputs, "eyes_and_mouth", lambda *given: self.takes("eyes", eyes))
-        monkeypatch.setattr(outputs, "on_template", lambda inside, fitted, gain, made: made)
+        for name, stage in {
+            "LightRemoval": lambda *stages: SimpleNamespace(unlit=self.unlit),
+            "template_texture": lambda *given: self.takes("template_texture", baked),
+            "engine_maps": lambda *given: self.takes("maps", baked),
+            "load_result": lambda *given: None,
+            "usual_light": lambda *given: 1.0,
+            "eyes_and_mouth": lambda *given: self.takes("eyes", eyes),
+            "on_template": lambda inside, fitted, gain, made: made,
+        }.items():
+            monkeypatch.setattr(outputs, name, stage)
 
     def takes(self, part, made=None):
         self.now += self.pace * self.costs.seconds[part]
@@ -57,18 +59,16 @@ class Run:
 
     def unlit(self, reach):
         self.lit.append(reach)
-        return self.takes(
-            f"light on the {reach}", SimpleNamespace(scan=None, hair=None, confidence=np.ones(1))
-        )
+        made = SimpleNamespace(scan=None, hair=None, confidence=np.ones(1))
+        return self.takes(f"light on the {reach}", made)
 
     def __call__(self, budget, unlit, tiles, maps, side, texture_size, skip):
         """Return the names of what is made, and the plan; `now` is then the time with all files written."""
         self.now = 0.0
         self.lit = []
-        texture = None if side == 0 else SimpleNamespace(shape=(side, side, 3))
-        scan = SimpleNamespace(
-            texture_linear=texture, uv=squares(1) if side else None, vertices=range(100_000)
-        )
+        texture = SimpleNamespace(shape=(side, side, 3)) if side else None
+        uv = squares(1) if side else None
+        scan = SimpleNamespace(texture_linear=texture, uv=uv, vertices=range(100_000))
         model = SimpleNamespace(template_uv=squares(tiles) if tiles else None)
         options = ProcessOptions(unlit=unlit, maps=maps, texture_size=texture_size, skip=skip)
         self.costs = outputs.Outputs(scan, model, options)
@@ -80,26 +80,29 @@ class Run:
         self.face_s = self.now
         estimate = SimpleNamespace(image=None)
         made, steps = outputs.without_light(scan, SimpleNamespace(model=model), estimate, options, clock)
-        for name, field in (("unlit", "unlit"), ("template_texture", "template"), ("maps", "maps_of_skin")):
+        for name, field in FIELDS.items():
             if field in made:
                 self.takes(f"{name} files")
         return made, steps
 
 
+FIELDS = {"unlit": "unlit", "template_texture": "template", "maps": "maps_of_skin"}
+
+
+BUDGETS = (0.01, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
+
+
 @pytest.mark.parametrize("pace", [0.7, 1.0, 1.05])
 def test_no_combination_of_outputs_overruns_a_budget(monkeypatch, pace):
     run = Run(monkeypatch, pace)
-    fields = {"unlit": "unlit", "template_texture": "template", "maps": "maps_of_skin"}
-    for case in product(
-        (0.01, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0), UNLIT, TILES, MAPS, SIDES, TEXTURE_SIZES, SKIPPED
-    ):
+    for case in product(BUDGETS, UNLIT, TILES, MAPS, SIDES, TEXTURE_SIZES, SKIPPED):
         budget = case[0]
         made, steps = run(*case)
         assert run.now <= max(budget + max(2.0, budget / 10), run.face_s), case
         assert len(run.lit) == len(set(run.lit)), "the light is taken off twice"
         told = {step.stage: step for step in steps}
         for name in run.costs.reaches:
-            assert told[name].ran == (fields[name] in made), case
+            assert told[name].ran == (FIELDS[name] in made), case
             assert told[name].ran or "left out: the budget ended before it" in told[name].reason
 
 

@@ -1,24 +1,19 @@
 """Landmarks that a network finds in pictures of a scan come back to the scan, and the fit uses them."""
 
-from contextlib import contextmanager
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
 import pytest
-import trimesh
+from helpers.meshes import ball
 
-from scan2albedo import RawScan, process
+from scan2albedo import process
 from scan2albedo.batch import run_batch
 from scan2albedo.errors import MissingDependencyError
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.pipeline import detected_landmarks as detected
 from scan2albedo.pipeline.options import ProcessOptions
 from scan2albedo.synthetic import raw_scan
-
-
-@pytest.fixture(scope="module")
-def person(coarse_scan):
-    return coarse_scan
 
 
 class Network:
@@ -39,13 +34,9 @@ class Network:
 
 
 @pytest.fixture
-def network(monkeypatch, person):
+def network(monkeypatch):
     def install(seen):
-        @contextmanager
-        def detector():
-            yield seen
-
-        monkeypatch.setattr(detected, "_detector", detector)
+        monkeypatch.setattr(detected, "_detector", lambda: nullcontext(seen))
         monkeypatch.setattr(detected, "require_detector", lambda: None)
         monkeypatch.setattr("scan2albedo.pipeline.process.require_detector", lambda: None)
         return seen
@@ -53,26 +44,38 @@ def network(monkeypatch, person):
     return install
 
 
-def errors_mm(found, scan, truth):
-    there = transform_points(truth.model_from_scan, found.points)
-    return np.linalg.norm(there - truth.landmarks, axis=1)
+def errors_mm(found, truth):
+    return np.linalg.norm(transform_points(truth.model_from_scan, found.points) - truth.landmarks, axis=1)
 
 
-def test_points_of_pictures_come_back_to_the_scan(person, network):
-    scan, truth = person
+def test_a_process_hands_them_to_the_fit_or_goes_on_without(coarse_scan, network):
+    scan, truth = coarse_scan
+    network(Network(truth))
+    asked = {"landmarks": "auto", "size": 64, "quality": "draft", "skip": ["albedo"]}
+    result = process(scan, **asked)
+    assert result.scan.landmarks.placed.sum() > 30
+    assert result.options["landmarks"] == "auto"
+    network(lambda picture: None)
+    without = process(scan, **asked)
+    assert any("MediaPipe finds no face" in note for note in without.notes)
+    assert without.scan.landmarks is None
+
+
+def test_points_of_pictures_come_back_to_the_scan(coarse_scan, network):
+    scan, truth = coarse_scan
     seen = network(Network(truth, aside=20.0))
     found = detected.detected_landmarks(scan, truth.model_from_scan)
     assert found.placed.sum() > 30
     assert set(np.flatnonzero(found.placed)) <= set(detected._POINTS)
     # A network's point of which one view errs is still right.
-    assert np.nanmedian(errors_mm(found, scan, truth)) < 1.0
-    assert np.nanmax(errors_mm(found, scan, truth)) < 6.0
+    assert np.nanmedian(errors_mm(found, truth)) < 1.0
+    assert np.nanmax(errors_mm(found, truth)) < 6.0
     assert len(seen.pictures) == len(detected._VIEWS_DEG)
     assert all(picture.dtype == np.uint8 and picture.std() > 10 for picture in seen.pictures)
 
 
-def test_grey_shapes_are_believed_less(person, network):
-    scan, truth = person
+def test_grey_shapes_are_believed_less(coarse_scan, network):
+    scan, truth = coarse_scan
     network(Network(truth))
     colored = detected.detected_landmarks(scan, truth.model_from_scan)
     network(Network(truth))
@@ -81,24 +84,8 @@ def test_grey_shapes_are_believed_less(person, network):
     assert (plain.sigma_mm[both] > 1.5 * colored.sigma_mm[both]).all()
 
 
-def test_a_process_without_a_face_for_the_network_goes_on_without(person, network):
-    scan, _ = person
-    network(lambda picture: None)
-    result = process(scan, landmarks="auto", size=64, quality="draft", skip=["albedo"])
-    assert any("MediaPipe finds no face" in note for note in result.notes)
-    assert result.scan.landmarks is None
-
-
-def test_process_hands_them_to_the_fit(person, network):
-    scan, truth = person
-    network(Network(truth))
-    result = process(scan, landmarks="auto", size=64, quality="draft", skip=["albedo"])
-    assert result.scan.landmarks.placed.sum() > 30
-    assert result.options["landmarks"] == "auto"
-
-
-def test_landmarks_placed_by_hand_win(person, network):
-    scan, truth = person
+def test_landmarks_placed_by_hand_win(coarse_scan, network):
+    scan, truth = coarse_scan
     by_hand = np.full((68, 3), np.nan)
     by_hand[[8, 36]] = [[1.0, 2, 3], [4, 5, 6]]
     placed = replace(scan, landmarks=by_hand)
@@ -112,8 +99,8 @@ def test_landmarks_placed_by_hand_win(person, network):
     assert (doubt.level, doubt.reason[:22]) == ("doubt", "MediaPipe finds no fac")
 
 
-def test_a_small_budget_leaves_the_network_out(person, network):
-    scan, truth = person
+def test_a_small_budget_leaves_the_network_out(coarse_scan, network):
+    scan, truth = coarse_scan
     seen = network(Network(truth))
     alone, (doubt,) = detected.with_detected(scan, truth.model_from_scan, 0.5)
     assert alone.landmarks is None
@@ -121,8 +108,8 @@ def test_a_small_budget_leaves_the_network_out(person, network):
     assert not seen.pictures
 
 
-def test_where_colours_show_no_face_grey_is_tried(person, network):
-    scan, truth = person
+def test_where_colours_show_no_face_grey_is_tried(coarse_scan, network):
+    scan, truth = coarse_scan
     seen = Network(truth)
     coloured = len(detected._VIEWS_DEG)
     looked = []
@@ -138,10 +125,19 @@ def test_where_colours_show_no_face_grey_is_tried(person, network):
     assert found.placed.sum() > 30
 
 
-def test_what_is_missing_is_named_before_anything_is_done(monkeypatch, person):
+def test_what_is_missing_is_named_before_anything_is_done(monkeypatch, coarse_scan, tmp_path):
     monkeypatch.setattr(detected, "find_spec", lambda name: None)
-    with pytest.raises(MissingDependencyError, match=r"pip install 'scan2albedo\[landmarks\]'"):
-        process(person[0], landmarks="auto")
+    (tmp_path / "list.csv").write_text("scan,landmarks\na.ply,\nb.ply,Auto\n")
+    for call in (
+        lambda: process(coarse_scan[0], landmarks="auto"),
+        lambda: run_batch(tmp_path / "list.csv", tmp_path / "out"),
+    ):
+        with pytest.raises(MissingDependencyError, match=r"pip install 'scan2albedo\[landmarks\]'"):
+            call()
+    assert not (tmp_path / "out").exists()
+    # Without a model the network is not asked for.
+    result = process(ball(), landmarks="Auto", model="none", size=32, skip=["albedo"])
+    assert "landmarks are not used: without a model nothing is fitted to them" in result.notes
 
 
 def test_auto_is_a_word_in_any_case_and_nothing_is_no_folder():
@@ -152,26 +148,8 @@ def test_auto_is_a_word_in_any_case_and_nothing_is_no_folder():
         ProcessOptions(landmarks=" ")
 
 
-def test_without_a_model_landmarks_are_told_to_be_unused(monkeypatch):
-    ball = trimesh.creation.icosphere(2, 60.0)
-    scan = RawScan(ball.vertices, ball.faces, name="ball")
-    monkeypatch.setattr(detected, "find_spec", lambda name: None)  # and the network is not asked for
-    result = process(scan, landmarks="Auto", model="none", size=32, skip=["albedo"])
-    assert "landmarks are not used: without a model nothing is fitted to them" in result.notes
-
-
-def test_a_batch_looks_for_the_network_before_its_first_scan(monkeypatch, tmp_path):
-    monkeypatch.setattr(detected, "find_spec", lambda name: None)
-    manifest = tmp_path / "list.csv"
-    manifest.write_text("scan,landmarks\na.ply,\nb.ply,Auto\n")
-    with pytest.raises(MissingDependencyError, match=r"scan2albedo\[landmarks\]"):
-        run_batch(manifest, tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-
-
 def test_the_network_itself():
     pytest.importorskip("mediapipe", reason="the extra [landmarks] is not installed")
     scan, truth = raw_scan(41)
     found = detected.detected_landmarks(scan, truth.model_from_scan)
-    lips = errors_mm(found, scan, truth)[48:60]
-    assert np.nanmedian(lips) < 6.0
+    assert np.nanmedian(errors_mm(found, truth)[48:60]) < 6.0  # of the lips

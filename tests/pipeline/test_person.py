@@ -1,16 +1,16 @@
 """One shape and one albedo from several scans of a person."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.records import files_in, read_json
 
 from scan2albedo import process_person, read_geometry_image
 from scan2albedo.albedo import albedo_error
 from scan2albedo.applications import load_result, relight
 from scan2albedo.errors import RegistrationError
-from scan2albedo.io.images import read_exr_channels
+from scan2albedo.io.images import read_image_linear
 from scan2albedo.recognition import read_labelled_templates
 from scan2albedo.synthetic import Scanner, light_at, raw_scan
 
@@ -41,6 +41,11 @@ def test_what_no_person_can_be_made_of_is_refused(tmp_path):
     assert not (tmp_path / "out" / "ann").exists()
 
 
+def albedo_rmse(albedo_linear, truth, seen):
+    """Return the relative error of an albedo where it was seen."""
+    return albedo_error(albedo_linear[seen], truth[seen], np.ones(seen.sum(), bool)).relative_rmse
+
+
 @pytest.mark.slow
 def test_scans_of_a_person_in_other_lights_and_expressions(tmp_path):
     (first, truth), (second, _) = scanned(3, 0, "neutral"), scanned(3, 1, "smile")
@@ -51,33 +56,26 @@ def test_scans_of_a_person_in_other_lights_and_expressions(tmp_path):
     second = replace(second, notes=(*second.notes, lost))
     scans = [first, second, third, replace(stranger, name="stranger"), broken]
     person = process_person(scans, tmp_path, name="ann", quality="draft")
+    out = tmp_path / "ann"
     assert person.members == ("scan0", "scan1", "scan2")
     assert [name for name, _ in person.left_out] == ["broken", "stranger"]
     assert "another person" in dict(person.left_out)["stranger"]
     assert {"broken", "stranger"} <= {word for note in person.notes for word in note.split()}
     assert f"scan1: {lost}" in " ".join(person.notes)
-    common, shape = person.common, person.shape
+    common = person.common
     seen = (common.coverage > 1) & (truth.max(-1) > 0) & (person.geometry_image.skin > 0.5)
-    alone = [read_albedo(tmp_path / "ann" / name, truth, seen) for name in person.members]
-    together = albedo_error(common.albedo_linear[seen], truth[seen], np.ones(seen.sum(), bool))
-    assert together.relative_rmse < 1.05 * min(alone), alone
-    assert shape.expression.shape[0] == 3
-    record = json.loads((tmp_path / "ann" / "result.json").read_text())
+    alone = [
+        albedo_rmse(read_image_linear(out / name / "albedo.exr"), truth, seen) for name in person.members
+    ]
+    assert albedo_rmse(common.albedo_linear, truth, seen) < 1.05 * min(alone), alone
+    assert person.shape.expression.shape[0] == 3
+    record = read_json(out / "result.json")
     assert record["metrics"]["person"]["left_out"].keys() == {"broken", "stranger"}
-    for name in ("albedo.exr", "expected_error.exr", "coverage.png", "disagreement.png", "fitted.glb"):
-        assert (tmp_path / "ann" / name).is_file()
-    for name in person.members:
-        assert (tmp_path / "ann" / name / "albedo.exr").is_file()
-    image = read_geometry_image(tmp_path / "ann" / "geometry_image.npz")
-    assert image.texture_linear is not None
-    lit = relight(load_result(tmp_path / "ann"), [light_at(60, 10)])
+    names = {"albedo.exr", "expected_error.exr", "coverage.png", "disagreement.png", "fitted.glb"}
+    assert names <= files_in(out)
+    assert read_geometry_image(out / "geometry_image.npz").texture_linear is not None
+    lit = relight(load_result(out), [light_at(60, 10)])
     assert np.isfinite(lit.texture_linear).all()
     gallery = tmp_path / "gallery.csv"
-    gallery.write_text(f"person,result\nann,{tmp_path / 'ann'}\nann,{tmp_path / 'ann' / 'scan0'}\n")
+    gallery.write_text(f"person,result\nann,{out}\nann,{out / 'scan0'}\n")
     assert len(read_labelled_templates(gallery)) == 2
-
-
-def read_albedo(folder, truth, seen):
-    channels = read_exr_channels(folder / "albedo.exr")
-    albedo = np.stack([channels[name] for name in "RGB"], -1)
-    return albedo_error(albedo[seen], truth[seen], np.ones(seen.sum(), bool)).relative_rmse

@@ -8,30 +8,16 @@ import scan2albedo as s2a
 from scan2albedo.pipeline.options import PRESETS, ProcessOptions, Quality
 
 
-def test_standard_is_every_stage_by_its_defaults():
-    assert ProcessOptions().stages == Quality("standard")
-
-
-def test_presets_carry_their_names():
+def test_presets_carry_their_names_and_own_qualities_pass_through():
     assert {name: quality.name for name, quality in PRESETS.items()} == {name: name for name in PRESETS}
     assert list(PRESETS) == ["draft", "standard", "best", "paper"]
-
-
-def test_best_is_standard_with_more_texels():
+    # Standard is every stage by its defaults, best is that with more texels.
+    assert ProcessOptions().stages == Quality("standard")
     assert replace(PRESETS["best"], name="standard", size=512) == PRESETS["standard"]
-
-
-def test_an_unknown_quality_is_refused_with_the_names_there_are():
-    with pytest.raises(ValueError, match=r"'fine', expected one of draft, standard, best, paper"):
-        s2a.process("nobody.obj", quality="fine")
-
-
-def test_own_qualities_pass_through():
     own = replace(PRESETS["draft"], name="own")
     assert ProcessOptions(quality=own).stages is own
-
-
-def test_too_small_an_image_is_refused():
+    with pytest.raises(ValueError, match=r"'fine', expected one of draft, standard, best, paper"):
+        s2a.process("nobody.obj", quality="fine")
     with pytest.raises(s2a.Scan2AlbedoError, match="size 4"):
         Quality("tiny", size=4)
 

@@ -1,7 +1,6 @@
 """Results replace those of earlier runs and nothing else; a scan that fails changes nothing."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from helpers.folders import contents
@@ -15,40 +14,41 @@ TINY = {"model": "none", "size": 32, "unit": "mm", "pictures": False, "quality":
 
 
 @pytest.fixture(scope="module")
-def scan():
-    return ball()
+def result():
+    return s2a.process(ball(), **TINY)
 
 
-@pytest.fixture(scope="module")
-def result(scan):
-    return s2a.process(scan, **TINY)
+def linked(folder):
+    (folder.parent / "other").mkdir()
+    pointed_elsewhere(folder)
 
 
-def somebody_elses(folder):
-    """Ways in which the folder of a result belongs to somebody else, with a word of the message."""
-    other = folder.parent / "other"
-    return {
-        "notes": (lambda: (folder / "notes.txt").write_text("mine"), "no result.json"),
-        "names like ours": (lambda: (folder / "albedo.png").write_text("mine"), "no result.json"),
-        "another result.json": (lambda: (folder / "result.json").write_text('{"mine": 1}'), "Field required"),
-        "no JSON": (lambda: (folder / "result.json").write_bytes(b"\xff{"), "no UTF-8 text"),
-        "deep JSON": (lambda: (folder / "result.json").write_text("[" * 100_000), "result.json"),
-        "a link": (lambda: (folder.rmdir(), other.mkdir(), folder.symlink_to(other)), "is a link"),
-        "a dead link": (lambda: (folder.rmdir(), folder.symlink_to(other)), "is a link"),
-        "a folder": (lambda: (folder / "result.json").mkdir(), "result.json"),
-    }
+def pointed_elsewhere(folder):
+    folder.rmdir()
+    folder.symlink_to(folder.parent / "other")
 
 
-@pytest.mark.parametrize("whose", sorted(somebody_elses(Path())))
-def test_a_folder_of_somebody_else_is_refused_before_any_work_and_stays(tmp_path, scan, monkeypatch, whose):
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda folder: (folder / "notes.txt").write_text("mine"), "no result.json"),
+        (lambda folder: (folder / "albedo.png").write_text("mine"), "no result.json"),
+        (lambda folder: (folder / "result.json").write_text('{"mine": 1}'), "Field required"),
+        (lambda folder: (folder / "result.json").write_bytes(b"\xff{"), "no UTF-8 text"),
+        (lambda folder: (folder / "result.json").write_text("[" * 100_000), "result.json"),
+        (lambda folder: (folder / "result.json").mkdir(), "result.json"),
+        (linked, "is a link"),
+        (pointed_elsewhere, "is a link"),
+    ],
+)
+def test_a_folder_of_somebody_else_is_refused_before_any_work_and_stays(tmp_path, monkeypatch, make, words):
     folder = tmp_path / "out" / "ball"
     folder.mkdir(parents=True)
-    make, words = somebody_elses(folder)[whose]
-    make()
+    make(folder)
     before = contents(tmp_path)
     monkeypatch.setattr("scan2albedo.pipeline.process._Run", None)  # no work is done
     with pytest.raises(OutputError, match=f"ball.*{words}"):
-        s2a.process(scan, tmp_path / "out", **TINY)
+        s2a.process(ball(), tmp_path / "out", **TINY)
     assert contents(tmp_path) == before
 
 
@@ -91,7 +91,7 @@ def test_a_scan_that_fails_changes_nothing(tmp_path, result):
 
 
 @pytest.mark.parametrize("name", ["../ball", "a/b", "..", "", "a\nb", "x" * 201])
-def test_a_name_that_leads_elsewhere_is_refused(tmp_path, scan, name):
+def test_a_name_that_leads_elsewhere_is_refused(tmp_path, name):
     with pytest.raises(ValueError, match="expected a name that a folder can have"):
-        s2a.process(scan, tmp_path / "out", name=name, **TINY)
+        s2a.process(ball(), tmp_path / "out", name=name, **TINY)
     assert list(tmp_path.iterdir()) == []

@@ -1,12 +1,12 @@
 """Scans of any scale: the face gives it, a given unit stands, and what is not a face is refused at any."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 import scan2albedo as s2a
 from scan2albedo.errors import NoFaceError, RegistrationError, UnitError
+from scan2albedo.geometry.rigid import rotation_angle_rad
+from scan2albedo.io.obj import write_obj
 from scan2albedo.pipeline.scale_search import registered_at_any_scale
 from scan2albedo.registration import Registration
 from scan2albedo.synthetic import Scanner, raw_scan
@@ -18,9 +18,7 @@ def case():
 
 
 def write(path, scan, factor):
-    lines = ["v {:.9g} {:.9g} {:.9g}".format(*(vertex * factor)) for vertex in scan.vertices]
-    lines += ["f {} {} {}".format(*(face + 1)) for face in scan.faces]
-    path.write_text("\n".join(lines))
+    write_obj(path, factor * scan.vertices, scan.faces)
     return path
 
 
@@ -32,8 +30,11 @@ def test_the_face_gives_the_scale(case, tmp_path, factor):
     extent = np.ptp(result.scan.vertices, axis=0).max() / np.ptp(scan.vertices, axis=0).max()
     assert extent == pytest.approx(1, abs=0.12)
     rotation = result.registration.model_from_scan[:3, :3]
-    away = np.trace(rotation @ truth.model_from_scan[:3, :3].T)
-    assert np.degrees(np.arccos(np.clip((away - 1) / 2, -1, 1))) < 3
+    assert np.degrees(rotation_angle_rad(rotation @ truth.model_from_scan[:3, :3].T)) < 3
+
+
+def registered(confidence):
+    return Registration(np.eye(4), 1.0, None, True, confidence, 1, s2a.Trace())
 
 
 def test_a_unit_that_is_given_stands(case, tmp_path):
@@ -46,32 +47,29 @@ def test_a_unit_that_is_given_stands(case, tmp_path):
 
 def test_a_doubtful_face_of_unknown_size_is_refused(case):
     """At one of many sizes much resembles a face: a pose that would do at a known size does not."""
-    scan, tried = case[0], []
+    tried = []
 
     def register(of):
         tried.append(of)
         if len(tried) == 1:
             raise NoFaceError("no face found, as it is")
-        doubtful = Registration(np.eye(4), 1.0, None, True, 0.6, 1, s2a.Trace())
-        return of, doubtful
+        return of, registered(0.6)
 
     with pytest.raises(NoFaceError, match="as it is"):
-        registered_at_any_scale(scan, True, register)
+        registered_at_any_scale(case[0], True, register)
     extents = [float(np.ptp(each.vertices)) for each in tried]
     assert len(tried) == 4  # as it is, and at three sizes: its own was looked for
     assert np.abs(np.diff(np.log(np.sort(extents)))).min() > np.log(1.1)
     with pytest.raises(NoFaceError, match="at any scale"):
-        registered_at_any_scale(scan, False, lambda of: (of, register(of)[1]))
+        registered_at_any_scale(case[0], False, register)
 
 
 def test_what_fits_is_registered_once(case):
-    sure = Registration(np.eye(4), 1.0, None, True, 1.0, 1, s2a.Trace())
-    calls = []
+    calls, sure = [], registered(1.0)
 
     def register(of):
         calls.append(of)
         return of, sure
 
-    scan = replace(case[0], name="once")
-    assert registered_at_any_scale(scan, True, register) == (scan, sure)
-    assert calls == [scan]
+    assert registered_at_any_scale(case[0], True, register) == (case[0], sure)
+    assert calls == [case[0]]

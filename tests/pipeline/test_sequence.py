@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bench.sequence import figures, followed
+from helpers.records import files_in
 from numpy.testing import assert_allclose
 from worlds.raw_like import raw_like
 from worlds.takes import SCRIPTS, take
@@ -38,27 +39,21 @@ def halved(scan):
     return scan.without_faces(scan.vertices[scan.faces].mean(1)[:, 0] > scan.vertices[:, 0].mean())
 
 
+def smiling(model, number):
+    """Return the control points of a person whose smile comes and goes within the take."""
+    smile = np.sin(np.pi * number / (COUNT - 1))
+    rng = np.random.default_rng(5)
+    return person(model, rng, expression="smile", expression_strength=smile, strength=0.5)
+
+
 @pytest.fixture(scope="module")
 def frames(model):
     """A smile that comes and goes within six frames, each frame resampled: 3 mm apart, noise 0.15 mm."""
-    made = []
+    made, shape = [], model.subdivision(2)
+    still = {"hair": False, "shoulders": False, "rotation_max_deg": 0.0, "translation_max_mm": 0.0}
     for number in range(COUNT):
-        smile = np.sin(np.pi * number / (COUNT - 1))
-        control = person(
-            model, np.random.default_rng(5), expression="smile", expression_strength=smile, strength=0.5
-        )
-        shape = model.subdivision(2)
-        scan, _ = raw_like(
-            shape.matrix @ control,
-            shape.faces,
-            number,
-            spacing_mm=3.0,
-            noise_mm=0.15,
-            hair=False,
-            shoulders=False,
-            rotation_max_deg=0.0,
-            translation_max_mm=0.0,
-        )
+        vertices = shape.matrix @ smiling(model, number)
+        scan, _ = raw_like(vertices, shape.faces, number, spacing_mm=3.0, noise_mm=0.15, **still)
         made.append(replace(scan, name=f"frame {number}"))
     return made
 
@@ -92,27 +87,28 @@ def test_frames_of_other_topologies_get_the_same_vertices(whole, frames):
 
 def test_the_smile_comes_and_goes(whole, model):
     """Mouth corners, farther apart in the middle of the take than at its ends, end where they began."""
-    corners = np.array([model.landmarks_of(points)[[48, 54]] for points in whole.control_points])
-    truth = [
-        model.landmarks_of(
-            person(model, np.random.default_rng(5), expression="smile", expression_strength=s, strength=0.5)
-        )[[48, 54]]
-        for s in np.sin(np.pi * np.arange(COUNT) / (COUNT - 1))
-    ]
-    width, true = (np.linalg.norm(np.diff(c, axis=1)[:, 0], axis=1) for c in (corners, np.array(truth)))
+
+    def widths(faces):
+        corners = np.array([model.landmarks_of(points)[[48, 54]] for points in faces])
+        return np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
+
+    width = widths(whole.control_points)
+    true = widths(smiling(model, number) for number in range(COUNT))
     assert width[2] - width[0] == pytest.approx(true[2] - true[0], rel=0.5)
     assert abs(width[-1] - width[0]) < 1.0
 
 
 def test_the_folder_is_a_result_s_with_the_take_in_it(whole):
     record = read_record(whole.out / "result.json", ResultRecord)
-    assert [frame["file"] for frame in record.metrics["frames"]] == [
-        f"frame {number}" for number in range(COUNT)
-    ]
+    assert [frame["file"] for frame in record.metrics["frames"]] == [f"frame {n}" for n in range(COUNT)]
     assert not record.notes
     assert "sequence" in {step.stage for step in record.plan}
     assert {"frames.npz", "sequence.glb", "geometry_image.npz"} <= set(record.files)
-    assert sorted(path.name for path in whole.out.iterdir()) == sorted(record.files)
+    assert files_in(whole.out) == set(record.files)
+
+
+def rms_mm(one, other):
+    return np.sqrt(np.mean(np.sum((one - other) ** 2, axis=1)))
 
 
 def test_targets_and_weights_give_the_frames(whole):
@@ -148,8 +144,7 @@ def test_a_broken_file_is_named_left_out_and_filled_in(whole, damaged):
     assert not frame["used"]
     assert "broken.obj" in frame["notes"][0]
     assert frame["residual_mm"] is None
-    apart = np.linalg.norm(damaged.control_points[BROKEN] - whole.control_points[BROKEN], axis=1)
-    assert np.sqrt(np.mean(apart**2)) < 1.5
+    assert rms_mm(damaged.control_points[BROKEN], whole.control_points[BROKEN]) < 1.5
     assert frame["deviation_mm"] > damaged.frames[1]["deviation_mm"]
 
 
@@ -158,17 +153,14 @@ def test_what_half_a_frame_does_not_show_follows_from_the_others(whole, damaged)
     assert frame["used"]
     assert frame["coverage"] < 0.7
     assert any("% of the face has scan near it" in note for note in frame["notes"])
-    apart = np.linalg.norm(damaged.control_points[HALF] - whole.control_points[HALF], axis=1)
-    assert np.sqrt(np.mean(apart**2)) < 1.0
+    assert rms_mm(damaged.control_points[HALF], whole.control_points[HALF]) < 1.0
 
 
 def test_files_are_read_in_the_unit_of_the_first(frames, whole, tmp_path):
     """Also where the first cannot be read: the next takes its place; one without faces is left out."""
-    paths = [tmp_path / "missing.obj"]
-    for number, scan in enumerate(frames[:2]):
-        paths.append(tmp_path / f"{number}.obj")
-        write_obj(paths[-1], scan.vertices / 1000, scan.faces)
-    paths.insert(2, tmp_path / "empty.obj")
+    paths = [tmp_path / f"{name}.obj" for name in ("missing", "first", "empty", "second")]
+    for path, scan in zip(paths[1::2], frames[:2], strict=True):
+        write_obj(path, scan.vertices / 1000, scan.faces)
     paths[2].write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\n")
     found = process_sequence(paths, name="files")
     assert [frame["used"] for frame in found.frames] == [False, True, False, True]

@@ -1,6 +1,5 @@
 """The scan itself without its light, and colours on a template's own coordinates, through `process`."""
 
-import json
 from dataclasses import replace
 
 import cv2
@@ -9,7 +8,7 @@ import pytest
 from bench.applications import LIMIT, exported_textures, rim_step
 from helpers.faces import with_template
 from helpers.meshes import grid
-from helpers.records import files_in
+from helpers.records import files_in, read_json
 from numpy.testing import assert_allclose, assert_array_equal
 
 import scan2albedo as s2a
@@ -18,6 +17,7 @@ from scan2albedo.applications.light_removal import UnlitScan, unlit_scan
 from scan2albedo.applications.template_baking import template_texture
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.rasterization import filled_smoothly
+from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.io.color import is_deep
 from scan2albedo.io.images import encode_image, read_image_linear, read_image_values
 from scan2albedo.io.textured_mesh import MeshPicture, TexturedMesh, write_textured_obj
@@ -28,23 +28,10 @@ SIZE = 128
 
 
 @pytest.fixture(scope="module")
-def case(coarse_scan):
-    return coarse_scan
-
-
-@pytest.fixture(scope="module")
-def result(case, tmp_path_factory):
+def result(coarse_scan, tmp_path_factory):
     out = tmp_path_factory.mktemp("out")
-    return s2a.process(
-        case[0],
-        out,
-        model=with_template(2),
-        size=SIZE,
-        unlit="all",
-        texture_size=256,
-        quality="draft",
-        pictures=False,
-    )
+    asked = {"unlit": "all", "texture_size": 256, "quality": "draft", "pictures": False}
+    return s2a.process(coarse_scan[0], out, model=with_template(2), size=SIZE, **asked)
 
 
 @pytest.fixture(scope="module")
@@ -58,8 +45,8 @@ def mse_percent(scan, result, truth):
     return compare_with_truth(replace(result, geometry_image=image), truth).texture.mse_percent
 
 
-def test_the_scans_own_texels_are_as_good_as_the_charts(case, result, face_unlit):
-    truth = case[1]
+def test_the_scans_own_texels_are_as_good_as_the_charts(coarse_scan, result, face_unlit):
+    truth = coarse_scan[1]
     chart = compare_with_truth(result, truth)
     assert chart.albedo.mse_percent < 0.3 * chart.texture.mse_percent
     for unlit in (face_unlit, result.unlit):
@@ -88,7 +75,7 @@ def test_tiles_lie_where_they_belong(result, face_unlit, monkeypatch):
     assert np.percentile(apart, 99) < 0.01
 
 
-def test_a_scan_with_vertex_colours_gets_unlit_ones(result, case):
+def test_a_scan_with_vertex_colours_gets_unlit_ones(result, coarse_scan):
     scan, fitted = result.scan, result.fitted
     color = np.full((len(scan.vertices), 3), 0.5, np.float32)
     plain = replace(scan, uv=None, texture_linear=None, vertex_color_linear=color)
@@ -101,12 +88,9 @@ def test_a_scan_with_vertex_colours_gets_unlit_ones(result, case):
 
 
 def test_what_was_left_out_of_the_fit_keeps_its_colours(result):
-    covered = np.zeros(len(result.scan.faces), bool)
-    nose = result.fitted.landmarks[30]
-    placed = (
-        result.scan.vertices @ result.fitted.model_from_scan[:3, :3].T + result.fitted.model_from_scan[:3, 3]
-    )
-    covered[np.linalg.norm(placed[result.scan.faces].mean(1) - nose, axis=1) < 12] = True
+    placed = transform_points(result.fitted.model_from_scan, result.scan.vertices)
+    middles = placed[result.scan.faces].mean(1)
+    covered = np.linalg.norm(middles - result.fitted.landmarks[30], axis=1) < 12  # of the nose
     assert covered.any()
     unlit = unlit_scan(result.scan, replace(result.fitted, covered_faces=covered), result.albedo)
     corners = unlit.scan.uv[covered].mean(1)
@@ -163,16 +147,13 @@ def test_each_tile_is_a_picture_of_its_own(result):
 
 
 def test_files_and_plan_tell_of_both(result):
-    names = files_in(result.out)
-    unlit = {"unlit.glb", "unlit.obj", "unlit.mtl", "unlit.png", "unlit_confidence.png"}
-    template = {"template.obj", "template.mtl", "template.glb", "template.1001.png", "template.1002.png"}
-    template |= {"template_normal.1001.png", "template_normal.1002.png"}
-    assert unlit | template <= names
-    record = json.loads((result.out / "result.json").read_text())
-    assert unlit | template <= set(record["files"])
-    plan = {step["stage"]: step for step in record["plan"]}
-    assert plan["unlit"]["ran"]
-    assert plan["template_texture"]["ran"]
+    expected = {"unlit.glb", "unlit.obj", "unlit.mtl", "unlit.png", "unlit_confidence.png"}
+    expected |= {"template.obj", "template.mtl", "template.glb", "template.1001.png", "template.1002.png"}
+    expected |= {"template_normal.1001.png", "template_normal.1002.png"}
+    record = read_json(result.out / "result.json")
+    assert expected <= files_in(result.out) & set(record["files"])
+    assert result.plan.ran("unlit")
+    assert result.plan.ran("template_texture")
     assert record["options"]["unlit"] == "all"
     assert record["template_from_model"] is None  # the model was not made from a mesh
     alpha = cv2.imread(str(result.out / "template.1001.png"), cv2.IMREAD_UNCHANGED)[..., 3]
@@ -185,34 +166,37 @@ def test_files_and_plan_tell_of_both(result):
     assert s2a.load_scan(result.out / "template.glb").texture_linear is not None
 
 
-def test_minimal_files_leave_out_what_others_have_and_all_have_the_unlit_scan(case, tmp_path):
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ({"skip": ["albedo"]}, "no albedo was estimated, so the light is not known"),
+        ({"budget": 0.05}, "the budget ended before it"),
+    ],
+)
+def test_what_cannot_be_made_is_left_out_with_its_reason_and_the_face_comes_first(
+    coarse_scan, options, reason
+):
+    made = s2a.process(coarse_scan[0], size=32, quality="draft", unlit="all", **options)
+    (step,) = made.plan.of_stage("unlit")
+    assert not step.ran
+    assert step.reason == f"unlit is left out: {reason}"
+    assert step.level == "wrong"
+    assert step.text in made.notes
+    assert made.unlit is None
+    assert made.fitted is not None
+
+
+def test_minimal_files_leave_out_what_others_have_and_all_have_the_unlit_scan(coarse_scan, tmp_path):
     options = {"size": 32, "quality": "draft", "budget": s2a.Budget(evaluations=20)}
-    minimal = s2a.process(case[0], tmp_path / "a", files="minimal", **options)
+    minimal = s2a.process(coarse_scan[0], tmp_path / "a", files="minimal", **options)
     names = files_in(minimal.out)
     assert names == {
         *("result.json", "registration.json", "landmarks.json", "landmarks.csv", "trace.csv"),
         *("geometry_image.npz", "albedo.exr", "albedo.png", "fitted.glb"),
     }
     load_result(minimal.out)
-    every = s2a.process(case[0], tmp_path / "a", files="all", **options)
+    every = s2a.process(coarse_scan[0], tmp_path / "a", files="all", **options)
     assert {"unlit.glb", "overview.png"} <= files_in(every.out)
-
-
-def test_a_fit_without_a_light_leaves_it_out_and_says_so(case):
-    skipped = s2a.process(case[0], size=32, quality="draft", unlit="face", skip=["albedo"])
-    step = next(step for step in skipped.plan if step.stage == "unlit")
-    assert not step.ran
-    assert step.reason == "unlit is left out: no albedo was estimated, so the light is not known"
-    assert step.reason in skipped.notes
-    assert skipped.unlit is None
-
-
-def test_a_budget_that_is_spent_leaves_it_out_and_the_face_comes_first(case):
-    tight = s2a.process(case[0], size=32, unlit="all", budget=0.05)
-    step = next(step for step in tight.plan if step.stage == "unlit")
-    assert step.reason == "unlit is left out: the budget ended before it"
-    assert step.level == "wrong"
-    assert tight.fitted is not None
 
 
 def test_several_pictures_come_back_as_they_came(tmp_path):
@@ -289,12 +273,11 @@ def test_filling_goes_on_smoothly_and_keeps_what_is_known():
 
 def test_no_exported_texture_has_a_fringe_at_the_rim_of_its_charts(result, tmp_path):
     face = load_result(result.out)
-    write_face(swap_texture(face, face), tmp_path / "swap", application="swap", inputs=[face, face])
-    folders = result.out, tmp_path / "swap"
-    steps = {
-        (folder, name): rim_step(picture, covered)
-        for folder in folders
+    write_face(swap_texture(face, face), tmp_path, application="swap", inputs=[face, face])
+    steps = [
+        (rim_step(picture, covered), folder, name)
+        for folder in (result.out, tmp_path)
         for name, picture, covered in exported_textures(folder)
-    }
+    ]
     assert len(steps) >= 6
-    assert max(steps.values()) < LIMIT, steps
+    assert max(steps)[0] < LIMIT, steps

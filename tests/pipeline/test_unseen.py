@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageDraw
 
-from scan2albedo import process
+from scan2albedo import load_scan, process
 
 SIZE = 128
 HOLE_MM = 24.0
@@ -14,24 +14,17 @@ HOLE_MM = 24.0
 def unpainted(shared_data, tmp_path_factory):
     """Folder with james.obj, whole and with a cheek that is transparent, orange or black in its texture."""
     folder = tmp_path_factory.mktemp("unpainted")
-    lines = [
-        line
-        for line in (shared_data / "james.obj").read_text().splitlines()
-        if line[:2] in ("v ", "vt", "f ")
-    ]
-    rows = {
-        kind: [line.split()[1:] for line in lines if line.split()[0] == kind] for kind in ("v", "vt", "f")
-    }
-    vertices, places = np.array([row[:3] for row in rows["v"]], float), np.array(rows["vt"], float)
-    corners = np.array([[corner.split("/")[:2] for corner in row] for row in rows["f"]], int) - 1
-    picked = np.genfromtxt(shared_data / "james_ibug68.csv", delimiter=",", skip_header=1)[:, -3:]
+    text = (shared_data / "james.obj").read_text().splitlines()
+    lines = [line for line in text if line[:2] in ("v ", "vt", "f ")]
+    scan = load_scan(shared_data / "james.obj", unit="mm")
+    picked = np.loadtxt(shared_data / "james_ibug68.csv", delimiter=",")
     middle = 0.45 * picked[2] + 0.55 * picked[31]
     image = Image.open(shared_data / "james.jpg").convert("RGB")
     image.thumbnail((1024, 1024))
     alpha = Image.new("L", image.size, 255)
     draw = ImageDraw.Draw(alpha)
-    inside = (np.linalg.norm(vertices[corners[..., 0]] - middle, axis=-1) < HOLE_MM).all(1)
-    for place in places[corners[inside, :, 1]][..., :2]:
+    inside = (np.linalg.norm(scan.vertices[scan.faces] - middle, axis=-1) < HOLE_MM).all(1)
+    for place in scan.uv[inside]:
         draw.polygon([(u * image.width, (1 - v) * image.height) for u, v in place], fill=0)
     pixels, shown = np.asarray(image), np.asarray(alpha)
     empty = shown[..., None] == 0
@@ -67,9 +60,8 @@ def test_what_no_picture_showed_is_filled_and_marked(unpainted, plain, name):
     assert 100 < filled.sum() < 400
     assert not image.seen[filled].any()
     assert image.skin[filled].max() == 0
-    assert "no picture showed 1." in next(
-        step.reason for step in result.plan.doubts() if step.stage == "geometry_image.filled"
-    )
+    (doubt,) = result.plan.doubts().of_stage("geometry_image.filled")
+    assert "no picture showed 1." in doubt.reason
     apart = np.linalg.norm(result.fitted.landmarks - plain.fitted.landmarks, axis=1)
     assert apart.max() < 0.3
 

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -18,21 +20,6 @@ from scan2albedo.pipeline.validation import (
 from scan2albedo.synthetic import Material, hemisphere, light_at
 
 
-def row(**changes) -> ValidationRow:
-    values = {
-        "light_angle_deg": 30.0,
-        "texture": "wood",
-        "brdf": "lambert",
-        "input_mse_percent": 5.0,
-        "mse_percent": 0.02,
-        "value_mse_percent": 0.03,
-        "relative_rmse": 0.01,
-        "light_error_deg": 0.5,
-        "light_count": 1,
-    }
-    return ValidationRow(**(values | changes))
-
-
 def test_a_hemisphere_is_measured_against_its_truth():
     scene = hemisphere(lights=[light_at(30)], size=96, material=Material(sigma_rad=0.0))
     measured = validation_row(scene, 30.0, "lambert")
@@ -44,27 +31,30 @@ def test_a_hemisphere_is_measured_against_its_truth():
     assert measured.light_count >= 1
 
 
+ROW = ValidationRow(30.0, "wood", "lambert", 5.0, 0.02, 0.03, 0.01, 0.5, 1)
+
+
 def test_scenes_cover_every_light_texture_and_reflectance(monkeypatch):
     asked = []
 
     def recorded(scene, angle, brdf):
-        asked.append((brdf, scene.texture, angle, scene.lights[0]))
-        return row(light_angle_deg=angle, brdf=brdf)
+        asked.append((brdf, scene.texture, angle))
+        assert np.rad2deg(scene.lights[0].azimuth_rad) == pytest.approx(angle)
+        return replace(ROW, light_angle_deg=angle, brdf=brdf)
 
     monkeypatch.setattr(validation, "validation_row", recorded)
     progress = []
     table = validate_scenes("hemisphere", size=16, on_row=progress.append)
     assert len(table.rows) == len(set(asked)) == 12
     assert tuple(progress) == table.rows
-    assert {a[2] for a in asked} == {0.0, 30.0, 60.0}
-    assert all(np.rad2deg(a[3].azimuth_rad) == pytest.approx(a[2]) for a in asked)
+    assert {angle for _, _, angle in asked} == {0.0, 30.0, 60.0}
     assert table.paper_mse_percent == 1.07
     assert validate_scenes("face", size=16).paper_mse_percent == 2.01
 
 
 def test_the_worst_row_and_channel_count():
-    table = ValidationTable("face", (row(), row(mse_percent=0.5), row(value_mse_percent=0.7)), 2.01)
-    assert table.worst_mse_percent == 0.7
+    rows = ROW, replace(ROW, mse_percent=0.5), replace(ROW, value_mse_percent=0.7)
+    assert ValidationTable("face", rows, 2.01).worst_mse_percent == 0.7
 
 
 def test_angles_between_lights():
@@ -81,17 +71,15 @@ def test_deviation_over_lights_by_hand():
 
 
 def test_tables_show_our_figures_beside_the_papers():
-    text = ValidationTable("face", (row(), row(light_angle_deg=60.0)), 2.01).text()
+    text = ValidationTable("face", (ROW, replace(ROW, light_angle_deg=60.0)), 2.01).text()
     assert "worst: 0.0300 %   the paper: 2.01 %" in text
     assert "60°" in text
     assert len({len(line) for line in text.splitlines()[1:-1]}) == 1
     lighting = LightingTable((LightingRow(1, 12.0, 2.0), LightingRow(2, 10.0, 3.0)))
     assert lighting.mean.texture_std_percent == 11.0
     assert lighting.mean.albedo_std_percent == 2.5
-    text = lighting.text()
-    assert "11.00 %" in text
-    assert "4.00 %" in text
-    assert "2.50 %" in text
+    for figure in ("11.00 %", "4.00 %", "2.50 %"):
+        assert figure in lighting.text()
 
 
 @pytest.mark.slow

@@ -1,9 +1,8 @@
 """White balance: what it does to colours, and which values are refused."""
 
-import json
-
 import numpy as np
 import pytest
+from helpers.records import read_json
 from numpy.testing import assert_allclose
 
 import scan2albedo as s2a
@@ -67,8 +66,7 @@ def test_a_result_says_what_was_done(coarse_scan, tmp_path):
     result = s2a.process(coarse_scan[0], tmp_path, white_balance="0.5, 1, 2", **asked)
     ratio = result.geometry_image.texture_linear / np.maximum(plain.geometry_image.texture_linear, 1e-6)
     assert_allclose(np.median(ratio[plain.geometry_image.seen], 0), [2, 1, 0.5], rtol=1e-4)
-    record = json.loads((result.out / "result.json").read_text())
-    assert record["options"]["white_balance"] == [0.5, 1, 2]
-    done = next(step for step in record["plan"] if step["stage"] == "white_balance")
-    assert done["evidence"] == "red x 2.000, green x 1.000, blue x 0.500"
+    assert read_json(result.out / "result.json")["options"]["white_balance"] == [0.5, 1, 2]
+    (done,) = result.plan.of_stage("white_balance")
+    assert done.evidence == "red x 2.000, green x 1.000, blue x 0.500"
     assert plain.options["white_balance"] == "none"

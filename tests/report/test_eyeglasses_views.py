@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.wearers import small_wearer
 from matplotlib.colors import to_rgb
 from numpy.testing import assert_array_equal
 from scipy.ndimage import distance_transform_edt
@@ -12,16 +13,13 @@ from scan2albedo.eyeglasses import Camera, register_on_face
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT
 from scan2albedo.report import eyeglasses_views
 from scan2albedo.report.eyeglasses_views import registration_panels
-from scan2albedo.synthetic import wearer
 
 pytestmark = pytest.mark.slow
-
-EXACT = {"picture_size": 256, "focal_px": 450, "label_noise_px": 0, "mask_noise_px": 0}
 
 
 @pytest.fixture(scope="module")
 def person():
-    return wearer(0, **EXACT)
+    return small_wearer(0)
 
 
 @pytest.fixture(scope="module")
@@ -36,12 +34,8 @@ def frame(person):
     """The true frame, with the report of a registration."""
     glasses = person.glasses
     nearest = np.linalg.norm(glasses.rest_vertices[:, None] - glasses.rest_keypoints, axis=2).argmin(1)
-    found = register_on_face(
-        (glasses.rest_vertices, glasses.faces, glasses.rest_keypoints, np.eye(KEY_POINT_COUNT)[nearest]),
-        person.labels,
-        None,
-        person.cameras,
-    )
+    rest = (glasses.rest_vertices, glasses.faces, glasses.rest_keypoints, np.eye(KEY_POINT_COUNT)[nearest])
+    found = register_on_face(rest, person.labels, None, person.cameras)
     return replace(found, vertices=person.vertices, keypoints=person.keypoints)
 
 
@@ -113,9 +107,8 @@ def test_a_frame_behind_the_camera_and_many_views_are_drawn(frame, views):
     gone = replace(views[0][0], matrix=views[0][0].matrix @ np.diag([1, 1, 1, -1.0]))
     nowhere = (gone, None, np.full((20, 2), np.nan))
     twenty = 20 * [0]
-    many = replace(frame, label_errors_px=frame.label_errors_px[twenty], inliers=frame.inliers[twenty])
-    many = replace(many, outline_rms_px=frame.outline_rms_px[twenty])
-    many = replace(many, label_errors_px=np.full((20, 20), np.nan))
+    fields = {"inliers": frame.inliers[twenty], "outline_rms_px": frame.outline_rms_px[twenty]}
+    many = replace(frame, label_errors_px=np.full((20, 20), np.nan), **fields)
     panels = registration_panels(many, 20 * [nowhere])
     assert len(panels) == eyeglasses_views.MOST_SHOWN + 2
     assert not painted(panels[0], "darkorange").any()

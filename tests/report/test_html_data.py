@@ -6,6 +6,7 @@ import io
 import numpy as np
 import pytest
 import trimesh
+from helpers.meshes import sphere
 from numpy.testing import assert_array_equal
 from PIL import Image
 
@@ -13,11 +14,12 @@ from scan2albedo.applications.processed_face import FaceMesh
 from scan2albedo.core import TraceRow
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.errors import Scan2AlbedoError
-from scan2albedo.geometry.mesh import face_areas
+from scan2albedo.geometry.mesh import face_areas, face_normals, normalized
+from scan2albedo.geometry.rigid import compose
 from scan2albedo.io.color import decode_srgb_integers
 from scan2albedo.io.load_scan import input_sha256
-from scan2albedo.io.records import write_record
-from scan2albedo.io.result_records import InputRecord, RegistrationRecord
+from scan2albedo.io.records import read_record, write_record
+from scan2albedo.io.result_records import InputRecord, RegistrationRecord, ResultRecord
 from scan2albedo.report.html.charts import Axis, read_trace, stage_charts
 from scan2albedo.report.html.encoding import (
     gray_entry,
@@ -38,17 +40,20 @@ def pixels(entry):
     return np.asarray(Image.open(io.BytesIO(base64.b64decode(entry["data"]))))
 
 
-def sheet(size, height=lambda x, y: 0 * x):
+def sheet(size):
     """A square of 1 mm texels over the plane."""
     y, x = np.mgrid[0:size, 0:size].astype(float)
-    normal = np.zeros((size, size, 3))
-    normal[..., 2] = 1
-    return GeometryImage(np.stack([x, -y, height(x, y)], -1), normal, np.ones((size, size), bool))
+    normal = np.tile([0.0, 0, 1], (size, size, 1))
+    return GeometryImage(np.stack([x, -y, 0 * x], -1), normal, np.ones((size, size), bool))
+
+
+def faces_up(mesh_vertices, faces):
+    return (face_normals(mesh_vertices, faces)[:, 2] > 0).all()
 
 
 def test_meshes_survive_16_bits():
-    ball = trimesh.creation.icosphere(3, 90.0)
-    mesh = FaceMesh(ball.vertices + 40, ball.faces, (ball.vertices[:, :2] + 90) / 180)
+    vertices, faces = sphere(3)
+    mesh = FaceMesh(vertices + 40, faces, (vertices[:, :2] + 90) / 180)
     topologies = {}
     entry = mesh_entry(mesh, topologies)
     place = numbers(entry["positions"], "<u2", 3) / 65535 * entry["span"] + entry["low"]
@@ -64,13 +69,12 @@ def test_meshes_survive_16_bits():
 def test_octahedral_normals_are_off_by_5_thousandths_of_a_degree_at_most():
     normals = np.random.default_rng(0).normal(size=(5000, 3))
     normals[:6] = np.concatenate([np.eye(3), -np.eye(3)])
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = normalized(normals)
     e = octahedral(normals) / 32767
     back = np.column_stack([e, 1 - np.abs(e).sum(1)])
     under = back[:, 2] < 0
     back[under, :2] = ((1 - np.abs(back[:, 1::-1])) * np.where(back[:, :2] >= 0, 1, -1))[under]
-    back /= np.linalg.norm(back, axis=1, keepdims=True)
-    assert np.degrees(np.linalg.norm(back - normals, axis=1)).max() < 0.005
+    assert np.degrees(np.linalg.norm(normalized(back) - normals, axis=1)).max() < 0.005
 
 
 @pytest.mark.parametrize("most", [800, 300, 60])
@@ -84,8 +88,7 @@ def test_a_thinned_chart_covers_what_the_chart_covers(most):
     area = [face_areas(m.vertices, m.faces).sum() for m in (full, thin)]
     assert area[1] == pytest.approx(area[0])
     assert len(thin.vertices) < 0.75 * len(full.vertices)
-    corners = thin.vertices[thin.faces]
-    assert (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0).all()
+    assert faces_up(thin.vertices, thin.faces)
 
 
 def test_a_mirrored_chart_faces_the_way_of_its_normals():
@@ -93,9 +96,7 @@ def test_a_mirrored_chart_faces_the_way_of_its_normals():
     position, mask = image.position.copy(), image.mask.copy()
     mask[:, 5] = False
     position[:, 6:, 0] = 40 - position[:, 6:, 0]
-    vertices, faces = GeometryImage(position, image.normal, mask).triangulated()
-    corners = vertices[faces]
-    assert (np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] > 0).all()
+    assert faces_up(*GeometryImage(position, image.normal, mask).triangulated())
 
 
 def test_textures_hold_the_linear_values_to_8_bits_of_srgb():
@@ -128,48 +129,34 @@ def test_a_patch_holds_what_differs_alone_also_beyond_the_mask():
     mask[:, 2:] = True
     over = under.copy()
     over[3, 2:4] = 0.25
-    patch, whole = (
-        pixels(patch_entry(over, under, mask, 8, 2.0)),
-        pixels(texture_entry(over, mask, 8, factor=2.0)),
-    )
+    patch = pixels(patch_entry(over, under, mask, 8, 2.0))
+    whole = pixels(texture_entry(over, mask, 8, factor=2.0))
     assert (patch[3, :4, 3] == 255).all()
     assert_array_equal(patch[3, :4, :3], whole[3, :4])
     assert np.count_nonzero(patch[..., 3]) == 4
 
 
-def half_a_millimetre_off(folder):
-    """Write a scan that lies 0.5 mm under a square, as a result's input, and return the square."""
-    vertices, faces = sheet(30).triangulated()
-    scan = folder / "scan.ply"
-    trimesh.Trimesh(vertices + (0, 0, 99.5), faces, process=False).export(scan)
-    pose = np.eye(4)
-    pose[2, 3] = -100
-    rows = tuple(map(tuple, pose))
-    registration = {"rmse_mm": 1.0, "converged": True, "confidence": 1.0, "iterations": 1}
-    write_record(
-        folder / "registration.json",
-        RegistrationRecord(model_from_scan=rows, fitted_from_scan=rows, **registration),
-    )
-    inside = (vertices[:, :2] * (1, -1) > 3).all(1) & (vertices[:, :2] * (1, -1) < 26).all(1)
-    return scan, FaceMesh(vertices, faces, np.zeros((len(vertices), 2))), inside
-
-
 def test_residuals_are_measured_again_from_the_input(write_scan, tmp_path):
-    from scan2albedo.io.records import read_record
-    from scan2albedo.io.result_records import ResultRecord
-
-    scan, mesh, inside = half_a_millimetre_off(tmp_path)
+    """A scan lies 0.5 mm under a square, in another place."""
+    vertices, faces = sheet(30).triangulated()
+    scan, result = tmp_path / "scan.ply", tmp_path / "r"
+    trimesh.Trimesh(vertices + (0, 0, 99.5), faces, process=False).export(scan)
+    mesh = FaceMesh(vertices, faces, np.zeros((len(vertices), 2)))
+    inside = (np.abs(np.abs(vertices[:, :2]) - 14.5) < 11.5).all(1)
     source = InputRecord(file=str(scan), sha256=input_sha256(scan), vertices=900, faces=1682)
-    write_scan(tmp_path / "r", input=source, options={"unit": "mm"})
-    record = read_record(tmp_path / "r" / "result.json", ResultRecord)
-    (tmp_path / "registration.json").rename(tmp_path / "r" / "registration.json")
-    distance_mm, source = residual_of_result(tmp_path / "r", record, mesh)
+    write_scan(result, input=source, options={"unit": "mm"})
+    pose = compose(np.eye(3), [0, 0, -100])
+    figures = {"rmse_mm": 1.0, "converged": True, "confidence": 1.0, "iterations": 1}
+    poses = RegistrationRecord(model_from_scan=pose, fitted_from_scan=pose, **figures)
+    write_record(result / "registration.json", poses)
+    record = read_record(result / "result.json", ResultRecord)
+    distance_mm, source = residual_of_result(result, record, mesh)
     assert np.nanmax(np.abs(distance_mm[inside] - 0.5)) < 1e-4
     assert source == "measured again against scan.ply: 0.500 mm in the mean"
     scan.write_bytes(scan.read_bytes() + b"\n")
-    assert "no longer the scan" in residual_of_result(tmp_path / "r", record, mesh)[1]
+    assert "no longer the scan" in residual_of_result(result, record, mesh)[1]
     scan.unlink()
-    assert "no longer there" in residual_of_result(tmp_path / "r", record, mesh)[1]
+    assert "no longer there" in residual_of_result(result, record, mesh)[1]
 
 
 def rows(errors, stage="fit"):

@@ -2,11 +2,11 @@
 
 import base64
 import json
-import os
 import sys
 
 import numpy as np
 import pytest
+from helpers.records import files_in
 from numpy.testing import assert_allclose
 
 import scan2albedo as s2a
@@ -56,9 +56,14 @@ def test_a_report_of_somebody_else_is_never_replaced(one_scan):
     assert path.read_text() != "<title>mine</title>"
 
 
+def embedded(page):
+    """Return the data of a page by the names of its scripts."""
+    return {a["id"]: json.loads(text) for _, a, text in page.raw if a.get("type") == "application/json"}
+
+
 def test_the_viewer_gets_lights_reflectance_and_textures(one_scan, tmp_path):
     page = written(one_scan, tmp_path / "a.html")
-    data = {a["id"]: json.loads(text) for _, a, text in page.raw if a.get("type") == "application/json"}
+    data = embedded(page)
     face = data["scan-face"]
     assert f"topology-{face['topology']}" in data
     assert [light["azimuth"] for light in face["lights"]] == pytest.approx([35, -50])
@@ -70,22 +75,29 @@ def test_the_viewer_gets_lights_reflectance_and_textures(one_scan, tmp_path):
 
 
 def test_whatever_a_result_holds_is_text(write_scan, tmp_path):
-    folder = write_scan(
-        tmp_path / "evil",
-        name=EVIL,
-        notes=(EVIL,),
-        options={EVIL: EVIL, "model": "none"},
-        versions={EVIL: EVIL},
-        timings_s={EVIL: 1.0},
-        files=(EVIL,),
-    )
-    (folder / "trace.csv").write_text(
-        "stage,elapsed_s,cpu_s,evaluations,error,unit\n<b>x,1,1,1,1,<i>\n<b>x,2,2,2,2,<i>\n"
-    )
+    evil = {"name": EVIL, "notes": (EVIL,), "versions": {EVIL: EVIL}, "timings_s": {EVIL: 1.0}}
+    options = {EVIL: EVIL, "model": "none"}
+    folder = write_scan(tmp_path / "evil", options=options, files=(EVIL,), **evil)
+    (folder / "trace.csv").write_text(f"{TRACE_HEAD}<b>x,1,1,1,1,<i>\n<b>x,2,2,2,2,<i>\n")
     page = written(folder, tmp_path / "page.html")
     assert page.words().count(EVIL) >= 6
     assert not page.all("i")
     assert len([raw for raw in page.raw if raw[0] == "script"]) == 3
+
+
+TRACE_HEAD = "stage,elapsed_s,cpu_s,evaluations,error,unit\n"
+
+
+def test_files_that_are_damaged_or_missing_leave_their_part_out_and_say_so(write_scan, tmp_path):
+    folder = write_scan(tmp_path / "poor")
+    (folder / "trace.csv").write_text(f"{TRACE_HEAD}fit,one,1,1,1,mm\n")
+    assert "line 2 is not a row of a trace" in written(folder, tmp_path / "page.html").words()
+    for name in ("geometry_image.npz", "trace.csv", "overview.png"):
+        (folder / name).unlink()
+    page = written(folder, tmp_path / "page.html")
+    for told in ("There is nothing to turn", "geometry_image.npz", "No error against time"):
+        assert told in page.words()
+    assert not page.all("img")
 
 
 def test_data_inside_scripts_cannot_end_them():
@@ -100,23 +112,6 @@ def test_links_are_relative_to_the_page_and_never_another_kind(write_scan, tmp_p
     assert "javascript%3Aalert%281%29/50%25%20%231%3F/trace.csv" in page.links()
     inside = written(folder, folder / "report.html")
     assert "trace.csv" in inside.links()
-
-
-def test_files_that_are_missing_leave_their_part_out_and_say_so(write_scan, tmp_path):
-    folder = write_scan(tmp_path / "poor")
-    for name in ("geometry_image.npz", "trace.csv", "overview.png"):
-        (folder / name).unlink()
-    page = written(folder, tmp_path / "page.html")
-    assert "There is nothing to turn" in page.words()
-    assert "geometry_image.npz" in page.words()
-    assert "No error against time" in page.words()
-    assert not page.all("img")
-
-
-def test_a_damaged_trace_names_the_line(write_scan, tmp_path):
-    folder = write_scan(tmp_path / "scan")
-    (folder / "trace.csv").write_text("stage,elapsed_s,cpu_s,evaluations,error,unit\nfit,one,1,1,1,mm\n")
-    assert "line 2 is not a row of a trace" in written(folder, tmp_path / "page.html").words()
 
 
 def test_a_result_without_an_albedo_shows_its_shape(write_scan, tmp_path):
@@ -140,8 +135,7 @@ def test_harmonic_light_is_carried_over(write_scan, tmp_path):
     rows = np.arange(27.0).reshape(9, 3).tolist()
     parameters = {"brdf": "spherical-harmonics", "sh_coefficients": rows}
     folder = write_scan(tmp_path / "sh", parameters=parameters, lights=())
-    page = written(folder, tmp_path / "page.html")
-    face = next(json.loads(text) for _, a, text in page.raw if a.get("id") == "scan-face")
+    face = embedded(written(folder, tmp_path / "page.html"))["scan-face"]
     assert face["harmonics"] == list(range(27))
     assert face["reflectance"]["brdf"] == "lambert"
 
@@ -151,7 +145,7 @@ def test_coloured_lamps_and_soft_light_are_carried_over(write_scan, tmp_path):
     soft = s2a.EnvironmentLight(np.eye(9, 3) + 0.1, fill=0.2)
     folder = write_scan(tmp_path / "warm", lights=(lamp,), environment=soft)
     page = written(folder, tmp_path / "page.html")
-    face = next(json.loads(text) for _, a, text in page.raw if a.get("id") == "scan-face")
+    face = embedded(page)["scan-face"]
     assert face["lights"][0]["color"] == [1.5, 1.0, 0.5]
     normal = np.array([[0.6, 0.0, 0.8]])
     shown = harmonics(normal, 2) @ np.reshape(face["harmonics"], (9, 3))
@@ -161,27 +155,24 @@ def test_coloured_lamps_and_soft_light_are_carried_over(write_scan, tmp_path):
     # At each vertex, with what the surface hides.
     light = np.frombuffer(base64.b64decode(face["soft"]["data"]), "<u2").reshape(-1, 3)
     assert len(light) == len(base64.b64decode(face["positions"])) // 6
-    of_texels = relight(load_result(folder), environment=soft).diffuse
-    mean = of_texels[load_result(folder).mask].mean(0)
+    given = load_result(folder)
+    mean = relight(given, environment=soft).diffuse[given.mask].mean(0)
     assert_allclose(face["soft"]["scale"] * light.mean(0) / 65535, mean, rtol=0.1)
 
 
-def test_folders_without_results_and_damaged_ones_are_refused_with_their_names(write_scan, tmp_path):
-    with pytest.raises(Scan2AlbedoError, match="no such folder"):
-        report.write_report(tmp_path / "none")
+def test_what_no_page_is_made_of_is_refused_by_name_and_leaves_nothing(write_scan, one_scan, tmp_path):
     (tmp_path / "empty").mkdir()
-    with pytest.raises(Scan2AlbedoError, match="holds no"):
-        report.write_report(tmp_path / "empty")
-    folder = write_scan(tmp_path / "cut")
-    (folder / "result.json").write_text("{")
-    with pytest.raises(Scan2AlbedoError, match=r"cut/result.json"):
-        report.write_report(folder)
-
-
-def test_a_page_that_cannot_be_written_leaves_nothing(one_scan, tmp_path):
-    with pytest.raises(OutputError, match="missing"):
-        report.write_report(one_scan, tmp_path / "missing" / "page.html")
-    assert os.listdir(tmp_path) == []
+    (write_scan(tmp_path / "cut") / "result.json").write_text("{")
+    for folder, options, error, words in (
+        (tmp_path / "none", {}, Scan2AlbedoError, "no such folder"),
+        (tmp_path / "empty", {}, Scan2AlbedoError, "holds no"),
+        (tmp_path / "cut", {}, Scan2AlbedoError, r"cut/result.json"),
+        (one_scan, {"path": tmp_path / "missing" / "page.html"}, OutputError, "missing"),
+        (one_scan, {"scans": -1}, ValueError, "scans is -1"),
+    ):
+        with pytest.raises(error, match=words):
+            report.write_report(folder, **options)
+    assert files_in(tmp_path) == {"empty", "cut"}
 
 
 def test_without_jinja_the_extra_is_named(one_scan, tmp_path, monkeypatch):
@@ -189,12 +180,7 @@ def test_without_jinja_the_extra_is_named(one_scan, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "jinja2", None)
     with pytest.raises(MissingDependencyError, match=r"jinja2.*pip install 'scan2albedo\[report\]'"):
         report.write_report(one_scan, tmp_path / "page.html")
-    assert os.listdir(tmp_path) == []
-
-
-def test_options_out_of_range_are_refused(one_scan):
-    with pytest.raises(ValueError, match="scans is -1"):
-        report.write_report(one_scan, scans=-1)
+    assert files_in(tmp_path) == set()
 
 
 @pytest.mark.slow

@@ -1,7 +1,9 @@
 """Pictures of reflectances show what there is."""
 
 import numpy as np
+from helpers.meshes import grid
 
+from scan2albedo.geometry.mesh import join
 from scan2albedo.geometry.pinhole import look_at
 from scan2albedo.reflectance import MeshReflectance, VertexReflectance
 from scan2albedo.report.reflectance_views import (
@@ -11,14 +13,19 @@ from scan2albedo.report.reflectance_views import (
     relit_panels,
 )
 
-SQUARE = np.array([[-50.0, -50, 0], [50, -50, 0], [50, 50, 0], [-50, 50, 0]])
-FACES = np.array([[0, 1, 2], [0, 2, 3]])
+CORNERS, FACES = grid(2, 2)
+SQUARE = 100 * CORNERS - [50, 50, 0]
+
+
+def drawn(vertices, faces, color, size=101):
+    """Draw a mesh in a camera that sees 2 mm a pixel, or 1 mm with 201 pixels, at the square."""
+    camera = look_at([0, 0, 500], [0, 0, 0], focal_px=500, shape=(size, size))
+    return draw_in_camera(camera, (size, size), vertices, faces, color)
 
 
 def test_a_square_is_drawn_where_the_camera_sees_it():
-    camera = look_at([0, 0, 500], [0, 0, 0], focal_px=500, shape=(201, 201))
-    color = np.array([[1.0, 0, 0], [0, 1, 0], [0, 1, 0], [1, 0, 0]])
-    picture, shown = draw_in_camera(camera, (201, 201), SQUARE, FACES, color)
+    color = np.array([[1.0, 0, 0], [0, 1, 0], [1, 0, 0], [0, 1, 0]])
+    picture, shown = drawn(SQUARE, FACES, color, 201)
     rows, columns = np.nonzero(shown)
     assert (rows.min(), rows.max(), columns.min(), columns.max()) == (50, 150, 50, 150)
     assert np.allclose(picture[100, [51, 100, 149], 0], [0.99, 0.5, 0.01], atol=0.02)
@@ -26,25 +33,22 @@ def test_a_square_is_drawn_where_the_camera_sees_it():
 
 
 def test_the_nearer_surface_hides_the_farther():
-    camera = look_at([0, 0, 500], [0, 0, 0], focal_px=500, shape=(101, 101))
-    both = np.concatenate([SQUARE - [0, 0, 100], SQUARE * 0.3])
-    color = np.repeat([[1.0, 1, 1], [0, 0, 1.0]], 4, axis=0)
-    picture, _ = draw_in_camera(camera, (101, 101), both, np.concatenate([FACES, FACES + 4]), color)
+    both = join([(SQUARE - [0, 0, 100], FACES), (SQUARE * 0.3, FACES)])
+    picture, _ = drawn(*both, np.repeat([[1.0, 1, 1], [0, 0, 1.0]], 4, axis=0))
     assert np.allclose(picture[50, 50], [0, 0, 1])
     assert np.allclose(picture[50, 15], [1, 1, 1])
 
 
 def test_vertices_behind_the_camera_and_unknown_ones_are_left_out():
-    camera = look_at([0, 0, 500], [0, 0, 0], focal_px=500, shape=(101, 101))
     color = np.ones((4, 3))
-    color[2] = np.nan
-    picture, shown = draw_in_camera(camera, (101, 101), SQUARE, FACES, color)
+    color[3] = np.nan
+    picture, shown = drawn(SQUARE, FACES, color)
     assert np.isfinite(picture).all()
     # Both triangles have that corner; only the edges opposite to it are known.
     assert shown.mean() < 0.03
     behind = SQUARE.copy()
     behind[1, 2] = 900
-    picture, shown = draw_in_camera(camera, (101, 101), behind, FACES, np.ones((4, 3)))
+    picture, shown = drawn(behind, FACES, np.ones((4, 3)))
     assert shown.any()
     assert not shown[70, 70]
 

@@ -1,8 +1,9 @@
 """Pictures of relit faces: light as the equation says, shadows without steps, holes filled."""
 
 import numpy as np
-import trimesh
+from helpers.meshes import grid, sphere
 
+from scan2albedo.geometry.mesh import join
 from scan2albedo.geometry.pinhole import look_at
 from scan2albedo.reflectance import VertexReflectance
 from scan2albedo.report.reflectance_views import relit_picture
@@ -11,42 +12,37 @@ SHAPE = (61, 61)
 CAMERA = look_at([0, 0, 500], [0, 0, 0], focal_px=250, shape=SHAPE)
 
 
+FAR = np.array([0.0, 0, 1e6])
+
+
 def plate(side=9, half=60.0, height=0.0):
     """A square of side x side vertices that faces +z."""
-    ticks = np.linspace(-half, half, side)
-    y, x = np.meshgrid(ticks, ticks, indexing="ij")
-    vertices = np.stack([x.ravel(), y.ravel(), np.full(side * side, height)], 1)
-    row, column = np.mgrid[: side - 1, : side - 1]
-    first = (row * side + column).ravel()
-    lower = np.stack([first, first + 1, first + side + 1], 1)
-    return vertices, np.concatenate([lower, np.stack([first, first + side + 1, first + side], 1)])
+    vertices, faces = grid(side, side)
+    return (2 * vertices - 1) * [half, half, 0] + [0, 0, height], faces
 
 
-def matt(count, albedo=0.5, known=None):
-    every = np.ones(count, bool) if known is None else known
-    return VertexReflectance(np.full((count, 3), albedo), np.zeros((count, 3)), every)
+def picture(vertices, faces, light=FAR, normals=None, known=None, **options):
+    """Return the picture of a grey matt face, whose normals are +z unless others are given."""
+    count = len(vertices)
+    known = np.ones(count, bool) if known is None else known
+    normals = np.tile([0.0, 0, 1], (count, 1)) if normals is None else normals
+    matt = VertexReflectance(np.where(known[:, None], [0.5] * 3, np.nan), np.zeros((count, 3)), known)
+    return relit_picture(
+        vertices, faces, normals, matt, camera=CAMERA, shape=SHAPE, light=np.array(light, float), **options
+    )
 
 
 def test_a_plate_in_front_of_a_light():
-    vertices, faces = plate()
-    face = (vertices, faces, np.tile([0.0, 0, 1], (len(vertices), 1)), matt(len(vertices)))
-    made, known = relit_picture(*face, camera=CAMERA, shape=SHAPE, light=np.array([0.0, 0, 1e6]))
+    made, known = picture(*plate())
     assert known[10:-10, 10:-10].all()
     assert np.allclose(made[30, 30], 0.5 / np.pi)
-    near, _ = relit_picture(
-        *face, camera=CAMERA, shape=SHAPE, light=np.array([0.0, 0, 500]), reference_distance_mm=1000
-    )
+    near, _ = picture(*plate(), [0, 0, 500], reference_distance_mm=1000)
     assert np.allclose(near[30, 30], 4 * 0.5 / np.pi, rtol=1e-3)
 
 
 def test_the_edge_of_a_shadow_is_straight_and_soft_whatever_the_mesh():
     """Vertices are seven pixels apart; the edge is where it should be to a small part of a pixel."""
-    ground, faces = plate()
-    small, other = plate(side=2, half=21.0, height=40.0)
-    vertices = np.concatenate([ground, small])
-    normals = np.tile([0.0, 0, 1], (len(vertices), 1))
-    face = (vertices, np.concatenate([faces, other + len(ground)]), normals, matt(len(vertices)))
-    made, _ = relit_picture(*face, camera=CAMERA, shape=SHAPE, light=np.array([1000.0, 0, 1000]))
+    made, _ = picture(*join([plate(), plate(side=2, half=21.0, height=40.0)]), [1000, 0, 1000])
     part = made[10:31, 3:18, 0] / made[10, 3:18, 0]  # left of the plate, from the lit ground to its shadow
     assert part[-1].max() < 0.01
     edge_mm = 21 * 1000 / 960
@@ -57,11 +53,9 @@ def test_the_edge_of_a_shadow_is_straight_and_soft_whatever_the_mesh():
 
 
 def test_a_coarse_ball_does_not_shadow_itself():
-    ball = trimesh.creation.icosphere(subdivisions=2, radius=50)
-    normals = ball.vertices / 50
-    face = (np.array(ball.vertices), np.array(ball.faces), normals, matt(len(normals)))
+    vertices, faces = sphere(2, 50.0)
     light = np.array([800.0, 0, 500])
-    made, _ = relit_picture(*face, camera=CAMERA, shape=SHAPE, light=light)
+    made, _ = picture(vertices, faces, light, vertices / 50)
     rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]]
     x, y = (columns - 30) * 2.0, (30 - rows) * 2.0
     inside = x**2 + y**2 < 40**2
@@ -74,12 +68,7 @@ def test_a_coarse_ball_does_not_shadow_itself():
 
 
 def test_unknown_vertices_are_drawn_and_marked():
-    vertices, faces = plate()
-    known = np.ones(len(vertices), bool)
-    known[40] = False
-    one = VertexReflectance(np.where(known[:, None], [0.5] * 3, np.nan), np.zeros((len(known), 3)), known)
-    face = (vertices, faces, np.tile([0.0, 0, 1], (len(vertices), 1)), one)
-    made, certain = relit_picture(*face, camera=CAMERA, shape=SHAPE, light=np.array([0.0, 0, 1e6]))
+    made, certain = picture(*plate(), known=np.arange(81) != 40)
     assert np.allclose(made[30, 30], 0.5 / np.pi)
     assert not certain[30, 30]
     assert certain[12, 12]
@@ -87,7 +76,6 @@ def test_unknown_vertices_are_drawn_and_marked():
 
 def test_the_back_of_a_surface_is_not_drawn():
     vertices, faces = plate()
-    face = (vertices, faces[:, ::-1], np.tile([0.0, 0, -1], (len(vertices), 1)), matt(len(vertices)))
-    made, known = relit_picture(*face, camera=CAMERA, shape=SHAPE, light=np.array([0.0, 0, 1e6]))
+    made, known = picture(vertices, faces[:, ::-1], normals=np.tile([0.0, 0, -1], (81, 1)))
     assert (made == 0).all()
     assert not known.any()

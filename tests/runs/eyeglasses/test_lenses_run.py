@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 import trimesh
 from helpers.cli import invoke
-from helpers.commands import succeeded
+from helpers.commands import printed, refusal, succeeded
 from helpers.records import files_in, read_json, valid_record
+from helpers.usage import usage_error
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.core import RawScan
@@ -63,6 +64,15 @@ def head():
     return ball
 
 
+SKIN = Surface(head().vertices, head().faces)
+
+
+def drawn(head=SKIN, cameras=VIEWS, **more):
+    """Draw the frame with plain lenses."""
+    frame = Surface(BENT.vertices, BENT.faces)
+    return render_lenses(frame, BENT.keypoints, LensMaterial(), head=head, cameras=cameras, **more)
+
+
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     """A frame in metres with key points in mm, a head in cm, cameras for mm, two photographs."""
@@ -87,18 +97,17 @@ def run(folder, *arguments, frame="registered.glb", **given):
 
 
 def test_the_input_has_the_hashes_of_what_was_read(files, tmp_path):
-    shutil.copytree(files, tmp_path / "copy")
-    copied = sorted((tmp_path / "copy").iterdir())
-    digests = {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in copied}
-    frame, head, cameras, room = (
-        tmp_path / "copy" / name for name in ("registered.glb", "head.ply", "cameras.json", "room.exr")
-    )
+    copy = shutil.copytree(files, tmp_path / "copy")
+    digests = {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in copy.iterdir()}
+    names = {"mesh": "registered.glb", "head": "head.ply", "cameras": "cameras.json"}
+    names |= {"environment": "room.exr", "keypoints": "keypoints.json"}
+    paths = {what: copy / name for what, name in names.items()}
+    expected = {what: (str(path), digests[path]) for what, path in paths.items()}
+    for what in ("head", "mesh"):
+        expected[what] = (str(paths[what]), input_sha256(paths[what]))
+    frame, head, cameras, room, _ = paths.values()
     source = read_lens_scene(frame, head, cameras, environment=room)
-    marks = tmp_path / "copy" / "keypoints.json"
-    files = {"cameras": cameras, "environment": room, "keypoints": marks}
-    expected = {what: (str(path), digests[path]) for what, path in files.items()}
-    expected |= {"head": (str(head), input_sha256(head)), "mesh": (str(frame), input_sha256(frame))}
-    for path in copied:
+    for path in digests:
         path.write_bytes(b"changed while pictures were drawn")
     assert {what: (file.file, file.sha256) for what, file in source.files.items()} == expected
 
@@ -107,31 +116,26 @@ def test_the_inside_of_an_open_face_is_not_drawn():
     """From behind, where a relit picture shows none of it either; a face wound inward stays."""
     ball = head()
     front = ball.faces[ball.triangles_center[:, 2] > -110]
-    frame, light = Surface(BENT.vertices, BENT.faces), np.full((8, 16, 3), 0.5)
-    behind = [view("behind", [0, 0, -600])]
-    shown = {}
-    for name, faces in (("outward", front), ("inward", front[:, ::-1])):
-        drawn = render_lenses(
-            frame,
-            BENT.keypoints,
-            LensMaterial(),
-            head=Surface(ball.vertices, faces, (0.0, 0.0, 0.0)),
-            cameras=behind,
-            environment_linear=light,
+    shown = []
+    for faces in (front, front[:, ::-1]):
+        scene = drawn(
+            Surface(ball.vertices, faces, (0.0, 0.0, 0.0)),
+            [view("behind", [0, 0, -600])],
+            environment_linear=np.full((8, 16, 3), 0.5),
             options=LensPictureOptions(supersampling=1, light_count=4),
         )
-        shown[name] = (drawn.views[0].picture.without_lenses_linear.max(2) < 1e-6).mean()
+        shown.append((scene.views[0].picture.without_lenses_linear.max(2) < 1e-6).mean())
     # Temples in the shade of the face are dark too.
-    assert shown["outward"] < 0.01 < 0.9 < shown["inward"]
+    assert shown[0] < 0.01 < 0.9 < shown[1]
 
 
 def test_drawn_views_and_their_files(files, tmp_path):
     out = tmp_path / "out"
-    answer = succeeded(run(files, "-o", out, "--dioptres", "-4,-2.5", "--fresnel", "--json"))
-    drawn = {f"{name}_lenses.{kind}" for name in ("front", "side") for kind in ("png", "exr")}
-    assert files_in(out) == COMMON | drawn
+    summary = printed(run(files, "-o", out, "--dioptres", "-4,-2.5", "--fresnel", "--json"))
+    pictures = {f"{name}_lenses.{kind}" for name in ("front", "side") for kind in ("png", "exr")}
+    assert files_in(out) == COMMON | pictures
     record = valid_record(out / "result.json", "eyeglasses_lenses")
-    assert set(record["files"]) == COMMON | drawn
+    assert set(record["files"]) == COMMON | pictures
     assert [lens["dioptres"] for lens in record["lenses"]] == [-4, -2.5]
     assert [lens["beta"] for lens in record["lenses"]] == [0.04] * 2
     assert record["light"] == "built-in"
@@ -139,20 +143,17 @@ def test_drawn_views_and_their_files(files, tmp_path):
     for lens, center in zip(record["lenses"], BENT.lens_centers, strict=True):
         assert np.linalg.norm(np.array(lens["center_mm"]) - center) < 1
         assert lens["measured"] == 1
-    summary = json.loads(answer.stdout)
     assert summary["status"] == "done"
     assert summary["lenses"] == record["lenses"]
     # What stands in the files is what the library makes of the same things.
     source = read_lens_scene(files / "registered.glb", files / "head.ply", files / "cameras.json")
-    options = LensPictureOptions(light_count=4, supersampling=2)
-    pair = (LensMaterial(-4.0, beta=0.04, fresnel=True), LensMaterial(-2.5, beta=0.04, fresnel=True))
     rendered = render_lenses(
         surface_of(source.frame.scan, (0.05, 0.05, 0.06)),
         source.frame.keypoints,
-        pair,
+        tuple(LensMaterial(dioptres, beta=0.04, fresnel=True) for dioptres in (-4.0, -2.5)),
         head=surface_of(source.head, (0.5, 0.5, 0.5), 0.3),
         cameras=source.cameras,
-        options=options,
+        options=LensPictureOptions(light_count=4, supersampling=2),
     )
     for made, seen in zip(rendered.views, record["views"], strict=True):
         stored = read_image_linear(out / f"{made.camera.name}_lenses.exr")
@@ -198,8 +199,7 @@ def test_photographs_environment_and_views(files, tmp_path):
 
 
 def test_masks_of_any_cameras_refine_the_rims(files, tmp_path):
-    worn = tmp_path / "worn"
-    shutil.copytree(files, worn)
+    worn = shutil.copytree(files, tmp_path / "worn")
     offset = BENT.vertices[BENT.faces].mean(1) - BENT.lens_centers[0]
     lost = (np.abs(offset[:, 0]) < 35) & (np.abs(offset[:, 2]) < 15) & (offset[:, 1] < 0)
     write_glb(worn / "registered.glb", BENT.vertices, BENT.faces[~lost])
@@ -213,27 +213,23 @@ def test_masks_of_any_cameras_refine_the_rims(files, tmp_path):
         ways = pixel_directions(camera.matrix, pixel_grid(size))
         shown.append((scene.first_hit(np.full(ways.shape, eye, float), ways).face >= 0).reshape(size))
     write_masks(masks, shown, cameras)
-    off = {}
-    for name, more in (("without", {}), ("with", {"masks": masks})):
-        done = succeeded(run(worn, "--json", "--view", "front", out=tmp_path / name, **more))
-        record = valid_record(tmp_path / name / "result.json", "eyeglasses_lenses")
-        lens = trimesh.load(tmp_path / name / "frame_with_lenses.glb").geometry["left_lens"]
+    off, records = [], []
+    for more in ({}, {"masks": masks}):
+        out = tmp_path / f"out {len(off)}"
+        succeeded(run(worn, "--view", "front", out=out, **more))
+        records.append(valid_record(out / "result.json", "eyeglasses_lenses"))
+        lens = trimesh.load(out / "frame_with_lenses.glb").geometry["left_lens"]
         rim = 1e3 * lens.vertices[np.unique(lens.edges[trimesh.grouping.group_rows(lens.edges_sorted, 1)])]
-        off[name] = np.sqrt((np.linalg.norm(rim[:, None] - BENT.lens_outlines[0], axis=2).min(1) ** 2).mean())
-        left, right = (entry["deviation_mm"] for entry in record["lenses"])
-        if more:
-            assert 0 < right < left < 1.5
-            assert len(record["masks"]) == 3
-            assert "the left lens: masks refine its outline" in "".join(record["notes"])
-        else:
-            assert left is None
-            assert right is None
-            assert record["masks"] == []
-    assert off["with"] < 0.5 * off["without"]
+        nearest = np.linalg.norm(rim[:, None] - BENT.lens_outlines[0], axis=2).min(1)
+        off.append(np.sqrt((nearest**2).mean()))
+    deviations = [[entry["deviation_mm"] for entry in record["lenses"]] for record in records]
+    assert deviations[0] == [None, None]
+    assert 0 < deviations[1][1] < deviations[1][0] < 1.5
+    assert [len(record["masks"]) for record in records] == [0, 3]
+    assert "the left lens: masks refine its outline" in "".join(records[1]["notes"])
+    assert off[1] < 0.5 * off[0]
     shutil.rmtree(masks)
-    done = run(worn, out=tmp_path / "none", masks=masks)
-    assert done.exit_code == 2
-    assert "the folder holds none of front.png" in done.output
+    assert "the folder holds none of front.png" in usage_error(run(worn, out=tmp_path / "none", masks=masks))
 
 
 def test_each_bad_input_is_one_line_that_names_the_file(files, tmp_path):
@@ -246,45 +242,36 @@ def test_each_bad_input_is_one_line_that_names_the_file(files, tmp_path):
     far.export(tmp_path / "far.ply")
     write_png(tmp_path / "small.png", np.zeros((5, 5, 3)))
     (tmp_path / "broken.exr").write_bytes(b"nothing")
-    cases = {
-        "none.json": {"cameras": tmp_path / "none.json"},
-        "cameras.json: there is no view 'back', only front, side": {"view": "back"},
-        "few.json: the left lens needs the key points of its rim": {"keypoints": tmp_path / "few.json"},
-        "none.ply": {"head": tmp_path / "none.ply"},
-        "mm away from the head": {"head": tmp_path / "far.ply"},
-        "small.png is 5 x 5 pixels": {"picture": tmp_path / "small.png", "view": "front"},
-        "small.png: there are 1 pictures for 2 views": {"picture": tmp_path / "small.png"},
-        "broken.exr": {"environment": tmp_path / "broken.exr"},
-        "lost.json": {"keypoints": tmp_path / "lost.json"},
-    }
-    for words, given in cases.items():
-        answer = run(files, "-o", out, "--json", **given)
-        assert answer.exit_code == 2, answer.output
-        lines = [line for line in answer.stderr.splitlines() if "error:" in line]
-        assert len(lines) == 1
-        assert words in lines[0]
+    for words, what, name in (
+        ("none.json", "cameras", "none.json"),
+        ("few.json: the left lens needs the key points of its rim", "keypoints", "few.json"),
+        ("none.ply", "head", "none.ply"),
+        ("mm away from the head", "head", "far.ply"),
+        ("small.png: there are 1 pictures for 2 views", "picture", "small.png"),
+        ("broken.exr", "environment", "broken.exr"),
+        ("lost.json", "keypoints", "lost.json"),
+    ):
+        answer = run(files, "-o", out, "--json", **{what: tmp_path / name})
+        assert words in refusal(answer)
         summary = json.loads(answer.stdout)
         assert summary["status"] == "failed"
         assert words in summary["reason"]
         assert not out.exists() or list(out.iterdir()) == []
-    missing = run(files, "-o", out, frame="none.glb")
-    assert missing.exit_code == 2
-    assert "none" in missing.stderr
+    for words, more in (
+        ("cameras.json: there is no view 'back', only front, side", {"view": "back"}),
+        ("small.png is 5 x 5 pixels", {"picture": tmp_path / "small.png", "view": "front"}),
+        ("none.glb", {"frame": "none.glb"}),
+    ):
+        assert words in refusal(run(files, "-o", out, **more))
 
 
-def test_options_that_mean_nothing_are_usage_errors(files, tmp_path):
-    wrong = (
-        ("--dioptres", "much"),
-        ("--dioptres", "1,2,3"),
-        ("--tint", "1,2"),
-        ("--alpha", "2"),
-        ("--lights", "0"),
-        ("--unit", "yard"),
-    )
-    for arguments in wrong:
-        answer = run(files, "-o", tmp_path / "out", *arguments)
-        assert answer.exit_code == 2, arguments
-        assert not (tmp_path / "out").exists()
+@pytest.mark.parametrize(
+    "arguments",
+    ["--dioptres much", "--dioptres 1,2,3", "--tint 1,2", "--alpha 2", "--lights 0", "--unit yard"],
+)
+def test_options_that_mean_nothing_are_usage_errors(files, tmp_path, arguments):
+    usage_error(run(files, "-o", tmp_path / "out", *arguments.split()))
+    assert not (tmp_path / "out").exists()
 
 
 def test_lenses_of_the_commands_options():
@@ -299,16 +286,13 @@ def test_lenses_of_the_commands_options():
 
 def test_a_heads_colours_are_used():
     rng = np.random.default_rng(0)
-    vertices, faces = np.eye(3) * 100, np.array([[0, 1, 2]])
+    mesh, grey = (np.eye(3) * 100, np.array([[0, 1, 2]])), (0.4, 0.5, 0.6)
     texture, uv = rng.random((4, 4, 3)).astype(np.float32), rng.random((1, 3, 2))
-    textured = surface_of(RawScan(vertices, faces, uv=uv, texture_linear=texture), (0.5, 0.5, 0.5))
-    assert_array_equal(textured.texture_linear, texture)
-    assert textured.texture_linear.dtype == np.float32
+    textured = surface_of(RawScan(*mesh, uv=uv, texture_linear=texture), grey)
+    assert_array_equal(textured.texture_linear, texture, strict=True)
     colors = rng.random((3, 3)).astype(np.float32)
-    painted = surface_of(RawScan(vertices, faces, vertex_color_linear=colors), (0.5, 0.5, 0.5))
-    assert_array_equal(painted.albedo_linear, colors)
-    bare = surface_of(RawScan(vertices, faces), (0.4, 0.5, 0.6))
-    assert_array_equal(bare.albedo_linear, [0.4, 0.5, 0.6])
+    assert_array_equal(surface_of(RawScan(*mesh, vertex_color_linear=colors), grey).albedo_linear, colors)
+    assert_array_equal(surface_of(RawScan(*mesh), grey).albedo_linear, grey)
 
 
 def test_the_built_in_room_turns_with_the_frame():
@@ -335,47 +319,37 @@ def test_the_built_in_room_turns_with_the_frame():
 
 
 def test_exposure_is_the_scenes_own():
-    even = np.full((16, 32, 3), 2.0)
-    assert white_exposure(even, np.array([0, 0, 1.0])) == pytest.approx(WHITE_SHOWN / 2, rel=1e-3)
+    even, ahead = np.full((16, 32, 3), 2.0), np.array([0, 0, 1.0])
+    assert white_exposure(even, ahead) == pytest.approx(WHITE_SHOWN / 2, rel=1e-3)
     front = np.where(texel_directions((16, 32))[..., 2:] > 0, [4.0] * 3, 0.0)
-    assert white_exposure(front, np.array([0, 0, 1.0])) == pytest.approx(WHITE_SHOWN / 4, rel=1e-2)
+    assert white_exposure(front, ahead) == pytest.approx(WHITE_SHOWN / 4, rel=1e-2)
     # From behind it is dark there, and shown so.
-    assert white_exposure(front, np.array([0, 0, -1.0])) == pytest.approx(WHITE_SHOWN / 2, rel=1e-2)
-    assert white_exposure(0 * even, np.array([0, 0, 1.0])) == 1.0
-    ball = head()
-    frame, skin = Surface(BENT.vertices, BENT.faces), Surface(ball.vertices, ball.faces)
+    assert white_exposure(front, -ahead) == pytest.approx(WHITE_SHOWN / 2, rel=1e-2)
+    assert white_exposure(0 * even, ahead) == 1.0
     options = LensPictureOptions(light_count=4, supersampling=1)
-    given = {"head": skin, "options": options}
-    both = render_lenses(frame, BENT.keypoints, LensMaterial(), cameras=VIEWS, **given)
-    side = render_lenses(frame, BENT.keypoints, LensMaterial(), cameras=VIEWS[1:], **given)
+    both, side = (drawn(cameras=cameras, options=options) for cameras in (VIEWS, VIEWS[1:]))
     assert both.exposure == side.exposure
     assert_array_equal(both.views[1].picture.image_linear, side.views[0].picture.image_linear)
     assert f"{both.exposure:.3g}" in both.notes[-1]
 
 
-def test_what_does_not_fit_together_is_refused():
-    frame, ball = Surface(BENT.vertices, BENT.faces), head()
-    skin = Surface(ball.vertices, ball.faces)
-    with pytest.raises(ValueError, match="give a camera"):
-        render_lenses(frame, BENT.keypoints, LensMaterial(), head=skin, cameras=[])
-    with pytest.raises(ValueError, match="1 pictures for 2 cameras"):
-        render_lenses(
-            frame,
-            BENT.keypoints,
-            LensMaterial(),
-            head=skin,
-            cameras=VIEWS,
-            pictures_linear=[np.zeros((*SHAPE, 3))],
-        )
-    with pytest.raises(ValueError, match="picture of 'front'"):
-        render_lenses(
-            frame,
-            BENT.keypoints,
-            LensMaterial(),
-            head=skin,
-            cameras=VIEWS[:1],
-            pictures_linear=[np.zeros((4, 4, 3))],
-        )
-    away = Surface(ball.vertices + [0, 900, 0], ball.faces)
-    with pytest.raises(EyeglassesError, match="mm away from the head"):
-        render_lenses(frame, BENT.keypoints, LensMaterial(), head=away, cameras=VIEWS)
+@pytest.mark.parametrize(
+    ("given", "error", "words"),
+    [
+        ({"cameras": []}, ValueError, "give a camera"),
+        ({"pictures_linear": [np.zeros((*SHAPE, 3))]}, ValueError, "1 pictures for 2 cameras"),
+        (
+            {"cameras": VIEWS[:1], "pictures_linear": [np.zeros((4, 4, 3))]},
+            ValueError,
+            "picture of 'front'",
+        ),
+        (
+            {"head": Surface(SKIN.vertices + [0, 900, 0], SKIN.faces)},
+            EyeglassesError,
+            "mm away from the head",
+        ),
+    ],
+)
+def test_what_does_not_fit_together_is_refused(given, error, words):
+    with pytest.raises(error, match=words):
+        drawn(**given)

@@ -9,8 +9,12 @@ import numpy as np
 import pytest
 import trimesh
 from helpers.cli import invoke
-from helpers.commands import succeeded
-from helpers.records import read_json, valid_record
+from helpers.commands import printed, refusal, succeeded
+from helpers.gltf import Gltf
+from helpers.npz import cut
+from helpers.records import files_in, read_json, valid_record
+from helpers.usage import usage_error
+from helpers.wearers import small_wearer
 from matplotlib.figure import Figure
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -36,7 +40,6 @@ from scan2albedo.runs.eyeglasses import register_run as glasses_registration_fil
 from scan2albedo.runs.eyeglasses.demo import write_wearer
 from scan2albedo.runs.eyeglasses.inputs import read_registration
 from scan2albedo.runs.eyeglasses.register_run import register_frame
-from scan2albedo.synthetic import wearer
 
 pytestmark = pytest.mark.slow
 
@@ -49,12 +52,11 @@ FILES = {
     "error_vs_time.png",
     "overview.png",
 }
-SMALL = {"picture_size": 256, "focal_px": 450, "label_noise_px": 0.3, "mask_noise_px": 0.3}
 
 
 @pytest.fixture(scope="module")
 def person():
-    return wearer(1, **SMALL)
+    return small_wearer(1, noise_px=0.3)
 
 
 @pytest.fixture(scope="module")
@@ -115,41 +117,43 @@ def test_a_measured_front_sets_the_scale_of_a_frame(inputs):
 
 def test_a_frame_lands_where_the_pictures_show_it(done, person):
     out, answer = done
-    assert answer.exit_code == 0, answer.output
+    succeeded(answer)
     frame = read_registered(out / "registered.npz")
     error = np.linalg.norm(frame.vertices - person.vertices, axis=1)
     # A pixel of these small pictures is 1.3 mm.
     assert np.sqrt(np.mean(error[person.seen] ** 2)) < 0.8
-    assert {path.name for path in out.iterdir()} == FILES
+    assert files_in(out) == FILES
     assert "frame: placed in" in answer.stderr
     assert "head head.glb: unit: m" in answer.stderr
+    rows = [line.split(",") for line in (out / "trace.csv").read_text().splitlines()[1:]]
+    stages = list(dict.fromkeys(row[0] for row in rows))
+    assert stages == ["glasses.pose", "glasses.key_points", "glasses.outlines"]
+    for stage in stages:  # whose clocks do not go back
+        mine = [(float(row[1]), int(row[3])) for row in rows if row[0] == stage]
+        assert mine == sorted(mine)
 
 
 def test_the_files_hold_what_was_done(done, inputs, person):
     out, answer = done
-    frame = read_registered(out / "registered.npz")
+    summary, frame = printed(answer), read_registered(out / "registered.npz")
     bent = skin(person.glasses.rest_vertices, frame.weights, frame.handle_transforms)
     assert_allclose(bent, frame.vertices, atol=1e-9)
     assert_array_equal(read_keypoints(out / "keypoints.json"), frame.keypoints)
     assert_allclose(load_scan(out / "registered.glb").vertices, frame.vertices, atol=1e-4)
-    joints = {
-        node["name"]: node["translation"]
-        for node in _glb_tree(out / "registered.glb")["nodes"]
-        if "translation" in node
-    }
+    nodes = {node["name"]: node for node in Gltf.read(out / "registered.glb").tree["nodes"]}
     # The tree's root stands at its key point, in metres.
-    assert_allclose(joints["bridge_top"], frame.keypoints[0] / 1000, atol=1e-9)
+    assert_allclose(nodes["bridge_top"]["translation"], frame.keypoints[0] / 1000, atol=1e-9)
 
     record = valid_record(out / "result.json", "registered_eyeglasses")
     assert set(record["files"]) == FILES
     assert record["name"] == "frame"
     assert_array_equal(record["world_from_glasses"], frame.world_from_glasses)
     names = [camera.name for camera in read_cameras(inputs / "cameras.json")]
-    masks = {f"mask {name}": inputs / "masks" / f"{name}.png" for name in names}
     files = {"cameras": "cameras.json", "labels": "labels.json", "keypoints": "frame.keypoints.json"}
-    hashed = masks | {what: inputs / file for what, file in files.items()}
-    assert set(record["inputs"]) == {*hashed, "mesh", "head"}
-    for what, path in hashed.items():
+    files |= {f"mask {name}": f"masks/{name}.png" for name in names}
+    assert set(record["inputs"]) == {*files, "mesh", "head"}
+    for what, name in files.items():
+        path = inputs / name
         assert record["inputs"][what]["file"] == str(path)
         assert record["inputs"][what]["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
     for view, name, iou in zip(record["views"], names, frame.iou, strict=True):
@@ -158,19 +162,9 @@ def test_the_files_hold_what_was_done(done, inputs, person):
     assert record["metrics"]["label_rms_px"] == pytest.approx(np.sqrt(np.mean(errors**2)))
     assert record["metrics"]["labels"] == np.isfinite(person.labels[:, :, 0]).sum()
     assert record["metrics"]["observed_share"] == frame.observed.mean()
-    summary = json.loads(answer.stdout)
     assert summary["status"] == "done"
     assert {key: summary[key] for key in record["metrics"]} == record["metrics"]
     assert summary["views"] == record["views"]
-    stages = [line.split(",")[0] for line in (out / "trace.csv").read_text().splitlines()[1:]]
-    assert list(dict.fromkeys(stages)) == ["glasses.pose", "glasses.key_points", "glasses.outlines"]
-
-
-def test_clocks_of_the_trace_do_not_go_back(done):
-    rows = [line.split(",") for line in (done[0] / "trace.csv").read_text().splitlines()[1:]]
-    for stage in {row[0] for row in rows}:
-        mine = [(float(row[1]), int(row[3])) for row in rows if row[0] == stage]
-        assert mine == sorted(mine)
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -221,20 +215,29 @@ def test_a_start_fixes_what_labels_do_not(changed, person, tmp_path):
     pixels = np.full_like(labels.pixels, np.nan)
     pixels[0, :2] = labels.pixels[0, :2]
     write_labels(changed / "labels.json", pixels, labels.camera_names)
-    mesh = changed / "round" / "canonical.npz"
-    lost = run(mesh, tmp_path / "out", changed, "--json", head=False)
-    assert lost.exit_code == 2
+    mesh, out = changed / "round" / "canonical.npz", tmp_path / "out"
+    lost = run(mesh, out, changed, "--json", head=False)
+    usage_error(lost)
     assert json.loads(lost.stdout)["status"] == "failed"
     assert "fix no pose" in json.loads(lost.stdout)["reason"]
 
     nudge = compose(rotation_from_vector([0, 0.01, 0]), [0.5, 0, 0]) @ person.world_from_glasses
     write_start(tmp_path / "start.json", nudge)
-    more = ("--rigid", "--start", tmp_path / "start.json")
-    answer = succeeded(run(mesh, tmp_path / "out", changed, *more, head=False))
+    answer = succeeded(run(mesh, out, changed, "--rigid", "--start", tmp_path / "start.json", head=False))
     assert "no label in the view of 'camera_2'" in answer.stderr
-    found = read_registered(tmp_path / "out" / "registered.npz")
+    found = read_registered(out / "registered.npz")
     front = person.glasses.rest_keypoints[2:8, 2].min() < person.glasses.rest_vertices[:, 2]
     assert np.linalg.norm(found.vertices - person.vertices, axis=1)[front].mean() < 1.5
+
+
+def spoiled_pose(pose):
+    """Return what writes a start with that pose."""
+
+    def write(folder):
+        tree = {"unit": "mm", "world_from_glasses": np.asarray(pose).tolist()}
+        (folder / "start.json").write_text(json.dumps(tree))
+
+    return write
 
 
 def test_an_earlier_result_is_a_start_too(done, inputs):
@@ -276,40 +279,38 @@ def shrunk(folder):
     write_keypoints(folder / "frame.keypoints.json", points, unit="cm")
 
 
-def halved(path):
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-
-
-def write_pose(folder, pose):
-    tree = {"unit": "mm", "world_from_glasses": np.asarray(pose).tolist()}
-    (folder / "start.json").write_text(json.dumps(tree))
-
-
 SPOILED = {
-    "labels of another camera": (relabelled, (), r"labels\.json: there are labels of a camera 'side'"),
-    "no labels": (lambda f: (f / "labels.json").unlink(), (), r"labels\.json: No such file"),
-    "no cameras": (lambda f: (f / "cameras.json").write_text("{}"), (), r"cameras\.json: unit"),
-    "no masks": (lambda f: shutil.rmtree(f / "masks"), (), r"masks: the folder holds none of camera_1\.png"),
-    "half a mask": (lambda f: halved(f / "masks" / "camera_1.png"), (), r"camera_1\.png"),
-    "half a head": (lambda f: halved(f / "head.glb"), (), r"head\.glb"),
-    "key points in cm": (shrunk, (), r"frame\.keypoints\.json: the glasses are"),
-    "no mesh": (lambda f: (f / "frame.obj").unlink(), (), r"frame\.obj: cannot be read"),
-    "a mirror as start": (lambda f: write_pose(f, np.diag([-1, 1, 1, 1])), ("start",), r"start\.json: .*rot"),
-    "a half start": (lambda f: write_pose(f, np.eye(4)[:3]), ("start",), r"start\.json: world_from_glasses"),
+    "labels of another camera": (relabelled, r"labels\.json: there are labels of a camera 'side'"),
+    "no labels": (lambda f: (f / "labels.json").unlink(), r"labels\.json: No such file"),
+    "no cameras": (lambda f: (f / "cameras.json").write_text("{}"), r"cameras\.json: unit"),
+    "no masks": (lambda f: shutil.rmtree(f / "masks"), r"masks: the folder holds none of camera_1\.png"),
+    "half a mask": (lambda f: cut(f / "masks" / "camera_1.png"), r"camera_1\.png"),
+    "half a head": (lambda f: cut(f / "head.glb"), r"head\.glb"),
+    "key points in cm": (shrunk, r"frame\.keypoints\.json: the glasses are"),
+    "no mesh": (lambda f: (f / "frame.obj").unlink(), r"frame\.obj: cannot be read"),
+    "a mirror as start": (spoiled_pose(np.diag([-1, 1, 1, 1])), r"start\.json: .*rot"),
+    "a half start": (spoiled_pose(np.eye(4)[:3]), r"start\.json: world_from_glasses"),
 }
 
 
 @pytest.mark.parametrize("name", SPOILED)
 def test_bad_input_is_one_line_that_names_the_file(name, changed, tmp_path):
-    spoil, options, words = SPOILED[name]
+    spoil, words = SPOILED[name]
     spoil(changed)
-    more = [part for option in options for part in (f"--{option}", changed / f"{option}.json")]
-    answer = run(changed / "frame.obj", tmp_path / "out", changed, *more)
-    assert answer.exit_code == 2, answer.output
-    lines = [line for line in answer.stderr.splitlines() if "error:" in line]
-    assert len(lines) == 1
-    assert re.search(words, lines[0]), lines[0]
+    start = changed / "start.json"
+    more = ("--start", start) if start.exists() else ()
+    line = refusal(run(changed / "frame.obj", tmp_path / "out", changed, *more))
+    assert re.search(words, line), line
     assert not (tmp_path / "out").exists()
+
+
+def test_another_unit_or_a_spoiled_canonical_frame_is_told(changed, tmp_path):
+    mesh, tree = changed / "round" / "canonical.npz", read_json(changed / "cameras.json")
+    (changed / "cameras.json").write_text(json.dumps(tree | {"unit": "m"}))
+    told = usage_error(run(mesh, tmp_path / "out", changed))
+    assert re.search(r"labels.json: the labels make a frame [0-9.e+]+ times as large", told)
+    cut(mesh)
+    assert "canonical.npz cannot be read" in usage_error(run(mesh, tmp_path / "out", changed))
 
 
 def test_a_frame_without_key_points_gets_proposed_ones(changed, tmp_path):
@@ -320,22 +321,6 @@ def test_a_frame_without_key_points_gets_proposed_ones(changed, tmp_path):
     assert any("proposed from its shape" in note for note in record["notes"])
 
 
-def test_a_spoiled_canonical_frame_is_told(changed, tmp_path):
-    halved(changed / "round" / "canonical.npz")
-    answer = run(changed / "round" / "canonical.npz", tmp_path / "out", changed)
-    assert answer.exit_code == 2
-    assert "canonical.npz cannot be read" in answer.stderr
-
-
-def test_another_unit_is_told_with_the_files(changed, tmp_path):
-    tree = read_json(changed / "cameras.json")
-    tree["unit"] = "m"
-    (changed / "cameras.json").write_text(json.dumps(tree))
-    answer = run(changed / "round" / "canonical.npz", tmp_path / "out", changed)
-    assert answer.exit_code == 2
-    assert re.search(r"labels.json: the labels make a frame [0-9.e+]+ times as large", answer.stderr)
-
-
 def test_usage_errors_are_2_and_write_nothing(inputs, tmp_path):
     frame, canonical, out = inputs / "frame.obj", inputs / "round" / "canonical.npz", tmp_path / "out"
     for mesh, more in (
@@ -344,24 +329,15 @@ def test_usage_errors_are_2_and_write_nothing(inputs, tmp_path):
         (canonical, ("--unit", "cm")),
         (canonical, ("--keypoints", inputs / "frame.keypoints.json")),
     ):
-        answer = run(mesh, out, inputs, *more)
-        assert answer.exit_code == 2, more
-        assert "Traceback" not in answer.output
+        assert "Traceback" not in usage_error(run(mesh, out, inputs, *more))
         assert not out.exists()
 
 
-def test_a_file_in_the_place_of_the_demos_input_stays(tmp_path):
-    person = wearer(1, **SMALL)
-    folder = tmp_path / "demo"
+def test_a_file_in_the_place_of_the_demos_input_stays(person, tmp_path):
     for _ in range(2):
-        write_wearer(person, None, folder)
-    (folder / "input" / "cameras.json").write_text("mine")
+        write_wearer(person, None, tmp_path)
+    file = tmp_path / "input" / "cameras.json"
+    file.write_text("mine")
     with pytest.raises(OutputError, match=r"cameras\.json: no run of scan2albedo glasses demo wrote it"):
-        write_wearer(person, None, folder)
-    assert (folder / "input" / "cameras.json").read_text() == "mine"
-
-
-def _glb_tree(path):
-    data = path.read_bytes()
-    length = int.from_bytes(data[12:16], "little")
-    return json.loads(data[20 : 20 + length])
+        write_wearer(person, None, tmp_path)
+    assert file.read_text() == "mine"
