@@ -1,11 +1,11 @@
 """The deformable fit beside its peers: distance of the true surface, and of corresponding points.
 
-`heads` are whole light-stage heads made raw (re-meshed to about 20,000 vertices, noise 0.3 mm, holes, spikes,
-hair, shoulders) with dense ground truth; the rigid pose is given. `scaling` are the same of 10,000 to a
-million vertices. `settings` are our options on synthetic scans, where errors are measured where skin was
-scanned. `james` is a textured scan with hand-placed landmarks, from any pose. trimesh's `nricp_amberg` and
-`nricp_sumner` deform the same template at the resolution of our samples. They run in the Python that
-S2A_PEERS_PYTHON names, or in this one (the extra [peers]).
+`heads` are whole light-stage heads made raw (re-meshed to about 20,000 vertices, noise 0.3 mm, holes,
+spikes, hair, shoulders) with dense ground truth; the rigid pose is given. `settings` are our options on
+synthetic scans, where errors are measured where skin was scanned. `james` is a textured scan with
+hand-placed landmarks, from any pose. trimesh's `nricp_amberg` and `nricp_sumner` deform the same template
+at the resolution of our samples. They run in the Python that S2A_PEERS_PYTHON names, or in this one (the
+extra [peers]).
 """
 
 from __future__ import annotations
@@ -44,8 +44,6 @@ SHAPES = (
     "person3_browInnerUp_L_browInnerUp_R_jawOpen0.5",
 )
 TARGET = 20_000
-SCALES = (10_000, 20_000, 50_000, 100_000, 200_000, 300_000, 1_000_000)
-"""Vertices of a scan."""
 STEPS = (5, 15, 30, 45, 60, 90)
 MESH_PEERS = ("nricp_amberg", "nricp_sumner")
 CORRESPONDENCE_LEVEL = 2
@@ -74,15 +72,15 @@ class Answer:
     flips: int = 0
 
 
-def whole_head_scan(vertices: FloatArray, faces: IntArray, target: int) -> tuple[s2a.RawScan, FloatArray]:
-    """Return a raw scan of about `target` vertices of a whole head, and scan_from_shape (4, 4)."""
+def whole_head_scan(vertices: FloatArray, faces: IntArray) -> tuple[s2a.RawScan, FloatArray]:
+    """Return a raw scan of about `TARGET` vertices of a whole head, and scan_from_shape (4, 4)."""
     import open3d as o3d
 
     rng = np.random.default_rng(0)
     mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(vertices), o3d.utility.Vector3iVector(faces))
-    while len(mesh.triangles) < 2 * target:
+    while len(mesh.triangles) < 2 * TARGET:
         mesh = mesh.subdivide_midpoint(1)
-    mesh = mesh.simplify_quadric_decimation(2 * target)
+    mesh = mesh.simplify_quadric_decimation(2 * TARGET)
     points = np.asarray(mesh.vertices)
     index = np.asarray(mesh.triangles, np.int64)
     normals = vertex_normals(points, index)
@@ -102,7 +100,7 @@ def whole_head_scan(vertices: FloatArray, faces: IntArray, target: int) -> tuple
     return s2a.RawScan(transform_points(scan_from_shape, all_points), all_faces), scan_from_shape
 
 
-def head(name: str, target: int = TARGET) -> Head:
+def head(name: str) -> Head:
     with np.load(face_data("ict_faces.npz")) as stored:
         data = dict(stored)
     faces = data["faces"].astype(np.int64)
@@ -112,7 +110,7 @@ def head(name: str, target: int = TARGET) -> Head:
     landmarks = data["landmarks68"].astype(np.int64)
     model = s2a.AnnotatedFaceModel.from_mesh(template, inner_faces, landmarks=landmarks, name="generic face")
     shape = data[f"shape_{name}"].astype(float)
-    scan, scan_from_shape = whole_head_scan(shape, faces, target)
+    scan, scan_from_shape = whole_head_scan(shape, faces)
     model_from_shape = procrustes(shape[:inner], template - template[np.unique(inner_faces)].mean(0))
     truth = transform_points(model_from_shape, shape[:inner])
     return Head(scan, model, model_from_shape @ invert_rigid(scan_from_shape), truth)
@@ -243,14 +241,6 @@ BENCHES = {
         slow=tuple(f"{steps} steps" for steps in STEPS),
         quick=("scan2albedo", "rigid only"),
         warm=True,
-    ),
-    "scaling": Bench(
-        lambda quick: (
-            Case(f"{count} vertices", partial(head, "person1", count))
-            for count in SCALES[: 2 if quick else None]
-        ),
-        methods={"scan2albedo": ours},
-        score=errors,
     ),
     "james": Bench(
         lambda quick: [Case("james", lambda: s2a.load_scan(face_data("james.obj")))],
