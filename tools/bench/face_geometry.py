@@ -150,7 +150,7 @@ def alternated(scene: Scene) -> GeometryFit:
         view = normalized(camera_centers(CAMERA[None])[0] - fit.vertices)
         seen = (np.einsum("vi,vi->v", fit.normals, view) > 0.25) & smooth.covers(pixels)
         image = ImageObservation(smooth.look_up(pixels), fit.normals, view, seen)
-        found = fit_image(image, learned(60, 40, LEVEL))
+        found = fit_image(image, learned(60, 40))
         fit = refined(
             scene,
             reflectance=found.face.reflectance,
@@ -160,19 +160,6 @@ def alternated(scene: Scene) -> GeometryFit:
             initial_expression=fit.expression,
         )
     return fit
-
-
-def nearest(scene: Scene) -> FloatArray:
-    """Return the model's shape nearest to the truth."""
-    model, target = shape_model(), scene.vertices
-    flat = model.basis.reshape(len(model.basis), -1)
-    gram = flat @ flat.T + 1e-3 * np.eye(len(flat))
-    for _ in range(10):
-        target = transform_points(procrustes(target, model.mean), target)
-        found = np.linalg.lstsq(gram, flat @ (target - model.mean).ravel())[0]
-        shape = model.mean + np.tensordot(found, model.basis, 1)
-        target = transform_points(procrustes(scene.vertices, shape), scene.vertices)
-    return shape
 
 
 def errors(scene: Scene, answer: GeometryFit | FloatArray) -> dict[str, float]:
@@ -208,7 +195,7 @@ SWEEP = {f"LANDMARK_WEIGHT {value:g}": partial(with_landmark_weight, value) for 
 BENCH = Bench(
     cases,
     methods={**METHODS, **SWEEP},
-    peers={"mean shape": lambda scene: shape_model().mean, "nearest of the model": nearest},
+    peers={"mean shape": lambda scene: shape_model().mean},
     score=errors,
     slow=list(SWEEP),
 )

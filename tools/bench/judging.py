@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -101,29 +101,29 @@ def load_image(folder: Path, name: str) -> TracedImage:
     return TracedImage(name, image, albedo, judged, lamps)
 
 
-def load_flashes(folder: Path, name: str) -> Iterator[TracedImage]:
-    """Yield a person of Extended Yale B under one flash after another, with the albedo by photometric stereo.
+def flash_photograph(person: Mapping[str, NDArray], k: int) -> tuple[s2a.GeometryImage, BoolArray]:
+    """Return a photograph of Extended Yale B, and the texels (H, W) that its flash explains to a quarter.
 
-    The relief is only roughly right, so cast shadows do not lie where it says: texels that the flash explains
-    to a quarter count.
+    The relief is only roughly right, so cast shadows do not lie where it says: others do not count.
     """
+    position, normal, albedo = (person[key].astype(np.float64) for key in ("position_mm", "normal", "albedo"))
+    mask = person["mask"]
+    value = np.where(mask, person["texture_linear8"][k] / 255.0, 0.0)
+    flash = person["strength"][k] * np.maximum(normal @ person["direction"][k].astype(np.float64), 0)
+    expected = np.maximum((flash + _AMBIENT) * albedo, 1e-3)
+    explained = mask & (flash > _REACHED) & (np.abs(value / expected - 1) < _EXPLAINED)
+    texture = np.repeat(value[..., None], 3, 2).astype(np.float32)
+    return s2a.GeometryImage(position, normal, mask, texture_linear=texture), explained
+
+
+def load_flashes(folder: Path, name: str) -> Iterator[TracedImage]:
+    """Yield a person of Extended Yale B under each flash, with the albedo by photometric stereo."""
     with np.load(folder / f"{name}.npz") as stored:
         fields = dict(stored)
-    position, normal = (fields[key].astype(np.float64) for key in ("position_mm", "normal"))
-    mask, albedo = fields["mask"], fields["albedo"].astype(np.float64)
-    for light, direction, strength, code in zip(
-        fields["lights"], fields["direction"], fields["strength"], fields["texture_linear8"], strict=True
-    ):
-        value = np.where(mask, code / 255.0, 0.0)
-        flash = strength * np.maximum(normal @ direction.astype(np.float64), 0)
-        expected = np.maximum((flash + _AMBIENT) * albedo, 1e-3)
-        judged = mask & (flash > _REACHED) & (np.abs(value / expected - 1) < _EXPLAINED)
-        image = s2a.GeometryImage(
-            position, normal, mask, texture_linear=np.repeat(value[..., None], 3, 2).astype(np.float32)
-        )
-        yield TracedImage(
-            f"{name}_{light}", image, np.repeat(albedo[..., None], 3, 2), judged, [{"hard": True}]
-        )
+    albedo = np.repeat(fields["albedo"].astype(np.float64)[..., None], 3, 2)
+    for k, light in enumerate(fields["lights"]):
+        image, judged = flash_photograph(fields, k)
+        yield TracedImage(f"{name}_{light}", image, albedo, judged, [{"hard": True}])
 
 
 def lit(texture: NDArray[np.floating], albedo: FloatArray, known: BoolArray) -> BoolArray:

@@ -16,8 +16,6 @@ person1, person2 and the generic face.
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -32,6 +30,7 @@ from worlds.raw_like import raw_like
 import scan2albedo as s2a
 from bench.judging import VARIABLE, ScanTruth, judged_scan, score
 from bench.landmarks import INNER
+from bench.pipeline import run_command
 from bench.runner import Bench, Case, Timed
 from scan2albedo.albedo import albedo_error
 from scan2albedo.core.arrays import BoolArray, FloatArray
@@ -233,14 +232,10 @@ def albedo_cases(quick: bool) -> Iterator[Case]:
 def by_command(scene: tuple[Files, int, int]) -> Timed:
     """Run the command; its answer is the result's folder and the most memory, in MB."""
     files, count, size = scene
-    command = [sys.executable, "-m", "scan2albedo", "person", f"of{count}", *files.scans[:count]]
-    command += ["-o", files.folder, "--quality", "draft", "--size", size, "--no-pictures"]
-    process = subprocess.Popen(list(map(str, command)), stderr=subprocess.PIPE, text=True)
-    said = process.stderr.read()
-    _, status, used = os.wait4(process.pid, 0)
-    if os.waitstatus_to_exitcode(status) == 2:
-        raise s2a.ScanError(said)
-    return Timed((files.folder / f"of{count}", used.ru_maxrss / 1024), used.ru_utime + used.ru_stime)
+    words = ["person", f"of{count}", *files.scans[:count], "-o", files.folder]
+    words += ["--quality", "draft", "--size", size, "--no-pictures"]
+    done = run_command(list(map(str, words)))
+    return Timed((files.folder / f"of{count}", done.answer.peak_mb), done.cpu_s)
 
 
 def albedo_errors(scene: tuple[Files, int, int], answer: tuple[Path, float]) -> dict[str, float]:

@@ -18,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any
@@ -106,16 +106,23 @@ class Waited:
     peak_mb: float
 
 
-def run_command(words: list[str]) -> Timed:
-    """Run `scan2albedo` with these words as a process of its own; its CPU seconds include its children's."""
+def run_command(words: Sequence[str]) -> Timed:
+    """Run `scan2albedo` with these words as a process of its own; its CPU seconds include its children's.
+
+    Raises
+    ------
+    ScanError
+        With what it said, where it ends with another status than 0 or 1: results with something left out.
+    """
     start = time.perf_counter()
-    process = subprocess.Popen(
-        [sys.executable, "-m", "scan2albedo", *words], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
+    command = [sys.executable, "-m", "scan2albedo", *words]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    said = process.stderr.read()
     _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise RuntimeError(f"scan2albedo {' '.join(words)} ended with status {process.returncode}")
+    if process.returncode not in (0, 1):
+        raise s2a.ScanError(said)
     waited = Waited(time.perf_counter() - start, usage.ru_maxrss / 1024)
     return Timed(waited, usage.ru_utime + usage.ru_stime)
 

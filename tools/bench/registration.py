@@ -20,7 +20,7 @@ from worlds.raw_like import raw_like
 from worlds.synthetic_scans import ScanScene, hard_scan_scenes, scan_scenes
 
 import scan2albedo as s2a
-from bench.peers.registration import PEERS, Peer, Surface, fpfh_ransac_icp
+from bench.peers.registration import PEERS, Peer, Surface
 from bench.runner import Bench, Case
 from bench.settings import presets, varied, within
 from scan2albedo.core import Budget
@@ -224,12 +224,12 @@ def scenes(quick: bool) -> Iterator[Case]:
         yield Case(f"scan {number}", lambda made=made: made)
 
 
-RANSAC = {f"Open3D FPFH+RANSAC+ICP {n}": fpfh_ransac_icp(n) for n in (1000, 10_000)}
+OTHERS = {name: lambda scene, peer=peer: by_peer(peer, scene.scan) for name, peer in PEERS.items()}
 BENCHES = {
     "raw": Bench(
         cases,
         methods={"scan2albedo": lambda scene: registered(scene.scan)},
-        peers={name: lambda scene, peer=peer: by_peer(peer, scene.scan) for name, peer in PEERS.items()},
+        peers=OTHERS,
         score=errors,
         quick=("scan2albedo",),
         error="mm",
@@ -238,10 +238,7 @@ BENCHES = {
     "settings": Bench(
         scenes,
         methods=settings(),
-        peers={
-            name: lambda scene, peer=peer: by_peer(peer, scene.scan)
-            for name, peer in {**PEERS, **RANSAC}.items()
-        },
+        peers=OTHERS,
         score=off_their_place,
         quick=("default", "candidates 2"),
         warm=True,

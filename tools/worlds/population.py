@@ -88,7 +88,6 @@ def population_scan(
     *,
     seed: int = 0,
     population: Population = Population(),
-    model: AnnotatedSurface | None = None,
     lamps: tuple[PointLight, ...] | None = None,
 ) -> tuple[RawScan, SyntheticTruth]:
     """Return the scan "person-<person>-session-<session>" of one person of a population, and its truth.
@@ -97,7 +96,7 @@ def population_scan(
     expression, pose, noise and damage to the session. `seed` is that of the population; `lamps` take the
     place of the session's own.
     """
-    template = model or default_model()
+    template = default_model()
     individual = Individual.drawn(np.random.default_rng([seed, person, 11]), population.tones)
     now = np.random.default_rng([seed, person, session, 13])
     room = random_room(now, population.lamp_colors) if population.light == "room" else None

@@ -51,7 +51,7 @@ WHITE = 0.85
 SATURATION = 0.98
 BLUR_PX = 1.0
 """Standard deviation of the lens."""
-RELIT = Rig("relit", "another light", (Part(Environment("overcast"), 1.0),))
+RELIT = Rig("relit", (Part(Environment("overcast"), 1.0),))
 _TEXTURE = (1024, 2048)
 """Texels of the albedo's chart, two tiles beside each other."""
 _NOISE = 0.006

@@ -115,7 +115,6 @@ class SameLoss:
         self.objective = RegistrationObjective(given.keypoints, given.views, options)
         self.start: FrameState = starting_poses(given.keypoints, given.views, options.label_noise_px, None)[0]
         mesh = FrameMesh(SkinnedPoints(given.vertices, scene.weights), given.faces)
-        self.points, self.unit = mesh.points, given.unit
         assert given.head is not None
         sampler = OutlineSampler(mesh, given.views, RayCaster(*given.head))
         near = self.descend(None)
@@ -141,14 +140,6 @@ class SameLoss:
             second = 0.999 * second + 0.001 * gradient**2
             way = first / (1 - 0.9**n) / (np.sqrt(second / (1 - 0.999**n)) + 1e-12)
             state = state.moved(-step_mm * way / scale)
-
-    def adam_state(self, step_mm: float, iterations: int) -> FrameState:
-        """Return the best state of so many iterations."""
-        return min(islice(self.adam_steps(step_mm), iterations), key=lambda step: step[1])[0]
-
-    def vertices(self, state: FrameState) -> FloatArray:
-        """Return the frame (V, 3) at a state."""
-        return self.unit * self.objective.motion(state).positions(self.points)
 
 
 def ours(problem: SameLoss) -> float:
