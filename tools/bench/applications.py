@@ -30,6 +30,7 @@ from PIL import Image
 from scipy.ndimage import distance_transform_edt, maximum_filter
 from worlds.environments import ENVIRONMENTS, reference_lights
 from worlds.files import face_data
+from worlds.fits import fitted_face
 from worlds.light_stage import LightStage
 
 import scan2albedo as s2a
@@ -261,8 +262,7 @@ def expressions(quick: bool) -> Iterator[Case]:
 
 
 def fitted(vertices: FloatArray, faces: IntArray, model: s2a.AnnotatedFaceModel) -> FittedFace:
-    scan = s2a.RawScan(vertices, faces)
-    return s2a.fit(scan, model, s2a.register(scan, model))
+    return fitted_face(s2a.RawScan(vertices, faces), model)
 
 
 def mesh_of(face: FittedFace) -> FaceMesh:

@@ -16,6 +16,7 @@ from functools import partial
 
 import numpy as np
 from worlds.files import face_data
+from worlds.fits import fitted_face
 from worlds.raw_like import with_holes
 from worlds.synthetic_scans import ScanScene, scan_scenes
 
@@ -154,8 +155,7 @@ def errors(scene: Head, answer: Answer) -> dict[str, float]:
 
 def james_by_us(scan: s2a.RawScan) -> tuple[FloatArray, FloatArray]:
     """Return vertices of the surface and landmarks (68, 3) in the scan's frame."""
-    model = s2a.AnnotatedFaceModel.default()
-    found = s2a.fit(scan, model, s2a.register(scan, model))
+    found = fitted_face(scan)
     scan_from_model = invert_rigid(found.model_from_scan)
     vertices, landmarks = (transform_points(scan_from_model, p) for p in (found.vertices, found.landmarks))
     return vertices, landmarks

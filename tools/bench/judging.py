@@ -296,11 +296,11 @@ def received(image: s2a.GeometryImage) -> Received:
     return Received(share * shadowed, share * plain, share * open_part)
 
 
-def robust_light(basis: FloatArray, lit: FloatArray, iterations: int = 30) -> FloatArray:
+def robust_light(basis: FloatArray, lit: FloatArray) -> FloatArray:
     """Return (N,) the light `basis` (N, K) c that is nearest to `lit` (N,) in L1: albedo is constant."""
     weight = np.ones(len(lit))
     coefficients: FloatArray = np.zeros(basis.shape[1])
-    for _ in range(iterations):
+    for _ in range(30):
         scaled = basis * weight[:, None]
         coefficients = np.asarray(np.linalg.lstsq(scaled.T @ basis, scaled.T @ lit, rcond=None)[0], float)
         weight = 1 / np.maximum(np.abs(basis @ coefficients - lit), 1e-3)

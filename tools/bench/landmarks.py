@@ -23,6 +23,7 @@ from itertools import count
 import numpy as np
 from worlds.door import PLACED, WRONG_BY_MM
 from worlds.files import DATA, face_data
+from worlds.fits import fitted_face
 from worlds.glasses_on_head import worn_glasses
 from worlds.light_stage import LightStage
 from worlds.raw_like import raw_like
@@ -132,9 +133,8 @@ def cases(quick: bool) -> Iterator[Case]:
 
 
 def fitted(scene: Scene, landmarks: PlacedLandmarks | None = None, colors: bool = True) -> Found:
-    model = s2a.AnnotatedFaceModel.default()
     scan = replace(scene.scan, landmarks=landmarks)
-    face = s2a.fit(scan, model, s2a.register(scan, model), options=FitOptions(colors=colors))
+    face = fitted_face(scan, options=FitOptions(colors=colors))
     return of_fit(face, scene.landmarks)
 
 
@@ -216,8 +216,7 @@ def jaws(quick: bool) -> Iterator[Case]:
 
 
 def jaw_deg(scene: tuple[s2a.RawScan, bool]) -> float:
-    model = s2a.AnnotatedFaceModel.default()
-    return float(s2a.fit(scene[0], model, s2a.register(scene[0], model)).metrics["jaw_deg"])
+    return float(fitted_face(scene[0]).metrics["jaw_deg"])
 
 
 @cache
@@ -275,9 +274,8 @@ def wearer(name: str, seed: int) -> Wearer:
 
 def by_the_eyes(scene: Wearer, dressed: bool, covers: bool) -> dict[str, float]:
     """Fit, and return the errors of surface and landmarks in mm."""
-    model = s2a.AnnotatedFaceModel.default()
     scan = scene.dressed if dressed else scene.bare
-    face = s2a.fit(scan, model, s2a.register(scan, model), options=FitOptions(covers=covers))
+    face = fitted_face(scan, options=FitOptions(covers=covers))
     shape_from_model = invert_rigid(face.model_from_scan @ scene.scans_from_shape[dressed])
     points = transform_points(shape_from_model, face.vertices)
     distance = NearestSurface(scene.shape, scene.faces).query(points).distance

@@ -24,6 +24,7 @@ from pathlib import Path
 
 import numpy as np
 from worlds.files import write_obj
+from worlds.fits import fitted_face
 from worlds.light_stage import LightStage
 from worlds.raw_like import raw_like
 
@@ -123,7 +124,7 @@ def fits_of(
     for seed in range(count):
         scan = person_scan(people, person, seed)
         try:
-            yield s2a.fit(scan, model, s2a.register(scan, model))
+            yield fitted_face(scan, model)
         except s2a.Scan2AlbedoError as error:
             print(f"  {person}, scan {seed} left out: {error}", flush=True)
 

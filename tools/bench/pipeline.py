@@ -1,4 +1,4 @@
-"""The whole pipeline: each stage's CPU and memory, presets, budgets in seconds, and what is left out.
+"""The whole pipeline: each stage's CPU, presets, budgets in seconds, and what is left out.
 
 `stages` are those of the real scan, or of a synthetic one where that is absent, in a process that is warm;
 `commands` are whole commands as a user types them, with imports, pictures and files; `first` is the first run
@@ -25,6 +25,7 @@ from typing import Any
 
 import numpy as np
 from worlds.files import DATA
+from worlds.fits import fitted_face
 from worlds.synthetic_scans import scanned_skin
 
 import scan2albedo as s2a
@@ -67,8 +68,7 @@ def scan() -> s2a.RawScan:
 
 @cache
 def fitted_scan() -> s2a.FittedFace:
-    model = s2a.AnnotatedFaceModel.default()
-    return s2a.fit(scan(), model, s2a.register(scan(), model))
+    return fitted_face(scan())
 
 
 def whole_run(size: int) -> None:
@@ -311,7 +311,7 @@ def plan_of(scene: Any, found: Estimated) -> dict[str, float | str]:
 
 RUN: dict[str, Callable[[Work], Any]] = {"scan2albedo": lambda work: work()}
 BENCHES = {
-    "stages": Bench(stages, RUN, lambda work, value: {}, repeats=2, memory=True, summaries=()),
+    "stages": Bench(stages, RUN, lambda work, value: {}, repeats=2, summaries=()),
     "commands": Bench(
         commands,
         {"scan2albedo": run_command},

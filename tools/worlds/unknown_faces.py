@@ -29,6 +29,7 @@ from scan2albedo.io.images import read_image_linear
 from scan2albedo.lighting.environment import texel_directions
 from scan2albedo.lighting.harmonics import project_environment
 from worlds.files import face_data
+from worlds.fits import fitted_face
 from worlds.lamps import Environment, Part, Rig, overcast, rig_named
 from worlds.light_stage import NEUTRAL, LightStage
 from worlds.path_tracer import bitmap, rough_plastic, textured_mesh
@@ -180,8 +181,7 @@ def head(shape: str) -> Head:
 def fitted_vertices(shape: str) -> tuple[FloatArray, IntArray]:
     """Return vertices (V, 3) and triangles of the default model's surface as fitted to a shape."""
     model, one = s2a.AnnotatedFaceModel.default(), head(shape)
-    scan = s2a.RawScan(one.vertices, one.faces[one.on_face])
-    fitted = s2a.fit(scan, model, s2a.register(scan, model))
+    fitted = fitted_face(s2a.RawScan(one.vertices, one.faces[one.on_face]), model)
     subdivision = model.subdivision(LEVEL)
     in_model = subdivision.matrix @ fitted.control_points
     return transform_points(np.linalg.inv(np.asarray(fitted.model_from_scan)), in_model), subdivision.faces
@@ -193,7 +193,7 @@ def albedo_of(face: UnknownFace, mean: FloatArray) -> FloatArray:
     if face.skin == "mean":
         vertices, faces = fitted_vertices(face.shape)
         nearest = ClosestPointQuery(vertices, faces).query(one.vertices)
-        return np.einsum("nk,nkc->nc", nearest.barycentric, mean[faces[nearest.face]])
+        return nearest.interpolated(mean, faces)
     if face.skin.startswith("paint"):
         return painted(one, int(face.skin.split("-")[1]))
     return traced_albedo(face.skin)[one.coarse_corners].mean(1)
@@ -319,7 +319,7 @@ def photographed(face: UnknownFace, mean: FloatArray, folder: Path | None = None
     exposed = exposed + _NOISE * np.sqrt(np.clip(exposed, 0.01, 1)) * rng.normal(size=exposed.shape)
     image = np.round(255 * np.clip(exposed, 0, 1) ** (1 / GAMMA)).astype(np.uint8)
     found = ClosestPointQuery(one.vertices, one.faces).query(vertices)
-    truth = np.einsum("nk,nkc->nc", found.barycentric, albedo[one.faces[found.face]])
+    truth = found.interpolated(albedo, one.faces)
     truth[(found.distance > _FARTHEST_MM) | ~one.on_face[found.face]] = np.nan
     around = overcast(texel_directions((64, 128)).reshape(-1, 3)).reshape(64, 128, 3)
     light = project_environment(around)

@@ -7,7 +7,7 @@ are too wide or too narrow throughout.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
@@ -15,7 +15,6 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 from worlds.files import DATA
 
-from bench.runner import Row
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.eyeglasses import KEY_POINT_NAMES, bounded_biharmonic_weights
 from scan2albedo.geometry.mesh import vertex_components
@@ -313,11 +312,3 @@ def _mask(
 def rms(errors: FloatArray) -> float:
     """Return the root mean square of lengths (N,), NaN of none."""
     return float(np.sqrt((errors**2).mean())) if len(errors) else float("nan")
-
-
-def root_mean_squares(columns: Sequence[str], rows: Sequence[Row]) -> Iterator[str]:
-    """Yield a line for each group and method: root mean squares of columns over its rows."""
-    for group, method in dict.fromkeys((row.group, row.method) for row in rows if not row.failed):
-        own = [row.values for row in rows if (row.group, row.method) == (group, method) and not row.failed]
-        parts = [f"{name} {rms(np.array([values[name] for values in own])):.3f}" for name in columns]
-        yield f"root mean squares over {len(own)} of {group}, {method}: {', '.join(parts)}"
