@@ -119,8 +119,6 @@ def save(file: Path, picture: Image.Image) -> None:
 def panels(result: ProcessResult) -> Panels:
     """Return titles and pictures from the raw scan to the relit face."""
     image, estimate = result.geometry_image, result.albedo
-    assert estimate is not None
-    assert image.texture_linear is not None
     return [
         ("raw scan", raw_panel(result.scan)),
         ("fitted", fitted_panel(result)),
@@ -143,7 +141,6 @@ def scan_picture(scan: s2a.RawScan, vertices: NDArray[np.floating], view: View) 
     if scan.uv is not None and scan.texture_linear is not None:
         looks["texture_srgb"] = scan.uv, encode_srgb_bytes(scan.texture_linear)
     else:
-        assert scan.vertex_color_linear is not None
         looks["vertex_color_srgb"] = encode_srgb_bytes(scan.vertex_color_linear[None])[0] / 255
     return rendered(vertices, scan.faces, view=view, shaded=False, **looks)
 
@@ -156,8 +153,6 @@ def rendered(vertices: FloatArray, faces: IntArray, **looks: Any) -> Pixels:
 def fitted_panel(result: ProcessResult) -> Pixels:
     """Return the fitted surface in grey with its landmarks."""
     fitted = result.fitted
-    assert fitted is not None
-    assert fitted.landmarks is not None
     around = View.around(fitted.vertices)
     size = FINER * HEIGHT
     picture = Image.fromarray(render_mesh(fitted.vertices, fitted.faces, view=around, size=size))
@@ -212,8 +207,6 @@ def sheet(pictures: Panels) -> Image.Image:
 
 def unlit_panels(result: ProcessResult) -> Panels:
     """Return a scan and the same without its light, from the front and from a side, by the same camera."""
-    assert result.unlit is not None
-    assert result.fitted is not None
     face = View.around(result.fitted.vertices)
     made = []
     for where, yaw_deg in (("from the front", 0.0), ("from the side", SIDE_DEG)):
@@ -226,7 +219,6 @@ def unlit_panels(result: ProcessResult) -> Panels:
 
 def maps_panels(result: ProcessResult) -> Panels:
     """Return the maps of a skin material on the face's chart."""
-    assert result.maps_of_skin is not None
     (tile,) = result.maps_of_skin.tiles
     shown = {"albedo": encode_srgb_bytes(tile.color_linear), "normals": normal_bytes(tile.normal)}
     grey = {**tile.maps, "displacement": 0.5 + tile.maps["displacement_mm"] / 2}  # 1 mm outward is white
@@ -240,7 +232,6 @@ def eyes_panels(result: ProcessResult) -> Panels:
     face = s2a.applications.load_result(result)
     relit = s2a.applications.relight(face, [LAMP], ambient=0.6)
     painted = replace(relit, face=replace(relit.face))
-    assert face.landmarks is not None
     middle, shape, made = face.landmarks[36:48].mean(0), (HEIGHT, 2 * HEIGHT - GAP), []
     for title, shown, yaw_deg in (
         ("the eyes in the texture", painted, 0.0),
@@ -256,9 +247,6 @@ def eyes_panels(result: ProcessResult) -> Panels:
 
 def mouth_panel(result: ProcessResult) -> tuple[str, Pixels]:
     """Return the mouth, its jaw opened by a blendshape."""
-    assert result.linear_model is not None
-    assert result.template is not None
-    assert result.template.landmarks is not None
     targets = result.linear_model.neutral_and_targets()[1]
     x, y, z = result.template.vertices[result.template.landmarks[48:68]].mean(0) + JAW_MM / 2
     view = View((x, y, z), MOUTH_MM / 2, pitch_deg=MOUTH_PITCH_DEG)
@@ -268,8 +256,6 @@ def mouth_panel(result: ProcessResult) -> tuple[str, Pixels]:
 def linear_model_panels(result: ProcessResult) -> Panels:
     """Return a scan, the linear model on it, what that leaves, and blendshapes of this person."""
     fit, fitted = result.linear_model, result.fitted
-    assert fit is not None
-    assert fitted is not None
     targets = fit.neutral_and_targets()[1]
     view = View.around(np.concatenate([fit.vertices, fit.vertices + targets["jawOpen"]]))
     upright = transform_points(fitted.model_from_scan, result.scan.vertices)
@@ -288,10 +274,6 @@ def linear_model_panels(result: ProcessResult) -> Panels:
 def template_picture(result: ProcessResult, move: FloatArray, view: View) -> Pixels:
     """Return the linear model's mesh at rest with its texture, eyes and mouth, moved by a blendshape."""
     made, fit = result.template, result.linear_model
-    assert made is not None
-    assert fit is not None
-    assert made.cut_mm is not None
-    assert made.landmarks is not None
     (tile,) = made.tiles
     uv = np.zeros((len(made.vertices), 2))
     uv[made.faces] = made.uv
@@ -311,7 +293,6 @@ def write_linear_model(file: Path) -> None:
     """Write a linear model of the synthetic people, with blendshapes, one of which opens the lips."""
     model = default_model()
     rest, marks, fine = model.control_vertices, model.landmarks, model.subdivision(3)
-    assert marks is not None
     vertices, region = fine.matrix @ rest, model.region[fine.parent]
     moves = {}
     for name, kind in (("smile", "smile"), ("mouthPucker", "pout"), ("cheekPuff", "puff")):

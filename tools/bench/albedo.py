@@ -90,8 +90,8 @@ def single_light(shape: str, texture: str, grain: float, at: tuple[float, float]
     return Scene.of(MAKERS[shape](texture=texture, grain=grain, size=SIZE, noise=noise, lights=lights))
 
 
-def tilted(shape: str, texture: str, at: tuple[float, float]) -> Scene:
-    scene = MAKERS[shape](texture=texture, grain=GRAINS[0], size=SIZE, lights=[light_at(*at)])
+def tilted(make: Callable[[], SyntheticScene]) -> Scene:
+    scene = make()
     return Scene.of(scene, with_normal_error(scene.image, TILT_DEG, np.random.default_rng(0)))
 
 
@@ -110,7 +110,10 @@ def synthetic_cases(quick: bool) -> Iterator[Case]:
                     yield Case(f"{where} grain {grain:g}", clean, f"{shape} clean")
                 noisy = partial(single_light, shape, texture, GRAINS[0], at, NOISE)
                 yield Case(f"{where} noise", noisy, f"{shape} noise")
-                yield Case(f"{where} normals", partial(tilted, shape, texture, at), f"{shape} normals")
+                made = partial(
+                    MAKERS[shape], texture=texture, grain=GRAINS[0], size=SIZE, lights=[light_at(*at)]
+                )
+                yield Case(f"{where} normals", partial(tilted, made), f"{shape} normals")
             for kind in LIGHTS:
                 yield Case(
                     f"{shape} {texture} {kind}", partial(many_lights, shape, texture, kind), f"{shape} {kind}"
@@ -142,11 +145,8 @@ def six_scenes(size: int) -> Iterator[Case]:
     for name, make in made.items():
         yield Case(name, lambda make=make: Scene.of(make()))
 
-    def wrong_normals() -> Scene:
-        scene = face(2, texture="skin", size=size, lights=[light_at(-45)])
-        return Scene.of(scene, with_normal_error(scene.image, TILT_DEG, np.random.default_rng(0)))
-
-    yield Case("wrong normals", wrong_normals)
+    wrong = partial(face, 2, texture="skin", size=size, lights=[light_at(-45)])
+    yield Case("wrong normals", partial(tilted, wrong))
 
 
 def estimated(scene: Scene, options: EstimateOptions, budget: Budget | None = None) -> PeerAnswer:
@@ -170,7 +170,6 @@ def errors(scene: Scene, answer: PeerAnswer | FloatArray) -> dict[str, float]:
     value = answer.albedo_value if isinstance(answer, PeerAnswer) else answer
     mask = scene.image.mask
     texture = scene.image.texture_linear
-    assert texture is not None
     pair = value[..., None], value_of(scene.albedo_linear)[..., None]
     of = score(*pair, mask)
     row = {"RMSE %": of.rmse, "50 %": of.half, "95 %": of.most, "MSE %": of.mse}

@@ -31,7 +31,7 @@ from scipy.ndimage import distance_transform_edt, maximum_filter
 from worlds.environments import ENVIRONMENTS, reference_lights
 from worlds.files import face_data
 from worlds.fits import fitted_face
-from worlds.light_stage import LightStage
+from worlds.light_stage import FACE_VERTICES, LightStage
 
 import scan2albedo as s2a
 from bench.judging import picture_errors
@@ -231,12 +231,10 @@ def generic_model() -> s2a.AnnotatedFaceModel:
 
 def measured_pair(a: str, move: str, b: str, own_model: bool) -> Pair:
     people = LightStage.load()
-    with np.load(face_data("ict_faces.npz")) as data:
-        inner = int(data["narrow_face_vertices"])
     rest = [people.shapes[name] for name in (a, b)]
     moved = [shape + measured_moves()[move] for shape in rest]
     model = generic_model() if own_model else s2a.AnnotatedFaceModel.default()
-    return Pair(rest[0], moved[0], rest[1], moved[1], people.faces, inner, model)
+    return Pair(rest[0], moved[0], rest[1], moved[1], people.faces, FACE_VERTICES, model)
 
 
 def synthetic_pair(expression: str) -> Pair:

@@ -131,9 +131,6 @@ def kept(scene: Scene, run: Spent) -> dict[str, float]:
         "over s": beyond * min(run.cpu_s / max(run.wall_s, 1e-9), 1.0),
         "reached %": 100 * share,
         "budget s": run.budget_s,
-        "at start": scene.stage.start_error,
-        "with it": error,
-        "without": scene.full_error,
     }
 
 

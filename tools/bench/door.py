@@ -49,8 +49,6 @@ from scan2albedo.synthetic.sitter import sit_down
 BASIN_DEG = 10.0
 BASIN_MM = 15.0
 """A pose within these of the truth is right: a fit finds the rest."""
-UPSIDE_DOWN_DEG = 120.0
-"""A turn in the plane of the picture beyond which a face is upside down."""
 UNSURE = 0.5
 BINS = 10
 """Of confidence."""
@@ -152,23 +150,21 @@ def outcome(scan: DoorScan, answer: Answer) -> tuple[str, float, float]:
     degrees = float(np.degrees(rotation_angle_rad(change[:3, :3])))
     moved = transform_points(change, scan.landmarks) - scan.landmarks
     mm = float(np.linalg.norm(moved, axis=1).mean())
-    in_plane = np.degrees(np.arctan2(change[1, 0] - change[0, 1], change[0, 0] + change[1, 1]))
     if answer.message:
         return "refused", degrees, mm
     if degrees <= BASIN_DEG and mm <= BASIN_MM:
         return "right", degrees, mm
-    return "upside down" if abs(in_plane) > UPSIDE_DOWN_DEG else "wrong", degrees, mm
+    return "wrong", degrees, mm
 
 
 def judged_face(scene: Scene, answer: Answer) -> dict[str, float | str]:
     ended, degrees, mm = outcome(scene.scan, answer)
     within = np.isnan(degrees) or (degrees <= BASIN_DEG and mm <= BASIN_MM)
     sure = np.nan if answer.sure is None else answer.sure
-    missed = ended in ("wrong", "upside down")
     row: dict[str, float | str] = {
         "right %": 100.0 * (ended == "right"),
         "refused %": 100.0 * (ended == "refused"),
-        "sure misses %": 100.0 * (missed and sure >= UNSURE),
+        "sure misses %": 100.0 * (ended == "wrong" and sure >= UNSURE),
         "confidence": sure,
         "pose right %": 100.0 * within,
     }

@@ -20,7 +20,7 @@ from unittest.mock import patch
 
 import numpy as np
 from worlds.environments import generated_environment
-from worlds.model_faces import albedo_error, person, surface
+from worlds.model_faces import albedo_error, person, scaled_error, surface
 
 from bench.runner import Bench, Case
 from scan2albedo.core.arrays import FloatArray
@@ -118,12 +118,11 @@ def errors(scene: Shot, fit: ImageFit) -> dict[str, float]:
     relit = []
     for k in range(RELIGHTS):
         light = project_environment(generated_environment(900_000 + k))
-        ours, truth = (
+        pair = (
             shade_environment(face, s.normals, s.view, light).radiance_linear[s.seen]
             for face in (found, scene.face)
         )
-        scale = np.sum(ours * truth) / np.sum(ours * ours)
-        relit.append(np.linalg.norm(scale * ours - truth) / np.linalg.norm(truth))
+        relit.append(scaled_error(*pair))
     used = np.isfinite(fit.radiance_linear).all(1)
     off = np.linalg.norm((fit.radiance_linear - scene.clean_linear)[used])
     return {

@@ -45,7 +45,6 @@ SHAPES = (
     "person3_browInnerUp_L_browInnerUp_R_jawOpen0.5",
 )
 TARGET = 20_000
-STEPS = (5, 15, 30, 45, 60, 90)
 MESH_PEERS = ("nricp_amberg", "nricp_sumner")
 CORRESPONDENCE_LEVEL = 2
 """Refinement of the model's surface at which corresponding points of synthetic scans are compared."""
@@ -117,9 +116,8 @@ def head(name: str) -> Head:
     return Head(scan, model, model_from_shape @ invert_rigid(scan_from_shape), truth)
 
 
-def ours(scene: Head, steps: int | None = None) -> Answer:
-    budget = None if steps is None else Budget(evaluations=steps)
-    found = s2a.fit(scene.scan, scene.model, scene.pose, budget)
+def ours(scene: Head) -> Answer:
+    found = s2a.fit(scene.scan, scene.model, scene.pose)
     flips = int(found.metrics["flipped_faces"])
     return Answer(found.vertices, found.faces, found.template_vertices, found.model_from_scan, flips)
 
@@ -139,14 +137,19 @@ def mesh_peer(name: str, scene: Head) -> Timed:
     return Timed(carried(scene, moved.answer), moved.cpu_s)
 
 
-def errors(scene: Head, answer: Answer) -> dict[str, float]:
-    truth = transform_points(answer.model_from_scan @ invert_rigid(scene.pose), scene.truth)
-    distance = ClosestPointQuery(answer.vertices, answer.faces).query(truth).distance
-    apart = np.linalg.norm(answer.points - truth, axis=1)
+def of_surface(distance: FloatArray) -> dict[str, float]:
     return {
         "surface mm": float(distance.mean()),
         "median": float(np.median(distance)),
         "95 %": float(np.percentile(distance, 95)),
+    }
+
+
+def errors(scene: Head, answer: Answer) -> dict[str, float]:
+    truth = transform_points(answer.model_from_scan @ invert_rigid(scene.pose), scene.truth)
+    distance = ClosestPointQuery(answer.vertices, answer.faces).query(truth).distance
+    apart = np.linalg.norm(answer.points - truth, axis=1)
+    return of_surface(distance) | {
         "corr. mm": float(apart.mean()),
         "corr. 95 %": float(np.percentile(apart, 95)),
         "flips": float(answer.flips),
@@ -165,10 +168,7 @@ def james_errors(scan: s2a.RawScan, answer: tuple[FloatArray, FloatArray]) -> di
     distance = ClosestPointQuery(scan.vertices, scan.faces).query(answer[0]).distance
     placed = np.loadtxt(face_data("james_ibug68.csv"), delimiter=",")
     off = np.linalg.norm(answer[1] - placed, axis=1)
-    return {
-        "surface mm": float(distance.mean()),
-        "median": float(np.median(distance)),
-        "95 %": float(np.percentile(distance, 95)),
+    return of_surface(distance) | {
         "five points": float(off[list(KEY_POINTS)].mean()),
         "51 mm": float(off[17:].mean()),
     }
@@ -232,13 +232,12 @@ def scenes(quick: bool) -> Iterator[Case]:
 BENCHES = {
     "heads": Bench(
         lambda quick: (Case(name, partial(head, name)) for name in SHAPES[: 1 if quick else None]),
-        methods={"scan2albedo": ours} | {f"{steps} steps": partial(ours, steps=steps) for steps in STEPS},
+        methods={"scan2albedo": ours},
         peers={
             "rigid only": lambda scene: carried(scene, scene.model.surface(LEVEL)[0]),
             **{name: partial(mesh_peer, name) for name in MESH_PEERS},
         },
         score=errors,
-        slow=tuple(f"{steps} steps" for steps in STEPS),
         quick=("scan2albedo", "rigid only"),
         warm=True,
     ),

@@ -96,7 +96,6 @@ def load_image(folder: Path, name: str) -> TracedImage:
     lamps = json.loads(str(fields["lights"])) if "lights" in fields else []
     albedo, mask = fields["albedo_linear"].astype(np.float64), image.mask
     judged = np.zeros(mask.shape, bool)
-    assert image.texture_linear is not None
     judged[mask] = lit(image.texture_linear[mask], albedo[mask], np.ones(int(mask.sum()), bool))
     return TracedImage(name, image, albedo, judged, lamps)
 
@@ -215,7 +214,6 @@ def judged_scan(result: ProcessResult, truth: ScanTruth) -> JudgedScan:
     scan_from_model = np.linalg.inv(np.asarray(fitted.model_from_scan))
     in_scan = transform_points(scan_from_model, np.asarray(image.position, np.float64)[mask]) / truth.unit_mm
     true, distance = truth.at(transform_points(np.linalg.inv(truth.scan_from_truth), in_scan))
-    assert image.texture_linear is not None
     # Comparisons with NaN are false.
     counted = (distance < _FARTHEST_MM) & (true.max(1) > _DARKEST)
     if image.seen is not None:
@@ -314,7 +312,6 @@ def simple_peers(image: s2a.GeometryImage, light: Received | None = None) -> dic
     theirs to take off. Light below a tenth of its median is taken for a tenth. `light` is what the texels
     receive, where that is known.
     """
-    assert image.texture_linear is not None
     mask, light = image.mask, light or received(image)
     texture = np.asarray(image.texture_linear, np.float64)[mask]
 

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from worlds.files import face_data
 from worlds.fits import fitted_face
-from worlds.light_stage import NEUTRAL, LightStage
+from worlds.light_stage import FACE_VERTICES, NEUTRAL, LightStage
 from worlds.raw_like import raw_like
 
 import scan2albedo as s2a
@@ -40,8 +40,7 @@ EXPRESSION_SD = 0.4
 LANDMARK_MM = 1.0
 METRES_WEIGHT = 1e-3
 """flame-fitting's weight of a coefficient beside landmarks in metres."""
-FACE = slice(0, 6706)
-"""ICT's vertices of the face without neck, ears and scalp."""
+FACE = slice(0, FACE_VERTICES)
 REAL = {"james": "james_ibug68.csv", "flame_scan": "flame_scan_ibug51.csv"}
 """Scans with points placed by hand."""
 

@@ -161,8 +161,6 @@ def shape_errors(scene: tuple[list[FittedFace], Truth], control: FloatArray) -> 
         stated = found.deviation_mm[counted]
         row["stated mm"] = float(np.sqrt(np.mean(stated**2)))
         row["true mm"] = float(np.sqrt(np.mean(distance[counted] ** 2)))
-        for limit in (1, 2):
-            row[f"within {limit} %"] = float(100 * np.mean(distance[counted] < limit * stated))
     return row
 
 
@@ -188,9 +186,6 @@ def odds(fits: list[FittedFace], shape: PersonShape) -> dict[str, float]:
         "farthest %": 100.0 * (shape.other_person.argmax() == len(fits) - 1),
         "told %": 100.0 * (shape.other_person[-1] > 0),
         "others kept %": float(100 * np.mean(shape.other_person[:-1] < 0)),
-        "log odds": float(shape.other_person[-1]),
-        "of others": float(shape.other_person[:-1].max()),
-        "mm": float(shape.distance_mm[-1]),
     }
 
 

@@ -28,6 +28,7 @@ from worlds.model_faces import (
     albedo_error,
     learned,
     person,
+    scaled_error,
     sent,
     surface,
 )
@@ -129,11 +130,10 @@ class Shot:
     elsewhere: FloatArray
 
     def errors(self, found: VertexReflectance) -> dict[str, float]:
-        a, b = (sent(one, self.elsewhere)[surface().seen] for one in (found, self.face))
-        apart = np.linalg.norm(np.sum(a * b) / np.sum(a * a) * a - b)
+        relit = (sent(one, self.elsewhere)[surface().seen] for one in (found, self.face))
         return {
             "albedo %": 100 * albedo_error(found.diffuse_linear, self.face),
-            "relit %": float(100 * apart / np.linalg.norm(b)),
+            "relit %": 100 * scaled_error(*relit),
         }
 
 

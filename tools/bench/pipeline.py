@@ -117,7 +117,6 @@ def run_command(words: Sequence[str]) -> Timed:
     start = time.perf_counter()
     command = [sys.executable, "-m", "scan2albedo", *words]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-    assert process.stderr is not None
     said = process.stderr.read()
     _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)

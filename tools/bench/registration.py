@@ -16,6 +16,7 @@ from functools import cache, partial
 
 import numpy as np
 from worlds.files import face_data
+from worlds.light_stage import FACE_VERTICES
 from worlds.raw_like import raw_like
 from worlds.synthetic_scans import ScanScene, hard_scan_scenes, scan_scenes
 
@@ -41,8 +42,6 @@ from scan2albedo.registration import RegistrationOptions
 REAL_SCANS = {"james": "james.obj", "humface": "humface.ply"}
 POSES = 300
 REAL_POSES = 50
-FACE_PART = 6706
-"""ICT's vertices of the face without neck, ears and scalp."""
 REPEAT_DEG = 2.0
 REPEAT_MM = 2.0
 BASIN_DEG = 10.0
@@ -66,8 +65,8 @@ class Shapes:
 
     def truth(self, name: str) -> FloatArray:
         """Return (4, 4) default model from shape."""
-        generic = self.vertices["generic_neutral"][:FACE_PART]
-        return self.model_from_generic @ procrustes(self.vertices[name][:FACE_PART], generic)
+        generic = self.vertices["generic_neutral"][:FACE_VERTICES]
+        return self.model_from_generic @ procrustes(self.vertices[name][:FACE_VERTICES], generic)
 
 
 @cache

@@ -11,7 +11,7 @@ scale, on V = max(R, G, B):
 
 Texels that got less than 3 % of the median light do not count; under single flashes those count that the
 flash explains to a quarter. Peers divide by ambient occlusion, by nine harmonics (SH), and by the same with
-the face's own shadows. Slow: the paper's objective.
+the face's own shadows.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from bench.judging import (
     simple_peers,
 )
 from bench.runner import Bench, Case, Timed
-from scan2albedo.albedo import AlbedoEstimate, EstimateOptions
+from scan2albedo.albedo import AlbedoEstimate
 from scan2albedo.core.arrays import BoolArray, FloatArray
 
 FOLDERS = {"skin": "real_skin", "flashes": "yale", "scans": "traced", "images": "traced"}
@@ -133,11 +133,6 @@ def simple_peer(name: str, scene: Scene) -> Timed:
     return Timed(scene.peers[name], np.nan)
 
 
-def papers_objective(scene: Scene) -> FloatArray:
-    found = s2a.estimate_albedo(scene.image, options=EstimateOptions(objective="albedo-deviation"), seed=0)
-    return np.asarray(found.albedo_linear, np.float64)
-
-
 def figures(scene: Scene, answer: AlbedoEstimate | FloatArray) -> dict[str, float | str]:
     estimate = answer if isinstance(answer, AlbedoEstimate) else None
     albedo = np.asarray(answer if estimate is None else estimate.albedo_linear, np.float64)
@@ -151,7 +146,6 @@ def figures(scene: Scene, answer: AlbedoEstimate | FloatArray) -> dict[str, floa
     }
     if estimate is None:
         return row
-    assert estimate.expected_error is not None
     said, twice = calibration(
         albedo.max(2), scene.albedo_linear.max(2), estimate.expected_error, scene.judged
     )
@@ -167,12 +161,8 @@ BENCHES = {
     kind: Bench(
         partial(cases, kind),
         methods={"ours": ours},
-        peers={
-            **{name: partial(simple_peer, name) for name in ("as is", "AO", "SH", "SH+shadows")},
-            "paper's objective": papers_objective,
-        },
+        peers={name: partial(simple_peer, name) for name in ("as is", "AO", "SH", "SH+shadows")},
         score=figures,
-        slow=("paper's objective",),
         summaries=("least", "mean", "worst"),
     )
     for kind in PATTERNS

@@ -28,8 +28,7 @@ def overcast(directions: FloatArray) -> FloatArray:
     """Return radiance (N, 3) of an overcast sky (CIE: thrice as bright above) over dark, brown ground."""
     up = np.clip(directions[:, 1:2], -1, 1)
     sky = (1 + 2 * np.maximum(up, 0)) / 3 * np.array([1.35, 1.45, 1.6])
-    ground = np.array([0.20, 0.17, 0.13]) * np.ones_like(up)
-    return sky + (ground - sky) * smoothstep((0.03 - up) / 0.1)
+    return _over_ground(sky, (0.20, 0.17, 0.13), up)
 
 
 def clear_sky(directions: FloatArray) -> FloatArray:
@@ -37,8 +36,11 @@ def clear_sky(directions: FloatArray) -> FloatArray:
     up = np.clip(directions[:, 1:2], -1, 1)
     blue, pale = np.array([0.55, 0.95, 1.75]), np.array([1.15, 1.35, 1.55])
     sky = blue + (pale - blue) * np.exp(-np.maximum(up, 0) / 0.25)
-    ground = np.array([0.75, 0.68, 0.52]) * np.ones_like(up)
-    return sky + (ground - sky) * smoothstep((0.03 - up) / 0.1)
+    return _over_ground(sky, (0.75, 0.68, 0.52), up)
+
+
+def _over_ground(sky: FloatArray, ground: Color, up: FloatArray) -> FloatArray:
+    return sky + (np.array(ground) - sky) * smoothstep((0.03 - up) / 0.1)
 
 
 def dim_room(directions: FloatArray) -> FloatArray:

@@ -101,8 +101,14 @@ def shot(face: VertexReflectance, seed: int) -> ImageObservation:
 
 def albedo_error(found: np.ndarray, face: VertexReflectance, levels: int = 1) -> float:
     """Return the relative RMSE of an albedo (V, 3) after the best single scale, over what is seen."""
-    a, truth = found[surface(levels).seen], face.diffuse_linear[surface(levels).seen]
-    return float(np.linalg.norm(np.sum(a * truth) / np.sum(a * a) * a - truth) / np.linalg.norm(truth))
+    seen = surface(levels).seen
+    return scaled_error(found[seen], face.diffuse_linear[seen])
+
+
+def scaled_error(found: np.ndarray, truth: np.ndarray) -> float:
+    """Return the relative RMSE after the best single scale."""
+    scale = np.sum(found * truth) / np.sum(found * found)
+    return float(np.linalg.norm(scale * found - truth) / np.linalg.norm(truth))
 
 
 @cache

@@ -12,8 +12,9 @@ from functools import partial
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
+from worlds.glasses_on_head import fan
 
-from bench.eyeglasses.scenes import BareFrame, fan, own_bend
+from bench.eyeglasses.scenes import BareFrame, own_bend
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.eyeglasses.mean_keypoints import RIMS
 from scan2albedo.face_model import default_model

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 from worlds.files import DATA
+from worlds.glasses_on_head import fan
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.eyeglasses import KEY_POINT_NAMES, bounded_biharmonic_weights
@@ -106,13 +107,6 @@ SHAPES = {
     "shield": GlassesShape(62, 44, 3.0, 12, 6, 4.0, 4.0, 120, 130, 1, 6, 3.2, 25),
 }
 """Measures at the ends of what opticians sell, and past them."""
-
-
-def fan(outline: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Return a flat lens in an outline (R, 3): triangles from its middle."""
-    rim = 1 + np.arange(len(outline))
-    points = np.concatenate([outline.mean(0, keepdims=True), outline])
-    return points, np.stack([np.zeros_like(rim), rim, np.roll(rim, -1)], axis=1)
 
 
 @cache

@@ -132,7 +132,6 @@ def _blocks(mask: BoolArray) -> IntArray:
 
 def _value(image: s2a.GeometryImage) -> FloatArray:
     """Return (N,) V of the masked texels."""
-    assert image.texture_linear is not None
     return image.texture_linear[image.mask].astype(np.float64).max(1)
 
 
