@@ -231,10 +231,9 @@ def generic_model() -> s2a.AnnotatedFaceModel:
 
 def measured_pair(a: str, move: str, b: str, own_model: bool) -> Pair:
     people = LightStage.load()
-    rest = [people.shapes[name] for name in (a, b)]
-    moved = [shape + measured_moves()[move] for shape in rest]
+    shapes = [people.shapes[name] + by for name in (a, b) for by in (0.0, measured_moves()[move])]
     model = generic_model() if own_model else s2a.AnnotatedFaceModel.default()
-    return Pair(rest[0], moved[0], rest[1], moved[1], people.faces, FACE_VERTICES, model)
+    return Pair(*shapes, people.faces, FACE_VERTICES, model)
 
 
 def synthetic_pair(expression: str) -> Pair:
@@ -245,9 +244,8 @@ def synthetic_pair(expression: str) -> Pair:
     def shape(seed: int, expression: str) -> FloatArray:
         return surface.matrix @ person(model, np.random.default_rng(seed), expression=expression)
 
-    rest = [shape(seed, "neutral") for seed in (1, 2)]
-    moved = [shape(seed, expression) for seed in (1, 2)]
-    return Pair(rest[0], moved[0], rest[1], moved[1], surface.faces, len(rest[0]), model)
+    shapes = [shape(seed, name) for seed in (1, 2) for name in ("neutral", expression)]
+    return Pair(*shapes, surface.faces, len(shapes[0]), model)
 
 
 def expressions(quick: bool) -> Iterator[Case]:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from worlds.files import DATA
+from worlds.model_faces import scaled_error
 
 from bench.judging import flash_photograph
 from bench.runner import Bench, Case
@@ -67,8 +68,7 @@ def cases(quick: bool) -> Iterator[Case]:
 
 def error(albedo: FloatArray, truth: FloatArray) -> float:
     """Return 100 MSE / mean square, best scale removed."""
-    scale = (albedo * truth).sum() / (albedo**2).sum()
-    return float(100 * ((scale * albedo - truth) ** 2).mean() / (truth**2).mean())
+    return 100 * scaled_error(albedo, truth) ** 2
 
 
 def figures(scene: Photographs, found: CommonAlbedo) -> dict[str, float]:

@@ -384,6 +384,7 @@ MATTE = {
     "+displaced": traced("albedo", "normals", "displaced"),
     "own": traced("albedo", "", "own"),
 }
+JUDGED: dict[str, Any] = {"score": psnr, "summaries": ("mean",), "picture": sheet}
 BENCHES = {
     "own_light": Bench(
         partial(cases, own_light),
@@ -401,9 +402,7 @@ BENCHES = {
             "true": traced("true"),
             "true+": traced("true", GLOSS, "displaced"),
         },
-        score=psnr,
-        summaries=("mean",),
-        picture=sheet,
+        **JUDGED,
     ),
     "relit": Bench(
         partial(cases, relit),
@@ -413,8 +412,6 @@ BENCHES = {
             "constant": traced("constant", "normals", "displaced"),
             "true": traced("true", "normals", "displaced"),
         },
-        score=psnr,
-        summaries=("mean",),
-        picture=sheet,
+        **JUDGED,
     ),
 }

@@ -28,7 +28,6 @@ from bench.settings import presets, varied, within
 from scan2albedo.core import Budget
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.fitting import FitOptions
-from scan2albedo.fitting.stages import FoldFinder
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rigid import compose, invert_rigid, procrustes, random_rotation, transform_points
@@ -69,7 +68,6 @@ class Answer:
     points: FloatArray
     """The template's vertices, or the model's at some level."""
     model_from_scan: FloatArray
-    flips: int = 0
 
 
 def whole_head_scan(vertices: FloatArray, faces: IntArray) -> tuple[s2a.RawScan, FloatArray]:
@@ -118,8 +116,7 @@ def head(name: str) -> Head:
 
 def ours(scene: Head) -> Answer:
     found = s2a.fit(scene.scan, scene.model, scene.pose)
-    flips = int(found.metrics["flipped_faces"])
-    return Answer(found.vertices, found.faces, found.template_vertices, found.model_from_scan, flips)
+    return Answer(found.vertices, found.faces, found.template_vertices, found.model_from_scan)
 
 
 def carried(scene: Head, vertices: FloatArray) -> Answer:
@@ -128,8 +125,7 @@ def carried(scene: Head, vertices: FloatArray) -> Answer:
     template = scene.model.template_of(scene.model.control_vertices)
     hits = ClosestPointQuery(rest, faces).query(template)
     points = hits.interpolated(vertices, faces) + template - hits.points
-    flips = len(FoldFinder(rest, faces).find(vertices))
-    return Answer(vertices, faces, points, scene.pose, flips)
+    return Answer(vertices, faces, points, scene.pose)
 
 
 def mesh_peer(name: str, scene: Head) -> Timed:
@@ -152,7 +148,6 @@ def errors(scene: Head, answer: Answer) -> dict[str, float]:
     return of_surface(distance) | {
         "corr. mm": float(apart.mean()),
         "corr. 95 %": float(np.percentile(apart, 95)),
-        "flips": float(answer.flips),
     }
 
 

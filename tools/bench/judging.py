@@ -337,6 +337,11 @@ def relative_rmse(found: FloatArray, truth: FloatArray) -> float:
     return float(np.sqrt(np.mean((found - truth) ** 2) / np.mean(truth**2)))
 
 
+def rms(errors: FloatArray) -> float:
+    """Return the root mean square of lengths (N,), NaN of none."""
+    return float(np.sqrt((errors**2).mean())) if len(errors) else float("nan")
+
+
 def picture_errors(made: FloatArray, truth: FloatArray) -> tuple[float, float]:
     """Return the rms of errors over the mean brightness, and the one that a hundredth exceeds."""
     off = np.abs(made - truth).mean(2) / truth.mean()

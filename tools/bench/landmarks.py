@@ -153,11 +153,14 @@ def with_five(scene: Scene, one_wrong: bool) -> Found:
     return fitted(scene, PlacedLandmarks.of(points))
 
 
+def pose_of(scene: Scene) -> FloatArray:
+    return s2a.register(scene.scan, s2a.AnnotatedFaceModel.default()).model_from_scan
+
+
 def detected(scene: Scene) -> PlacedLandmarks:
     import mediapipe  # noqa: F401 (its absence is to be reported)
 
-    pose = s2a.register(scene.scan, s2a.AnnotatedFaceModel.default()).model_from_scan
-    found = detected_landmarks(scene.scan, pose)
+    found = detected_landmarks(scene.scan, pose_of(scene))
     return found or PlacedLandmarks(np.full((68, 3), np.nan), np.full(68, np.nan))
 
 
@@ -168,7 +171,7 @@ def mediapipe_alone(scene: Scene) -> Found:
 
 def nricp(scene: Scene) -> Timed:
     model = s2a.AnnotatedFaceModel.default()
-    pose = s2a.register(scene.scan, model).model_from_scan
+    pose = pose_of(scene)
     moved = deformed("nricp_amberg", scene.scan, model, pose)
     rest, faces = model.surface(1)
     landmarks = ClosestPointQuery(rest, faces).query(model.landmarks).interpolated(moved.answer, faces)
@@ -224,9 +227,8 @@ def without_colors(name: str) -> tuple[Scene, FloatArray, FloatArray]:
     """Return a scene, its pose and the landmarks' errors (51,) of a fit without colours."""
     names = list(LightStage.load().shapes)
     scene = flame_scan() if name == "flame_scan" else light_stage(name, "", 0.0, names.index(name))
-    model = s2a.AnnotatedFaceModel.default()
-    pose = s2a.register(scene.scan, model).model_from_scan
-    face = s2a.fit(scene.scan, model, pose)
+    pose = pose_of(scene)
+    face = s2a.fit(scene.scan, s2a.AnnotatedFaceModel.default(), pose)
     return scene, pose, np.linalg.norm(of_fit(face, scene.landmarks).offset_mm[INNER], axis=1)
 
 

@@ -26,6 +26,7 @@ from worlds.light_stage import FACE_VERTICES, NEUTRAL, LightStage
 from worlds.raw_like import raw_like
 
 import scan2albedo as s2a
+from bench.judging import rms
 from bench.runner import Bench, Case
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.fitting.linear_model import fit_linear_model
@@ -126,10 +127,6 @@ def best_of_basis(scene: Scene) -> Answer:
         rows = model.basis[FACE].reshape(-1, len(coefficients)).astype(float)
         coefficients = np.linalg.lstsq(rows, (own - model.mean[FACE]).ravel(), rcond=None)[0]
     return Answer(transform_points(pose, model.mean + model.basis @ coefficients))
-
-
-def rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def errors(scene: Scene, answer: Answer) -> dict[str, float]:

@@ -98,16 +98,19 @@ class Processed:
         return np.log(np.maximum(self.true, 1e-3))
 
     @cached_property
+    def usual(self) -> FloatArray:
+        """Log albedo (3,) of the face."""
+        return np.median(self.log_true[self.inside], axis=0)
+
+    @cached_property
     def skin(self) -> BoolArray:
         """Texels (H, W) of skin by their true albedo."""
-        usual = np.median(self.log_true[self.inside], axis=0)
-        return np.abs(self.log_true - usual).max(-1) < SKIN
+        return np.abs(self.log_true - self.usual).max(-1) < SKIN
 
     @cached_property
     def dark(self) -> BoolArray:
         """Texels (H, W) that are as dark as hair."""
-        usual = np.median(self.log_true[self.inside], axis=0)
-        return self.log_true.max(-1) < usual.max() - 2 * SKIN
+        return self.log_true.max(-1) < self.usual.max() - 2 * SKIN
 
     def rim_step(self, texture: FloatArray) -> float:
         """Return the RMS over the face's rim of the step of log colour of skin across it.

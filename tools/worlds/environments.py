@@ -167,7 +167,8 @@ def reference_lights(environment: FloatArray) -> DistantLights:
 
     It shares nothing with the lights that are measured: no lattice, no cells.
     """
-    count, (rows, columns) = 8192, environment.shape[:2]
+    count = 8192
+    rows, columns = environment.shape[:2]
     edges = np.cos(np.arange(rows + 1) * np.pi / rows)
     size = np.repeat(texel_solid_angles(rows, columns), columns)
     flat = environment.reshape(-1, 3)

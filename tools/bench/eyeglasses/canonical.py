@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from bench.eyeglasses.scenes import rms
+from bench.judging import rms
 from bench.runner import Bench, Case
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.eyeglasses import CanonicalizationOptions, bounded_biharmonic_weights, canonicalize

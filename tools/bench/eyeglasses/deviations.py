@@ -23,10 +23,10 @@ from bench.eyeglasses.scenes import (
     khronos,
     named,
     photographed,
-    rms,
     synthetic,
     without_lenses,
 )
+from bench.judging import rms
 from bench.runner import Bench, Case
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.eyeglasses import RegisteredEyeglasses, register_on_face

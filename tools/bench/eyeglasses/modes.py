@@ -23,7 +23,7 @@ from bench.eyeglasses.bent_frames import (
     frames_of_many_makers,
     synthetic_frame,
 )
-from bench.eyeglasses.scenes import rms
+from bench.judging import rms
 from bench.runner import Bench, Case
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.eyeglasses import CanonicalizationOptions, CanonicalSet, canonicalize

@@ -13,7 +13,8 @@ from functools import partial
 import numpy as np
 
 from bench.eyeglasses.painted import Pictured, pictured
-from bench.eyeglasses.scenes import named, rms
+from bench.eyeglasses.scenes import named
+from bench.judging import rms
 from bench.runner import Bench, Case
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.eyeglasses import RegisteredEyeglasses, register_on_face

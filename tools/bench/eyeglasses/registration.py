@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from bench.eyeglasses.scenes import rms
+from bench.judging import rms
 from bench.runner import Bench, Case, Timed
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray

@@ -261,8 +261,3 @@ def _mask(
     wander *= errors.wander_px / wander.std()
     inside = distance_transform_edt(shown) - distance_transform_edt(~shown) - np.where(shown, 0.5, -0.5)
     return np.asarray(inside + wander + errors.bias_px * rng.normal() > 0)
-
-
-def rms(errors: FloatArray) -> float:
-    """Return the root mean square of lengths (N,), NaN of none."""
-    return float(np.sqrt((errors**2).mean())) if len(errors) else float("nan")
