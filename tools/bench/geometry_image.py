@@ -20,7 +20,7 @@ from bench.runner import Bench, Case
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import face_areas, face_normals, vertex_normals
-from scan2albedo.geometry.rasterization import bilinear, pixels_from_uv
+from scan2albedo.geometry.rasterization import pixels_from_uv
 from scan2albedo.geometry.rigid import invert_rigid, transform_directions, transform_points
 from scan2albedo.sampling.texture_lookup import sample_colors
 from scan2albedo.synthetic import Scanner, raw_scan
@@ -89,9 +89,18 @@ def interpolated(
     image: s2a.GeometryImage, values: NDArray[np.floating], uv: FloatArray, usable: BoolArray
 ) -> tuple[BoolArray, FloatArray]:
     """Return which points (N,) have four usable texels around them, and the values bilinear there."""
-    pixels = pixels_from_uv(uv, image.shape)
-    known = bilinear(usable[..., None].astype(float), pixels)[:, 0] > 1 - 1e-9
-    return known, bilinear(values, pixels)[known]
+    column, row = pixels_from_uv(uv, image.shape).T
+    left = np.clip(np.floor(column).astype(int), 0, image.shape[1] - 2)
+    above = np.clip(np.floor(row).astype(int), 0, image.shape[0] - 2)
+    x, y = column - left, row - above
+    known = np.ones(len(uv), bool)
+    total = np.zeros((len(uv), 3))
+    for down in (0, 1):
+        for right in (0, 1):
+            weight = (x if right else 1 - x) * (y if down else 1 - y)
+            known &= usable[above + down, left + right]
+            total += weight[:, None] * values[above + down, left + right]
+    return known, total[known]
 
 
 def errors(scene: SampledFace, found: s2a.GeometryImage | FloatArray) -> dict[str, float]:
