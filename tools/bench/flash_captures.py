@@ -164,8 +164,6 @@ def accuracy(scene: Lit, fit: ReflectanceFit) -> dict[str, float]:
         "weights %": 100 * weights,
         "relit %": 100 * relative_rmse(point_light_radiance(fit.reflectance, lobes)[shown], clean[shown]),
         "cover %": 100 * float(inside[identified].mean()),
-        "identified %": 100 * float(sure.mean()),
-        "misfit": float(np.nanmedian(fit.misfit)),
     }
 
 

@@ -2,7 +2,7 @@
 
 `heads` are 48 pictures, 8 bits, by direct light and with light between parts of the face: relative RMSE of
 the albedo of all known vertices, lips and nostrils included; median of the relative difference; the largest
-albedo called identified; 95 % intervals of identified albedos and weights that hold the truth.
+albedo called identified; 95 % intervals of identified albedos that hold the truth.
 `bounce` are pale and dark heads that light themselves, 54 pictures of which some pairs are drawn: intervals
 of each channel that hold the truth, and how much bounced light was found. CPU seconds are of the fit alone.
 Two to ten minutes a rendering; needs ../shared/data and mitsuba.
@@ -127,7 +127,6 @@ def head_errors(scene: Sampled, fit: ReflectanceFit) -> dict[str, float]:
         "median %": 100 * float(np.median(off[known])),
         "largest": float(found[:, :3][sure[:, :3]].max()),
         "cover %": 100 * float(inside[:, :3][sure[:, :3]].mean()),
-        "of weights %": 100 * float(inside[:, 3:][sure[:, 3:]].mean()),
     }
 
 

@@ -111,7 +111,6 @@ def errors(scene: SampledFace, found: s2a.GeometryImage | FloatArray) -> dict[st
     return {
         "texture %": 100 * relative_rmse(color, scene.color_linear[seen]),
         "surface mm": float(np.linalg.norm(position - scene.position[inside], axis=1).mean()),
-        "texels used": float(found.mask.sum()),
     }
 
 

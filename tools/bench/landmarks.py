@@ -188,7 +188,6 @@ def errors(scene: Scene, found: Found) -> dict[str, float]:
     error = np.linalg.norm(found.offset_mm, axis=1)
     row = {"51 mm": mean_of(error[INNER])}
     row |= {name: mean_of(error[part]) for name, part in FEATURES.items()}
-    row["largest"] = float(np.max(error[INNER], initial=0, where=np.isfinite(error[INNER])))
     row["five points"] = mean_of(error[list(KEY_POINTS)])
     row["nose above"] = mean_of(-found.offset_mm[NOSE_TOP, 1])
     row["brows above"] = mean_of(-found.offset_mm[BROW_ENDS, 1])

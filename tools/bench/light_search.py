@@ -45,7 +45,6 @@ def errors(scene: SyntheticScene, found: AlbedoEstimate | FloatArray) -> dict[st
         "MSE %": mse_percent(scene, value_of(found.albedo_linear)),
         "right %": 100.0 * right,
         "light deg": light_error_deg(found.lights, scene.lights),
-        "evaluations": float(found.iterations),
         "kept out %": kept_out_percent(scene.material, found),
     }
 
