@@ -3,7 +3,6 @@
     python tools/figures.py                           # count anew, and write all figures into their pages
     python tools/figures.py --check                   # exit 1 where a page, a count or a record is stale
     python tools/figures.py --run NAME ...            # run commands (minutes each) and record what they print
-    python tools/figures.py --run NAME --printed FILE # the same from what the command has written before
 
 On a page a figure stands between two comments, `<!--=skin.half-->2-9 %<!--/-->`; a whole table between the
 same two, each on a line of its own. The record says for every NAME the command, when it ran, on which
@@ -187,19 +186,6 @@ SOURCES = {
     "flashes": traced("flashes", "yale", "all six people, while thresholds were chosen"),
     "scans": traced("scans", "traced", PAINTED, {}),
     "images": traced("images", "traced", PAINTED, {}),
-    "mitsuba": Source(
-        "python tools/bench albedo/mitsuba",
-        "all scenes, while the search for the light was made",
-        figures=from_bench(
-            "albedo/mitsuba",
-            {
-                "worst": f"{of('as it is', 'RMSE %', summary='worst')} -> "
-                f"{of('scan2albedo', 'RMSE %', summary='worst')} %",
-                "mse": f"{of('scan2albedo', 'MSE %', 4, summary='worst')} %",
-                "cpu": f"{of('scan2albedo', 'CPU s')} s",
-            },
-        ),
-    ),
     "hemisphere": Source("scan2albedo validate hemisphere", "all", "", WORST, {"worst": "{worst[0]} %"}),
     "face": Source("scan2albedo validate face", "all", "", WORST, {"worst": "{worst[0]} %"}),
     "demo": Source(
@@ -246,18 +232,6 @@ SOURCES = {
                 means={"albedo known": "mean of those with a known albedo"},
             ),
         },
-    ),
-    "quality": Source(
-        "python tools/bench pipeline/presets",
-        "all six people",
-        figures=from_bench(
-            "pipeline/presets",
-            {
-                preset: f"{of(preset, 'surface mm', 2)} mm, {of(preset, 'albedo %')} %, "
-                f"{of(preset, 'CPU s')} s"
-                for preset in ("draft", "standard")
-            },
-        ),
     ),
     "finetune": Source(
         "python tools/bench finetune/people",
@@ -491,8 +465,8 @@ def stale(record: dict[str, Any]) -> Iterator[str]:
             yield f"{page.name}: holds other figures than the record"
 
 
-def run(name: str, printed: Path | None) -> dict[str, Any]:
-    """Return the record of a command, run now unless it is given what was `printed`.
+def run(name: str) -> dict[str, Any]:
+    """Run a command and return its record.
 
     Raises
     ------
@@ -500,20 +474,17 @@ def run(name: str, printed: Path | None) -> dict[str, Any]:
         Where the command fails, or prints something else than is asked for.
     """
     source = SOURCES[name]
-    if printed is None:
-        program, *rest = shlex.split(source.command)
-        called = [sys.executable, *(() if program == "python" else ("-m", program)), *rest]
-        with tempfile.TemporaryDirectory() as folder:
-            written = Path(folder) / "bench.json"
-            if source.is_bench:
-                called += ["--json", str(written)]
-            done = subprocess.run(called, cwd=ROOT, capture_output=True, text=True, check=False)
-            if done.returncode:
-                last = (done.stderr.strip() or "no message").splitlines()[-1]
-                raise ValueError(f"the command ended with {done.returncode}: {last}")
-            text = written.read_text(encoding="utf-8") if source.is_bench else done.stdout
-    else:
-        text = printed.read_text(encoding="utf-8")
+    program, *rest = shlex.split(source.command)
+    called = [sys.executable, *(() if program == "python" else ("-m", program)), *rest]
+    with tempfile.TemporaryDirectory() as folder:
+        written = Path(folder) / "bench.json"
+        if source.is_bench:
+            called += ["--json", str(written)]
+        done = subprocess.run(called, cwd=ROOT, capture_output=True, text=True, check=False)
+        if done.returncode:
+            last = (done.stderr.strip() or "no message").splitlines()[-1]
+            raise ValueError(f"the command ended with {done.returncode}: {last}")
+        text = written.read_text(encoding="utf-8") if source.is_bench else done.stdout
     head = subprocess.run(
         ["git", "log", "-1", "--format=%h", "--abbrev=8", "--", "scan2albedo"],
         cwd=ROOT,
@@ -536,31 +507,21 @@ def main() -> int:
     parser.add_argument(
         "--run", nargs="+", default=[], choices=tuple(SOURCES), metavar="NAME", help=", ".join(SOURCES)
     )
-    parser.add_argument(
-        "--printed", type=Path, help="what the one command of --run has printed, or a bench written"
-    )
     arguments = parser.parse_args()
-    if arguments.printed and len(arguments.run) != 1:
-        parser.error("--printed belongs to one NAME of --run")
     record = json.loads(RECORD.read_text(encoding="utf-8"))
     if arguments.check:
         problems = list(stale(record))
-        print(
-            "\n".join(
-                [*problems, "python tools/figures.py rewrites pages and counts"]
-                if problems
-                else ["all current"]
-            )
-        )
+        mend = "python tools/figures.py rewrites pages and counts" if problems else "all current"
+        print(*problems, mend, sep="\n")
         return int(bool(problems))
     failed = 0
     for name in arguments.run:
         needed = SOURCES[name].needs
-        if arguments.printed is None and not (ROOT / needed).exists():
+        if not (ROOT / needed).exists():
             print(f"{name}: skipped, {needed} is not there; its figures stay as they were recorded")
             continue
         try:
-            record[name] = run(name, arguments.printed)
+            record[name] = run(name)
         except ValueError as error:
             print(f"{name}: not recorded, {error}")
             failed = 1

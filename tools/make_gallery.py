@@ -4,8 +4,9 @@
     python tools/make_gallery.py --scan SCAN -o FOLDER
 
 Without SCAN everything is made by the package: its synthetic people, a linear model of them, synthetic
-eyeglasses and the examples; two minutes of CPU. With it: what became of the scan (scan.jpg), the scan beside
-itself without its light (unlit.jpg), and the maps of a skin material (maps.jpg).
+eyeglasses and the examples; two minutes of CPU. README's picture, before_after.jpg, comes to lie beside the
+folder. With it: what became of the scan (scan.jpg), the scan beside itself without its light (unlit.jpg), and
+the maps of a skin material (maps.jpg).
 """
 
 from __future__ import annotations
@@ -16,29 +17,18 @@ import tempfile
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
-from make_readme_picture import (
-    FINER,
-    FLASH,
-    GAP,
-    HEIGHT,
-    QUALITY,
-    TILT_DEG,
-    Pixels,
-    narrow,
-    panels,
-    scan_picture,
-    sheet,
-    smaller,
-)
-from PIL import Image
+from matplotlib import font_manager
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
 from scipy.special import expit
 
 import scan2albedo as s2a
 from scan2albedo.applications.template_baking import integers, normal_bytes
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.eyeglasses import KEY_POINT_NAMES, propose_keypoints
 from scan2albedo.face_model import default_model
 from scan2albedo.face_model.variation import EXPRESSION_BUMPS, displacement, identity_modes
@@ -50,10 +40,29 @@ from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.pipeline.result import ProcessResult
 from scan2albedo.rendering.pictures import DISTANCE_MM, View, auto_exposure, heat_colors, render_mesh
 from scan2albedo.report.eyeglasses_views import key_point_chart
+from scan2albedo.report.overview import preview_srgb
 from scan2albedo.synthetic import GlassesBend, Scanner, eyeglasses
 
 ROOT = Path(__file__).resolve().parents[1]
 OUT = ROOT / "docs" / "images" / "gallery"
+HEIGHT = 224
+"""Of the panels in pixels."""
+GAP = 8
+"""Between them."""
+CAPTION = 30
+"""Height of a caption in pixels."""
+FONT_SIZE = 18
+FINER = 3
+"""Samples along a side of a pixel."""
+NARROW = 0.72
+"""Width over height of panels with a face from the front."""
+TILT_DEG = 50.0
+FLASH = s2a.PointLight(np.deg2rad(-48), np.deg2rad(22), distance_mm=900.0, intensity=3.5)
+LAMPS = (
+    s2a.PointLight(np.deg2rad(62), np.deg2rad(12), intensity=4.0),
+    s2a.PointLight(np.deg2rad(-25), np.deg2rad(48), intensity=4.0),
+)
+QUALITY = 86
 SIDE_DEG = 40.0
 """Of the second view of a scan."""
 SEED = 6
@@ -67,6 +76,7 @@ MOUTH_PITCH_DEG = 12.0
 """How far the mouth is seen from below."""
 JAW_MM = np.array([0.0, -17.0, -6.0])
 """How far chin and lower lip move as the jaw opens."""
+Pixels = NDArray[np.uint8]
 Panels = list[tuple[str, Pixels]]
 
 
@@ -92,7 +102,7 @@ def main() -> None:
         )
         pictures = {"scan": panels(result), "unlit": unlit_panels(result), "maps": maps_panels(result)}
         if given.scan is None:
-            del pictures["scan"]  # README's picture
+            pictures["../before_after"] = pictures.pop("scan")
             pictures["eyes_and_mouth"] = [*eyes_panels(result), mouth_panel(result)]
             pictures["blendshapes"] = linear_model_panels(result)
             pictures |= example_panels(Path(name))
@@ -106,10 +116,97 @@ def save(file: Path, picture: Image.Image) -> None:
     print(f"{file}: {file.stat().st_size / 1000:.0f} kB")
 
 
+def panels(result: ProcessResult) -> Panels:
+    """Return titles and pictures from the raw scan to the relit face."""
+    image, estimate = result.geometry_image, result.albedo
+    return [
+        ("raw scan", raw_panel(result.scan)),
+        ("fitted", fitted_panel(result)),
+        ("texture as scanned", smaller(preview_srgb(image.texture_linear, image.mask))),
+        ("albedo", smaller(preview_srgb(estimate.albedo_linear, image.mask))),
+        *((f"relit {where}", pixels) for where, pixels in relit_panels(result)),
+    ]
+
+
+def raw_panel(scan: s2a.RawScan) -> Pixels:
+    """Return the scan as it was delivered: its own pose, hair, shoulders, holes and crumbs."""
+    low, high = np.percentile(scan.vertices, [0.5, 99.5], axis=0)
+    x, y, z = (low + high) / 2
+    return scan_picture(scan, scan.vertices, View((x, y, z), 0.54 * float((high - low)[:2].max())))
+
+
+def scan_picture(scan: s2a.RawScan, vertices: NDArray[np.floating], view: View) -> Pixels:
+    """Return a scan's own colours, whose vertices (V, 3) were turned, without any shading."""
+    looks: dict[str, Any] = {}
+    if scan.uv is not None and scan.texture_linear is not None:
+        looks["texture_srgb"] = scan.uv, encode_srgb_bytes(scan.texture_linear)
+    else:
+        looks["vertex_color_srgb"] = encode_srgb_bytes(scan.vertex_color_linear[None])[0] / 255
+    return rendered(vertices, scan.faces, view=view, shaded=False, **looks)
+
+
+def rendered(vertices: FloatArray, faces: IntArray, **looks: Any) -> Pixels:
+    """Return a mesh as `render_mesh` draws it, averaged to a panel's size."""
+    return smaller(render_mesh(vertices, faces, size=FINER * HEIGHT, **looks))
+
+
+def fitted_panel(result: ProcessResult) -> Pixels:
+    """Return the fitted surface in grey with its landmarks."""
+    fitted = result.fitted
+    around = View.around(fitted.vertices)
+    size = FINER * HEIGHT
+    picture = Image.fromarray(render_mesh(fitted.vertices, fitted.faces, view=around, size=size))
+    scale = (size - 1) / (2 * around.half_width_mm)
+    draw = ImageDraw.Draw(picture)
+    for right, up, _ in around.project(fitted.landmarks):
+        column, row = (right + around.half_width_mm) * scale, (around.half_width_mm - up) * scale
+        draw.ellipse((column - 4, row - 4, column + 4, row + 4), fill=(214, 72, 30))
+    return narrow(smaller(np.asarray(picture)))
+
+
+def relit_panels(result: ProcessResult) -> Panels:
+    """Return the face under two new lamps, on white."""
+    face = s2a.applications.load_result(result)
+    made = []
+    for name, lamp in zip(("sideways", "from above"), LAMPS, strict=True):
+        lit = s2a.applications.relight(face, [lamp], ambient=0.35)
+        picture = lit.picture(shape=(HEIGHT, HEIGHT), samples=FINER)
+        alpha = picture.alpha[..., None]
+        on_white = alpha * picture.srgb() + 255 * (1 - alpha)
+        made.append((name, narrow(np.round(on_white).astype(np.uint8))))
+    return made
+
+
+def smaller(picture: NDArray[np.generic]) -> Pixels:
+    """Return a square picture at a panel's size, averaged."""
+    resized = Image.fromarray(np.asarray(picture, np.uint8)).resize((HEIGHT, HEIGHT), Image.Resampling.BOX)
+    return np.asarray(resized)
+
+
+def narrow(picture: Pixels) -> Pixels:
+    """Return the middle columns."""
+    width = round(NARROW * picture.shape[1])
+    first = (picture.shape[1] - width) // 2
+    return picture[:, first : first + width]
+
+
+def sheet(pictures: Panels) -> Image.Image:
+    """Return the panels side by side on white, each with its caption below."""
+    width = GAP + sum(pixels.shape[1] + GAP for _, pixels in pictures)
+    page = Image.new("RGB", (width, HEIGHT + CAPTION + 2 * GAP), "white")
+    draw = ImageDraw.Draw(page)
+    font = ImageFont.truetype(font_manager.findfont("DejaVu Sans"), FONT_SIZE)
+    left = GAP
+    for title, pixels in pictures:
+        page.paste(Image.fromarray(pixels), (left, GAP))
+        middle = (left + pixels.shape[1] // 2, GAP + HEIGHT + CAPTION // 2)
+        draw.text(middle, title, fill=(60, 60, 60), font=font, anchor="mm")
+        left += pixels.shape[1] + GAP
+    return page
+
+
 def unlit_panels(result: ProcessResult) -> Panels:
     """Return a scan and the same without its light, from the front and from a side, by the same camera."""
-    assert result.unlit is not None
-    assert result.fitted is not None
     face = View.around(result.fitted.vertices)
     made = []
     for where, yaw_deg in (("from the front", 0.0), ("from the side", SIDE_DEG)):
@@ -122,7 +219,6 @@ def unlit_panels(result: ProcessResult) -> Panels:
 
 def maps_panels(result: ProcessResult) -> Panels:
     """Return the maps of a skin material on the face's chart."""
-    assert result.maps_of_skin is not None
     (tile,) = result.maps_of_skin.tiles
     shown = {"albedo": encode_srgb_bytes(tile.color_linear), "normals": normal_bytes(tile.normal)}
     grey = {**tile.maps, "displacement": 0.5 + tile.maps["displacement_mm"] / 2}  # 1 mm outward is white
@@ -136,7 +232,6 @@ def eyes_panels(result: ProcessResult) -> Panels:
     face = s2a.applications.load_result(result)
     relit = s2a.applications.relight(face, [LAMP], ambient=0.6)
     painted = replace(relit, face=replace(relit.face))
-    assert face.landmarks is not None
     middle, shape, made = face.landmarks[36:48].mean(0), (HEIGHT, 2 * HEIGHT - GAP), []
     for title, shown, yaw_deg in (
         ("the eyes in the texture", painted, 0.0),
@@ -152,9 +247,6 @@ def eyes_panels(result: ProcessResult) -> Panels:
 
 def mouth_panel(result: ProcessResult) -> tuple[str, Pixels]:
     """Return the mouth, its jaw opened by a blendshape."""
-    assert result.linear_model is not None
-    assert result.template is not None
-    assert result.template.landmarks is not None
     targets = result.linear_model.neutral_and_targets()[1]
     x, y, z = result.template.vertices[result.template.landmarks[48:68]].mean(0) + JAW_MM / 2
     view = View((x, y, z), MOUTH_MM / 2, pitch_deg=MOUTH_PITCH_DEG)
@@ -164,20 +256,15 @@ def mouth_panel(result: ProcessResult) -> tuple[str, Pixels]:
 def linear_model_panels(result: ProcessResult) -> Panels:
     """Return a scan, the linear model on it, what that leaves, and blendshapes of this person."""
     fit, fitted = result.linear_model, result.fitted
-    assert fit is not None
-    assert fitted is not None
     targets = fit.neutral_and_targets()[1]
     view = View.around(np.concatenate([fit.vertices, fit.vertices + targets["jawOpen"]]))
     upright = transform_points(fitted.model_from_scan, result.scan.vertices)
-    mesh, size = (fit.vertices, fit.model.faces), FINER * HEIGHT
+    mesh = fit.vertices, fit.model.faces
     left = heat_colors(fit.residual_mm, 0, 1)
     made = [
         ("a scan", scan_picture(result.scan, upright, view)),
-        ("model on it", smaller(render_mesh(*mesh, view=view, size=size))),
-        (
-            "0 to 1 mm off",
-            smaller(render_mesh(*mesh, vertex_color_srgb=left, view=view, size=size, shaded=False)),
-        ),
+        ("model on it", rendered(*mesh, view=view)),
+        ("0 to 1 mm off", rendered(*mesh, vertex_color_srgb=left, view=view, shaded=False)),
     ]
     for name in ("smile", "mouthPucker", "jawOpen"):
         made.append((name, template_picture(result, targets[name], view)))
@@ -187,10 +274,6 @@ def linear_model_panels(result: ProcessResult) -> Panels:
 def template_picture(result: ProcessResult, move: FloatArray, view: View) -> Pixels:
     """Return the linear model's mesh at rest with its texture, eyes and mouth, moved by a blendshape."""
     made, fit = result.template, result.linear_model
-    assert made is not None
-    assert fit is not None
-    assert made.cut_mm is not None
-    assert made.landmarks is not None
     (tile,) = made.tiles
     uv = np.zeros((len(made.vertices), 2))
     uv[made.faces] = made.uv
@@ -203,14 +286,13 @@ def template_picture(result: ProcessResult, move: FloatArray, view: View) -> Pix
         colors.append(np.broadcast_to(part.color_linear, part.vertices.shape))
     bright = np.clip(auto_exposure(skin) * np.concatenate(colors), 0, 1)
     srgb = encode_srgb_bytes(bright[None])[0] / 255
-    return smaller(render_mesh(*join(parts), vertex_color_srgb=srgb, view=view, size=FINER * HEIGHT))
+    return rendered(*join(parts), vertex_color_srgb=srgb, view=view)
 
 
 def write_linear_model(file: Path) -> None:
     """Write a linear model of the synthetic people, with blendshapes, one of which opens the lips."""
     model = default_model()
     rest, marks, fine = model.control_vertices, model.landmarks, model.subdivision(3)
-    assert marks is not None
     vertices, region = fine.matrix @ rest, model.region[fine.parent]
     moves = {}
     for name, kind in (("smile", "smile"), ("mouthPucker", "pout"), ("cheekPuff", "puff")):
@@ -292,10 +374,7 @@ def lit_mesh(path: Path) -> Pixels:
     """Return a mesh with the colours of its vertices, which are those of skin in a lamp's light."""
     mesh = trimesh.load(path, process=False)
     colors = np.asarray(mesh.visual.vertex_colors)[:, :3] / 255
-    size = FINER * HEIGHT
-    return narrow(
-        smaller(render_mesh(mesh.vertices, mesh.faces, vertex_color_srgb=colors, size=size, shaded=False))
-    )
+    return narrow(rendered(mesh.vertices, mesh.faces, vertex_color_srgb=colors, shaded=False))
 
 
 if __name__ == "__main__":

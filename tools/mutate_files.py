@@ -226,11 +226,9 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--only", type=int, help="load this one file, in this process")
-    parser.add_argument("--kind", help="only files of this kind")
     parser.add_argument("--keep", type=Path, help="folder for the file of --only")
     options = parser.parse_args()
-    bases = tuple(base_files())
-    work = Work(bases, options.seed)
+    work = Work(tuple(base_files()), options.seed)
     if options.only is not None:
         if options.keep is not None:
             shutil.rmtree(options.keep, ignore_errors=True)
@@ -239,8 +237,7 @@ def main() -> int:
         outcome = work.run(options.only)
         print(outcome.fault or outcome.ending, outcome.line())
         return int(bool(outcome.fault))
-    numbers = [n for n in range(options.files) if options.kind in (None, bases[n % len(bases)].kind)]
-    rows = outcomes(work, numbers, options.jobs)
+    rows = outcomes(work, range(options.files), options.jobs)
     print(table(rows))
     faults = Counter(row.fault for row in rows if row.fault)
     bare = sum(count for fault, count in faults.items() if fault.startswith("bare"))

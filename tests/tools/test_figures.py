@@ -125,4 +125,4 @@ def test_a_stale_page_is_told(tmp_path, monkeypatch):
 def test_a_command_that_fails_leaves_the_record_alone(monkeypatch):
     monkeypatch.setitem(figures.SOURCES, "none", SOURCE)
     with pytest.raises(ValueError, match="ended with 2"):
-        figures.run("none", None)
+        figures.run("none")

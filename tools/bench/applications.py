@@ -30,7 +30,8 @@ from PIL import Image
 from scipy.ndimage import distance_transform_edt, maximum_filter
 from worlds.environments import ENVIRONMENTS, reference_lights
 from worlds.files import face_data
-from worlds.light_stage import LightStage
+from worlds.fits import fitted_face
+from worlds.light_stage import FACE_VERTICES, LightStage
 
 import scan2albedo as s2a
 from bench.judging import picture_errors
@@ -230,12 +231,9 @@ def generic_model() -> s2a.AnnotatedFaceModel:
 
 def measured_pair(a: str, move: str, b: str, own_model: bool) -> Pair:
     people = LightStage.load()
-    with np.load(face_data("ict_faces.npz")) as data:
-        inner = int(data["narrow_face_vertices"])
-    rest = [people.shapes[name] for name in (a, b)]
-    moved = [shape + measured_moves()[move] for shape in rest]
+    shapes = [people.shapes[name] + by for name in (a, b) for by in (0.0, measured_moves()[move])]
     model = generic_model() if own_model else s2a.AnnotatedFaceModel.default()
-    return Pair(rest[0], moved[0], rest[1], moved[1], people.faces, inner, model)
+    return Pair(*shapes, people.faces, FACE_VERTICES, model)
 
 
 def synthetic_pair(expression: str) -> Pair:
@@ -246,9 +244,8 @@ def synthetic_pair(expression: str) -> Pair:
     def shape(seed: int, expression: str) -> FloatArray:
         return surface.matrix @ person(model, np.random.default_rng(seed), expression=expression)
 
-    rest = [shape(seed, "neutral") for seed in (1, 2)]
-    moved = [shape(seed, expression) for seed in (1, 2)]
-    return Pair(rest[0], moved[0], rest[1], moved[1], surface.faces, len(rest[0]), model)
+    shapes = [shape(seed, name) for seed in (1, 2) for name in ("neutral", expression)]
+    return Pair(*shapes, surface.faces, len(shapes[0]), model)
 
 
 def expressions(quick: bool) -> Iterator[Case]:
@@ -261,8 +258,7 @@ def expressions(quick: bool) -> Iterator[Case]:
 
 
 def fitted(vertices: FloatArray, faces: IntArray, model: s2a.AnnotatedFaceModel) -> FittedFace:
-    scan = s2a.RawScan(vertices, faces)
-    return s2a.fit(scan, model, s2a.register(scan, model))
+    return fitted_face(s2a.RawScan(vertices, faces), model)
 
 
 def mesh_of(face: FittedFace) -> FaceMesh:

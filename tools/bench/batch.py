@@ -125,9 +125,8 @@ class Batch:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Exit status, JSON summary and catalogue of a command; finished files that a resumed one changed."""
+    """JSON summary and catalogue of a command; finished files that a resumed one changed."""
 
-    status: int
     summary: dict[str, Any]
     rows: list[dict[str, Any]]
     changed: int | None = None
@@ -149,7 +148,7 @@ def run(batch: Batch) -> Timed:
     after = state(out, sorted({path.parent.name for path in before}))
     changed = sum(after.get(path) != was for path, was in before.items())
     changes = changed if batch.killed else None
-    return Timed(Outcome(ended.returncode, json.loads(ended.stdout), rows, changes), np.nan)
+    return Timed(Outcome(json.loads(ended.stdout), rows, changes), np.nan)
 
 
 def killed_in_the_middle(command: list[str], rows: Path, wanted: int) -> list[str]:
@@ -175,7 +174,6 @@ def figures(batch: Batch, outcome: Outcome) -> dict[str, float]:
     ends = sorted(row["finished_at"].timestamp() for row in done)
     new = outcome.summary["done"] - outcome.summary["kept"]
     row = {
-        "status": float(outcome.status),
         "done": float(outcome.summary["done"]),
         "done an hour": 3600 * new / outcome.summary["seconds"],
         "CPU s a scan": float(np.median([row["cpu_seconds"] for row in done])),

@@ -15,7 +15,9 @@ from pathlib import Path
 
 import numpy as np
 from worlds.files import DATA
+from worlds.model_faces import scaled_error
 
+from bench.judging import flash_photograph
 from bench.runner import Bench, Case
 from scan2albedo import GeometryImage
 from scan2albedo.albedo import estimate_common_albedo
@@ -23,7 +25,6 @@ from scan2albedo.albedo.common_albedo import CommonAlbedo
 from scan2albedo.core.arrays import BoolArray, FloatArray
 
 FOLDER = DATA / "yale"
-AMBIENT = 0.06
 COUNTS = (1, 2, 4, 8)
 DRAWS = 2
 
@@ -38,22 +39,8 @@ class Photographs:
 
 
 def photographs(person: dict[str, np.ndarray], chosen: np.ndarray) -> Photographs:
-    mask = person["mask"]
-    normal = person["normal"].astype(float)
-    truth = person["albedo"].astype(float)
-    images, lit = [], []
-    for k in chosen:
-        grey = np.where(mask, person["texture_linear8"][k] / 255.0, 0.0)
-        texture = np.repeat(grey[..., None], 3, -1).astype(np.float32)
-        images.append(
-            GeometryImage(person["position_mm"].astype(float), normal, mask, texture_linear=texture)
-        )
-        flash = person["strength"][k] * np.maximum(normal @ person["direction"][k].astype(float), 0)
-        expected = np.maximum((flash + AMBIENT) * truth, 1e-3)
-        lit.append(
-            mask & (flash > 0.1) & (np.abs(person["texture_linear8"][k] / 255.0 / expected - 1) < 0.25)
-        )
-    return Photographs(images, truth, lit)
+    images, lit = zip(*(flash_photograph(person, k) for k in chosen), strict=True)
+    return Photographs(list(images), person["albedo"].astype(float), list(lit))
 
 
 def drawn(file: Path, count: int, draw: int) -> Photographs:
@@ -81,8 +68,7 @@ def cases(quick: bool) -> Iterator[Case]:
 
 def error(albedo: FloatArray, truth: FloatArray) -> float:
     """Return 100 MSE / mean square, best scale removed."""
-    scale = (albedo * truth).sum() / (albedo**2).sum()
-    return float(100 * ((scale * albedo - truth) ** 2).mean() / (truth**2).mean())
+    return 100 * scaled_error(albedo, truth) ** 2
 
 
 def figures(scene: Photographs, found: CommonAlbedo) -> dict[str, float]:

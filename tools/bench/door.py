@@ -7,21 +7,18 @@ degrees and 15 mm (mean over 68 landmarks) of the one that lays brows, nose and 
 counts as right for the confidence, or as the pose of its error is. `others` are captures that show no face
 ("scraps"), random reliefs and bodies ("reliefs", every tenth also without a known unit), and 43 things
 ("objects"): "let in" are those accepted with a confidence of 0.5 and more. `repeat` captures twenty shapes
-ten times each: how far poses are from their mean, by registration and after the fit. `told` are faces that
-are not as people's are, through `process`, with its notes. None is one of the first 100,000 seeds.
+ten times each: how far poses are from their mean, by registration and after the fit. None is one of the
+first 100,000 seeds.
 """
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 from worlds.door import (
     UNSEEN,
     hard_person,
@@ -34,35 +31,24 @@ from worlds.door import (
 from worlds.door import (
     Case as DoorScan,
 )
-from worlds.files import write_obj
 from worlds.light_stage import light_stage_head
-from worlds.objects import machined_part, random_relief, wrong_object
-from worlds.raw_like import raw_like
-from worlds.stereo import scrap_of, stereo_scan_of
+from worlds.objects import wrong_object
+from worlds.stereo import stereo_scan_of
 
 from bench.runner import Bench, Case, Row
-from scan2albedo import AnnotatedFaceModel, process
+from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core import RawScan
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.fitting import fit
-from scan2albedo.geometry.rigid import (
-    compose,
-    invert_rigid,
-    random_rotation,
-    rotation_angle_rad,
-    transform_points,
-)
+from scan2albedo.geometry.rigid import invert_rigid, rotation_angle_rad, transform_points
 from scan2albedo.pipeline.scale_search import registered_at_any_scale
 from scan2albedo.registration import register
-from scan2albedo.synthetic import Scanner, raw_scan
-from scan2albedo.synthetic.sitter import join, sit_down
+from scan2albedo.synthetic.sitter import sit_down
 
 BASIN_DEG = 10.0
 BASIN_MM = 15.0
 """A pose within these of the truth is right: a fit finds the rest."""
-UPSIDE_DOWN_DEG = 120.0
-"""A turn in the plane of the picture beyond which a face is upside down."""
 UNSURE = 0.5
 BINS = 10
 """Of confidence."""
@@ -111,9 +97,6 @@ LIGHT_STAGE: tuple[dict[str, float], ...] = (
 """The same of light-stage people."""
 NEAR_DEG = 1.0
 NEAR_MM = 1.5
-STRETCHES = (1.5, 0.67)
-NOSE_HOLE_MM = 26.0
-NOSE_TIP = 30
 
 
 @dataclass(frozen=True)
@@ -167,23 +150,21 @@ def outcome(scan: DoorScan, answer: Answer) -> tuple[str, float, float]:
     degrees = float(np.degrees(rotation_angle_rad(change[:3, :3])))
     moved = transform_points(change, scan.landmarks) - scan.landmarks
     mm = float(np.linalg.norm(moved, axis=1).mean())
-    in_plane = np.degrees(np.arctan2(change[1, 0] - change[0, 1], change[0, 0] + change[1, 1]))
     if answer.message:
         return "refused", degrees, mm
     if degrees <= BASIN_DEG and mm <= BASIN_MM:
         return "right", degrees, mm
-    return "upside down" if abs(in_plane) > UPSIDE_DOWN_DEG else "wrong", degrees, mm
+    return "wrong", degrees, mm
 
 
 def judged_face(scene: Scene, answer: Answer) -> dict[str, float | str]:
     ended, degrees, mm = outcome(scene.scan, answer)
     within = np.isnan(degrees) or (degrees <= BASIN_DEG and mm <= BASIN_MM)
     sure = np.nan if answer.sure is None else answer.sure
-    missed = ended in ("wrong", "upside down")
     row: dict[str, float | str] = {
         "right %": 100.0 * (ended == "right"),
         "refused %": 100.0 * (ended == "refused"),
-        "sure misses %": 100.0 * (missed and sure >= UNSURE),
+        "sure misses %": 100.0 * (ended == "wrong" and sure >= UNSURE),
         "confidence": sure,
         "pose right %": 100.0 * within,
     }
@@ -330,100 +311,6 @@ def spread(shape: Shape, found: list[FloatArray | None]) -> dict[str, float]:
     return row
 
 
-Landmarked = tuple[RawScan, FloatArray]
-"""A scan that looks along +z with +y up, and its landmarks (68, 3)."""
-
-
-@cache
-def own_scan(number: int) -> Landmarked:
-    scan, truth = raw_scan(200_000 + number, scanner=Scanner(size=64, picture_size=500))
-    return replace(scan, vertices=transform_points(truth.model_from_scan, scan.vertices)), truth.landmarks
-
-
-@cache
-def light_stage_scan(number: int) -> Landmarked:
-    head = light_stage_head(np.random.default_rng([79, number]), {}, hair=False)
-    scan, scan_from_head = raw_like(head.vertices, head.faces, number)
-    vertices = transform_points(invert_rigid(scan_from_head), scan.vertices)
-    return replace(scan, vertices=vertices, name="light-stage"), head.landmarks
-
-
-def false_faces(
-    one: Landmarked, other: Landmarked, rng: np.random.Generator
-) -> Iterator[tuple[str, RawScan]]:
-    """Yield a scan as it is, and what it becomes, each in a random pose."""
-    scan, landmarks = one
-    tip = landmarks[NOSE_TIP]
-    yield "as it is", turned(scan, rng)
-    for axis, name in enumerate(("width", "height", "depth")):
-        for factor in STRETCHES:
-            stretched = np.where(np.arange(3) == axis, factor, 1.0) * (scan.vertices - tip)
-            yield f"{name} x {factor}", turned(replace(scan, vertices=stretched), rng)
-    mirrored = replace(scan, vertices=scan.vertices * [-1.0, 1.0, 1.0])
-    yield "mirrored, thus inside out", turned(mirrored, rng)
-    yield "mirrored, wound rightly", turned(mirrored.inside_out(), rng)
-    halves = [half(scan, tip, -1), half(other[0], other[1][NOSE_TIP], 1)]
-    yield "halves of two people", turned(RawScan(*join(halves), name="halves"), rng)
-    hole = np.linalg.norm(scan.vertices - tip, axis=1) < NOSE_HOLE_MM
-    yield "no nose", turned(kept(scan, ~hole), rng)
-    for place in ("cheek", "forehead"):
-        piece = scrap_of((scan.vertices, scan.faces), landmarks, place, rng)
-        yield f"scrap: {place}", turned(RawScan(*piece, name="scrap"), rng)
-
-
-def half(scan: RawScan, tip: FloatArray, side: int) -> tuple[FloatArray, IntArray]:
-    """Return what lies on one side of the tip of the nose, which comes to the origin."""
-    part = kept(scan, side * (scan.vertices[:, 0] - tip[0]) > 0)
-    return part.vertices - tip, part.faces
-
-
-def kept(scan: RawScan, vertex: BoolArray) -> RawScan:
-    """Return the scan without the faces that lose a vertex."""
-    lost = ~vertex[scan.faces].all(1)
-    return scan.without_faces(lost)
-
-
-def turned(scan: RawScan, rng: np.random.Generator) -> RawScan:
-    pose = compose(random_rotation(rng), rng.uniform(-300, 300, 3))
-    return replace(scan, vertices=transform_points(pose, scan.vertices))
-
-
-def told_cases(quick: bool) -> Iterator[Case]:
-    for who, make in {"own": own_scan, "light stage": light_stage_scan}.items():
-        for name, scan in false_faces(make(0), make(1), np.random.default_rng([71, 0])):
-            yield Case(f"{who}: {name}", lambda scan=scan: scan, who)
-        if quick:
-            return
-    rng = np.random.default_rng([73, 0])
-    for number in range(3):
-        scan = RawScan(*random_relief(rng), name="relief")
-        yield Case(f"random relief {number}", lambda scan=scan: scan, "no person")
-    part = RawScan(*machined_part(), name="machined")
-    yield Case("machined part of 94 mm", lambda: part, "no person")
-
-
-def through_process(scan: RawScan) -> Any:
-    """Return what `process` makes of a scan's file, or its refusal."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / f"{scan.name}.obj"
-        if scan.uv is None:
-            file = file.with_suffix(".ply")
-            trimesh.Trimesh(scan.vertices, scan.faces, process=False).export(file)
-        else:
-            write_obj(scan, file)
-        try:
-            return process(file, quality="draft", skip=["albedo"])
-        except Scan2AlbedoError as error:
-            return error
-
-
-def told(scan: RawScan, answer: Any) -> dict[str, float | str]:
-    if isinstance(answer, Scan2AlbedoError):
-        return {"refused %": 100.0, "message": str(answer)}
-    sure = answer.registration.confidence
-    return {"refused %": 0.0, "confidence": sure, "notes": "; ".join(answer.notes)}
-
-
 REGISTERED: dict[str, Callable[[Scene], Answer]] = {
     "scan2albedo": lambda scene: scene.register(scene.scan.scan)
 }
@@ -438,5 +325,4 @@ BENCHES = {
         spread,
         slow=("fitted",),
     ),
-    "told": Bench(told_cases, {"scan2albedo": through_process}, told, summaries=("mean",)),
 }

@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from worlds.files import DATA
 from worlds.lamps import environment_map
-from worlds.path_tracer import textured_mesh
+from worlds.path_tracer import bitmap, textured_mesh
 
 import scan2albedo as s2a
 from bench.judging import ScanTruth
@@ -110,8 +110,7 @@ class Studio:
 
     def bitmap(self, values: NDArray) -> dict[str, Any]:
         """Return a linear texture (H, W) or (H, W, 3)."""
-        data = np.ascontiguousarray(np.atleast_3d(values), np.float32)
-        return {"type": "bitmap", "data": self.mi.TensorXf(data), "raw": True}
+        return bitmap(self.mi, np.atleast_3d(values).astype(np.float32))
 
     def mesh(self, shape: Mesh, **looks: dict[str, Any]) -> Any:
         """Return a shape with a material `bsdf`, and perhaps an `emitter`."""
@@ -385,6 +384,7 @@ MATTE = {
     "+displaced": traced("albedo", "normals", "displaced"),
     "own": traced("albedo", "", "own"),
 }
+JUDGED: dict[str, Any] = {"score": psnr, "summaries": ("mean",), "picture": sheet}
 BENCHES = {
     "own_light": Bench(
         partial(cases, own_light),
@@ -402,9 +402,7 @@ BENCHES = {
             "true": traced("true"),
             "true+": traced("true", GLOSS, "displaced"),
         },
-        score=psnr,
-        summaries=("mean",),
-        picture=sheet,
+        **JUDGED,
     ),
     "relit": Bench(
         partial(cases, relit),
@@ -414,8 +412,6 @@ BENCHES = {
             "constant": traced("constant", "normals", "displaced"),
             "true": traced("true", "normals", "displaced"),
         },
-        score=psnr,
-        summaries=("mean",),
-        picture=sheet,
+        **JUDGED,
     ),
 }

@@ -1,11 +1,11 @@
 """The deformable fit beside its peers: distance of the true surface, and of corresponding points.
 
-`heads` are whole light-stage heads made raw (re-meshed to about 20,000 vertices, noise 0.3 mm, holes, spikes,
-hair, shoulders) with dense ground truth; the rigid pose is given. `scaling` are the same of 10,000 to a
-million vertices. `settings` are our options on synthetic scans, where errors are measured where skin was
-scanned. `james` is a textured scan with hand-placed landmarks, from any pose. trimesh's `nricp_amberg` and
-`nricp_sumner` deform the same template at the resolution of our samples. They run in the Python that
-S2A_PEERS_PYTHON names, or in this one (the extra [peers]).
+`heads` are whole light-stage heads made raw (re-meshed to about 20,000 vertices, noise 0.3 mm, holes,
+spikes, hair, shoulders) with dense ground truth; the rigid pose is given. `settings` are our options on
+synthetic scans, where errors are measured where skin was scanned. `james` is a textured scan with
+hand-placed landmarks, from any pose. trimesh's `nricp_amberg` and `nricp_sumner` deform the same template
+at the resolution of our samples. They run in the Python that S2A_PEERS_PYTHON names, or in this one (the
+extra [peers]).
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from functools import partial
 
 import numpy as np
 from worlds.files import face_data
+from worlds.fits import fitted_face
 from worlds.raw_like import with_holes
 from worlds.synthetic_scans import ScanScene, scan_scenes
 
@@ -27,7 +28,6 @@ from bench.settings import presets, varied, within
 from scan2albedo.core import Budget
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.fitting import FitOptions
-from scan2albedo.fitting.stages import FoldFinder
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rigid import compose, invert_rigid, procrustes, random_rotation, transform_points
@@ -44,9 +44,6 @@ SHAPES = (
     "person3_browInnerUp_L_browInnerUp_R_jawOpen0.5",
 )
 TARGET = 20_000
-SCALES = (10_000, 20_000, 50_000, 100_000, 200_000, 300_000, 1_000_000)
-"""Vertices of a scan."""
-STEPS = (5, 15, 30, 45, 60, 90)
 MESH_PEERS = ("nricp_amberg", "nricp_sumner")
 CORRESPONDENCE_LEVEL = 2
 """Refinement of the model's surface at which corresponding points of synthetic scans are compared."""
@@ -71,18 +68,17 @@ class Answer:
     points: FloatArray
     """The template's vertices, or the model's at some level."""
     model_from_scan: FloatArray
-    flips: int = 0
 
 
-def whole_head_scan(vertices: FloatArray, faces: IntArray, target: int) -> tuple[s2a.RawScan, FloatArray]:
-    """Return a raw scan of about `target` vertices of a whole head, and scan_from_shape (4, 4)."""
+def whole_head_scan(vertices: FloatArray, faces: IntArray) -> tuple[s2a.RawScan, FloatArray]:
+    """Return a raw scan of about `TARGET` vertices of a whole head, and scan_from_shape (4, 4)."""
     import open3d as o3d
 
     rng = np.random.default_rng(0)
     mesh = o3d.geometry.TriangleMesh(o3d.utility.Vector3dVector(vertices), o3d.utility.Vector3iVector(faces))
-    while len(mesh.triangles) < 2 * target:
+    while len(mesh.triangles) < 2 * TARGET:
         mesh = mesh.subdivide_midpoint(1)
-    mesh = mesh.simplify_quadric_decimation(2 * target)
+    mesh = mesh.simplify_quadric_decimation(2 * TARGET)
     points = np.asarray(mesh.vertices)
     index = np.asarray(mesh.triangles, np.int64)
     normals = vertex_normals(points, index)
@@ -102,7 +98,7 @@ def whole_head_scan(vertices: FloatArray, faces: IntArray, target: int) -> tuple
     return s2a.RawScan(transform_points(scan_from_shape, all_points), all_faces), scan_from_shape
 
 
-def head(name: str, target: int = TARGET) -> Head:
+def head(name: str) -> Head:
     with np.load(face_data("ict_faces.npz")) as stored:
         data = dict(stored)
     faces = data["faces"].astype(np.int64)
@@ -112,17 +108,15 @@ def head(name: str, target: int = TARGET) -> Head:
     landmarks = data["landmarks68"].astype(np.int64)
     model = s2a.AnnotatedFaceModel.from_mesh(template, inner_faces, landmarks=landmarks, name="generic face")
     shape = data[f"shape_{name}"].astype(float)
-    scan, scan_from_shape = whole_head_scan(shape, faces, target)
+    scan, scan_from_shape = whole_head_scan(shape, faces)
     model_from_shape = procrustes(shape[:inner], template - template[np.unique(inner_faces)].mean(0))
     truth = transform_points(model_from_shape, shape[:inner])
     return Head(scan, model, model_from_shape @ invert_rigid(scan_from_shape), truth)
 
 
-def ours(scene: Head, steps: int | None = None) -> Answer:
-    budget = None if steps is None else Budget(evaluations=steps)
-    found = s2a.fit(scene.scan, scene.model, scene.pose, budget)
-    flips = int(found.metrics["flipped_faces"])
-    return Answer(found.vertices, found.faces, found.template_vertices, found.model_from_scan, flips)
+def ours(scene: Head) -> Answer:
+    found = s2a.fit(scene.scan, scene.model, scene.pose)
+    return Answer(found.vertices, found.faces, found.template_vertices, found.model_from_scan)
 
 
 def carried(scene: Head, vertices: FloatArray) -> Answer:
@@ -131,8 +125,7 @@ def carried(scene: Head, vertices: FloatArray) -> Answer:
     template = scene.model.template_of(scene.model.control_vertices)
     hits = ClosestPointQuery(rest, faces).query(template)
     points = hits.interpolated(vertices, faces) + template - hits.points
-    flips = len(FoldFinder(rest, faces).find(vertices))
-    return Answer(vertices, faces, points, scene.pose, flips)
+    return Answer(vertices, faces, points, scene.pose)
 
 
 def mesh_peer(name: str, scene: Head) -> Timed:
@@ -140,24 +133,26 @@ def mesh_peer(name: str, scene: Head) -> Timed:
     return Timed(carried(scene, moved.answer), moved.cpu_s)
 
 
-def errors(scene: Head, answer: Answer) -> dict[str, float]:
-    truth = transform_points(answer.model_from_scan @ invert_rigid(scene.pose), scene.truth)
-    distance = ClosestPointQuery(answer.vertices, answer.faces).query(truth).distance
-    apart = np.linalg.norm(answer.points - truth, axis=1)
+def of_surface(distance: FloatArray) -> dict[str, float]:
     return {
         "surface mm": float(distance.mean()),
         "median": float(np.median(distance)),
         "95 %": float(np.percentile(distance, 95)),
+    }
+
+
+def errors(scene: Head, answer: Answer) -> dict[str, float]:
+    truth = transform_points(answer.model_from_scan @ invert_rigid(scene.pose), scene.truth)
+    distance = ClosestPointQuery(answer.vertices, answer.faces).query(truth).distance
+    apart = np.linalg.norm(answer.points - truth, axis=1)
+    return of_surface(distance) | {
         "corr. mm": float(apart.mean()),
-        "corr. 95 %": float(np.percentile(apart, 95)),
-        "flips": float(answer.flips),
     }
 
 
 def james_by_us(scan: s2a.RawScan) -> tuple[FloatArray, FloatArray]:
     """Return vertices of the surface and landmarks (68, 3) in the scan's frame."""
-    model = s2a.AnnotatedFaceModel.default()
-    found = s2a.fit(scan, model, s2a.register(scan, model))
+    found = fitted_face(scan)
     scan_from_model = invert_rigid(found.model_from_scan)
     vertices, landmarks = (transform_points(scan_from_model, p) for p in (found.vertices, found.landmarks))
     return vertices, landmarks
@@ -167,10 +162,7 @@ def james_errors(scan: s2a.RawScan, answer: tuple[FloatArray, FloatArray]) -> di
     distance = ClosestPointQuery(scan.vertices, scan.faces).query(answer[0]).distance
     placed = np.loadtxt(face_data("james_ibug68.csv"), delimiter=",")
     off = np.linalg.norm(answer[1] - placed, axis=1)
-    return {
-        "surface mm": float(distance.mean()),
-        "median": float(np.median(distance)),
-        "95 %": float(np.percentile(distance, 95)),
+    return of_surface(distance) | {
         "five points": float(off[list(KEY_POINTS)].mean()),
         "51 mm": float(off[17:].mean()),
     }
@@ -234,23 +226,14 @@ def scenes(quick: bool) -> Iterator[Case]:
 BENCHES = {
     "heads": Bench(
         lambda quick: (Case(name, partial(head, name)) for name in SHAPES[: 1 if quick else None]),
-        methods={"scan2albedo": ours} | {f"{steps} steps": partial(ours, steps=steps) for steps in STEPS},
+        methods={"scan2albedo": ours},
         peers={
             "rigid only": lambda scene: carried(scene, scene.model.surface(LEVEL)[0]),
             **{name: partial(mesh_peer, name) for name in MESH_PEERS},
         },
         score=errors,
-        slow=tuple(f"{steps} steps" for steps in STEPS),
         quick=("scan2albedo", "rigid only"),
         warm=True,
-    ),
-    "scaling": Bench(
-        lambda quick: (
-            Case(f"{count} vertices", partial(head, "person1", count))
-            for count in SCALES[: 2 if quick else None]
-        ),
-        methods={"scan2albedo": ours},
-        score=errors,
     ),
     "james": Bench(
         lambda quick: [Case("james", lambda: s2a.load_scan(face_data("james.obj")))],

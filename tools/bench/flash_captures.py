@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import nnls
-from skimage.metrics import structural_similarity
 from worlds.flash_captures import Capture, head_capture, of_pairs, radiance, samples_of
 
 from bench.judging import relative_rmse
@@ -36,7 +35,7 @@ from scan2albedo.reflectance import (
     read_capture,
 )
 from scan2albedo.reflectance.vertex_kernels import add_normal_equations, solve_bounded
-from scan2albedo.runs.reflectance.capture_run import FittedCapture, fit_capture, relit_pair
+from scan2albedo.runs.reflectance.capture_run import FittedCapture, fit_capture
 from scan2albedo.runs.reflectance.demo import write_synthetic_capture
 from scan2albedo.synthetic import FlashCapture, flash_capture
 
@@ -165,8 +164,6 @@ def accuracy(scene: Lit, fit: ReflectanceFit) -> dict[str, float]:
         "weights %": 100 * weights,
         "relit %": 100 * relative_rmse(point_light_radiance(fit.reflectance, lobes)[shown], clean[shown]),
         "cover %": 100 * float(inside[identified].mean()),
-        "identified %": 100 * float(sure.mean()),
-        "misfit": float(np.nanmedian(fit.misfit)),
     }
 
 
@@ -181,20 +178,7 @@ def rig_cases(quick: bool) -> Iterator[Case]:
 def from_files(capture: FlashCapture) -> FittedCapture:
     with tempfile.TemporaryDirectory() as folder:
         done = fit_capture(read_capture(write_synthetic_capture(capture, Path(folder))))
-        assert done.olat is not None
     return done
-
-
-def similarity(done: FittedCapture, pair: int) -> float:
-    """Return the SSIM of a photograph and its relit face, of displayed values where both are."""
-    taken, made, shown = relit_pair(done, pair)
-    shown &= done.olat.valid[pair].all(-1)
-    if not shown.any():
-        return 1.0
-    white = max(float(np.percentile(taken[shown], 99)), 1e-12)
-    pictures = [np.clip(np.where(shown[..., None], p, 0) / white, 0, 1) ** (1 / 1.2) for p in (taken, made)]
-    _, similar = structural_similarity(*pictures, channel_axis=2, data_range=1.0, full=True)
-    return float(similar[shown].mean())
 
 
 def rig_errors(capture: FlashCapture, done: FittedCapture) -> dict[str, float]:
@@ -206,7 +190,6 @@ def rig_errors(capture: FlashCapture, done: FittedCapture) -> dict[str, float]:
     }
     if done.error is not None:
         row["relit %"], row["PSNR dB"] = 100 * done.error.relative_rmse, done.error.psnr_db
-        row["SSIM"] = float(np.mean([similarity(done, int(j)) for j in np.flatnonzero(done.held_out)]))
     return row
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import scan2albedo as s2a
+from bench.judging import relative_rmse
 from bench.runner import Bench, Case
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.geometry.closest_points import ClosestPointQuery
@@ -38,7 +39,7 @@ class SampledFace:
     fitted: s2a.FittedFace
     uv: FloatArray
     position: FloatArray
-    color_linear: NDArray[np.float32]
+    color_linear: FloatArray
 
 
 def colors_at(scan: s2a.RawScan, fitted: s2a.FittedFace, position: FloatArray, normal: FloatArray):  # type: ignore[no-untyped-def]
@@ -67,7 +68,7 @@ def sampled_face(seed: int, picture_size: int) -> SampledFace:
     )
     found = colors_at(scan, fitted, position, face_normals(fitted.vertices, fitted.faces)[face])
     seen = found.seen
-    return SampledFace(scan, fitted, uv[seen], position[seen], found.color_linear[seen])
+    return SampledFace(scan, fitted, uv[seen], position[seen], found.color_linear[seen].astype(float))
 
 
 def cases(quick: bool) -> Iterator[Case]:
@@ -102,19 +103,14 @@ def interpolated(
     return known, total[known]
 
 
-def relative_percent(found: FloatArray, true: NDArray[np.floating]) -> float:
-    return 100 * float(np.sqrt(((found - true) ** 2).sum() / (true.astype(float) ** 2).sum()))
-
-
 def errors(scene: SampledFace, found: s2a.GeometryImage | FloatArray) -> dict[str, float]:
     if isinstance(found, np.ndarray):
-        return {"texture %": relative_percent(found, scene.color_linear)}
+        return {"texture %": 100 * relative_rmse(found, scene.color_linear)}
     inside, position = interpolated(found, found.position, scene.uv, found.mask)
     seen, color = interpolated(found, found.texture_linear, scene.uv, found.seen)
     return {
-        "texture %": relative_percent(color, scene.color_linear[seen]),
+        "texture %": 100 * relative_rmse(color, scene.color_linear[seen]),
         "surface mm": float(np.linalg.norm(position - scene.position[inside], axis=1).mean()),
-        "texels used": float(found.mask.sum()),
     }
 
 

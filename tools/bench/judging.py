@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -31,12 +30,6 @@ from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.pipeline.result import ProcessResult
 
 VARIABLE = "S2A_TRACED"
-SHARP = 0.12
-"""Step of log shading between neighbouring texels of a 256 x 256 chart that makes a sharp edge."""
-_STEP = 0.03
-"""An albedo that steps by this much more than the texture, in log units, has an invented outline."""
-_CHART = 256
-"""Rows and columns of the chart on which outlines are judged."""
 _OFFSET_MM = 0.3
 """Shadow rays start this far from the surface."""
 _DIRECTIONS = 256
@@ -103,34 +96,33 @@ def load_image(folder: Path, name: str) -> TracedImage:
     lamps = json.loads(str(fields["lights"])) if "lights" in fields else []
     albedo, mask = fields["albedo_linear"].astype(np.float64), image.mask
     judged = np.zeros(mask.shape, bool)
-    assert image.texture_linear is not None
     judged[mask] = lit(image.texture_linear[mask], albedo[mask], np.ones(int(mask.sum()), bool))
     return TracedImage(name, image, albedo, judged, lamps)
 
 
-def load_flashes(folder: Path, name: str) -> Iterator[TracedImage]:
-    """Yield a person of Extended Yale B under one flash after another, with the albedo by photometric stereo.
+def flash_photograph(person: Mapping[str, NDArray], k: int) -> tuple[s2a.GeometryImage, BoolArray]:
+    """Return a photograph of Extended Yale B, and the texels (H, W) that its flash explains to a quarter.
 
-    The relief is only roughly right, so cast shadows do not lie where it says: texels that the flash explains
-    to a quarter count.
+    The relief is only roughly right, so cast shadows do not lie where it says: others do not count.
     """
+    position, normal, albedo = (person[key].astype(np.float64) for key in ("position_mm", "normal", "albedo"))
+    mask = person["mask"]
+    value = np.where(mask, person["texture_linear8"][k] / 255.0, 0.0)
+    flash = person["strength"][k] * np.maximum(normal @ person["direction"][k].astype(np.float64), 0)
+    expected = np.maximum((flash + _AMBIENT) * albedo, 1e-3)
+    explained = mask & (flash > _REACHED) & (np.abs(value / expected - 1) < _EXPLAINED)
+    texture = np.repeat(value[..., None], 3, 2).astype(np.float32)
+    return s2a.GeometryImage(position, normal, mask, texture_linear=texture), explained
+
+
+def load_flashes(folder: Path, name: str) -> Iterator[TracedImage]:
+    """Yield a person of Extended Yale B under each flash, with the albedo by photometric stereo."""
     with np.load(folder / f"{name}.npz") as stored:
         fields = dict(stored)
-    position, normal = (fields[key].astype(np.float64) for key in ("position_mm", "normal"))
-    mask, albedo = fields["mask"], fields["albedo"].astype(np.float64)
-    for light, direction, strength, code in zip(
-        fields["lights"], fields["direction"], fields["strength"], fields["texture_linear8"], strict=True
-    ):
-        value = np.where(mask, code / 255.0, 0.0)
-        flash = strength * np.maximum(normal @ direction.astype(np.float64), 0)
-        expected = np.maximum((flash + _AMBIENT) * albedo, 1e-3)
-        judged = mask & (flash > _REACHED) & (np.abs(value / expected - 1) < _EXPLAINED)
-        image = s2a.GeometryImage(
-            position, normal, mask, texture_linear=np.repeat(value[..., None], 3, 2).astype(np.float32)
-        )
-        yield TracedImage(
-            f"{name}_{light}", image, np.repeat(albedo[..., None], 3, 2), judged, [{"hard": True}]
-        )
+    albedo = np.repeat(fields["albedo"].astype(np.float64)[..., None], 3, 2)
+    for k, light in enumerate(fields["lights"]):
+        image, judged = flash_photograph(fields, k)
+        yield TracedImage(f"{name}_{light}", image, albedo, judged, [{"hard": True}])
 
 
 def lit(texture: NDArray[np.floating], albedo: FloatArray, known: BoolArray) -> BoolArray:
@@ -222,7 +214,6 @@ def judged_scan(result: ProcessResult, truth: ScanTruth) -> JudgedScan:
     scan_from_model = np.linalg.inv(np.asarray(fitted.model_from_scan))
     in_scan = transform_points(scan_from_model, np.asarray(image.position, np.float64)[mask]) / truth.unit_mm
     true, distance = truth.at(transform_points(np.linalg.inv(truth.scan_from_truth), in_scan))
-    assert image.texture_linear is not None
     # Comparisons with NaN are false.
     counted = (distance < _FARTHEST_MM) & (true.max(1) > _DARKEST)
     if image.seen is not None:
@@ -273,51 +264,6 @@ def score(estimate: FloatArray, truth: FloatArray, judged: BoolArray) -> AlbedoS
 
 
 @dataclass(frozen=True)
-class InventedOutlines:
-    """Of `edges` sharp steps of the shading, the share where the albedo steps more than the texture.
-
-    `mean_excess` is by how much on average, in log units, less steps counted as none.
-    """
-
-    edges: int
-    share: float
-    mean_excess: float
-
-
-def invented_outlines(
-    texture: FloatArray, shading: FloatArray, albedo: FloatArray, mask: BoolArray
-) -> InventedOutlines:
-    """Return how often dividing by the shading (H, W) made an edge of V (H, W) larger; judged at 256 x 256.
-
-    True shading scores 0.05 to 0.27 and 0.006 to 0.037: grain and noise step too.
-    """
-    fields = [_area(field) for field in (texture, shading, albedo)]
-    known = _area(mask) > 0.99
-    for field in fields:
-        known &= field > 1e-3
-    both = np.stack([known & np.roll(known, -1, axis=axis) for axis in (0, 1)])
-    both[0, -1], both[1, :, -1] = False, False
-    of_texture, of_shading, of_albedo = (np.abs(_steps(np.log(np.maximum(f, 1e-4)))) for f in fields)
-    edge = both & (of_shading > SHARP)
-    if not edge.any():
-        return InventedOutlines(0, 0.0, 0.0)
-    excess = of_albedo[edge] - of_texture[edge]
-    return InventedOutlines(
-        int(edge.sum()), float((excess > _STEP).mean()), float(np.maximum(excess, 0).mean())
-    )
-
-
-def _area(field: FloatArray | BoolArray) -> FloatArray:
-    full = np.nan_to_num(np.asarray(field, np.float32))
-    return cv2.resize(full, (_CHART, _CHART), interpolation=cv2.INTER_AREA).astype(np.float64)
-
-
-def _steps(field: FloatArray) -> FloatArray:
-    """Return (2, H, W) steps to the lower and to the right neighbour, round the edge at the last ones."""
-    return np.stack([np.roll(field, -1, axis=axis) - field for axis in (0, 1)])
-
-
-@dataclass(frozen=True)
 class Received:
     """What texels receive of light from everywhere: with the face's own shadows, without; and occlusion.
 
@@ -348,11 +294,11 @@ def received(image: s2a.GeometryImage) -> Received:
     return Received(share * shadowed, share * plain, share * open_part)
 
 
-def robust_light(basis: FloatArray, lit: FloatArray, iterations: int = 30) -> FloatArray:
+def robust_light(basis: FloatArray, lit: FloatArray) -> FloatArray:
     """Return (N,) the light `basis` (N, K) c that is nearest to `lit` (N,) in L1: albedo is constant."""
     weight = np.ones(len(lit))
     coefficients: FloatArray = np.zeros(basis.shape[1])
-    for _ in range(iterations):
+    for _ in range(30):
         scaled = basis * weight[:, None]
         coefficients = np.asarray(np.linalg.lstsq(scaled.T @ basis, scaled.T @ lit, rcond=None)[0], float)
         weight = 1 / np.maximum(np.abs(basis @ coefficients - lit), 1e-3)
@@ -366,7 +312,6 @@ def simple_peers(image: s2a.GeometryImage, light: Received | None = None) -> dic
     theirs to take off. Light below a tenth of its median is taken for a tenth. `light` is what the texels
     receive, where that is known.
     """
-    assert image.texture_linear is not None
     mask, light = image.mask, light or received(image)
     texture = np.asarray(image.texture_linear, np.float64)[mask]
 
@@ -390,6 +335,11 @@ def simple_peers(image: s2a.GeometryImage, light: Received | None = None) -> dic
 def relative_rmse(found: FloatArray, truth: FloatArray) -> float:
     """Return the root mean square error over that of the truth."""
     return float(np.sqrt(np.mean((found - truth) ** 2) / np.mean(truth**2)))
+
+
+def rms(errors: FloatArray) -> float:
+    """Return the root mean square of lengths (N,), NaN of none."""
+    return float(np.sqrt((errors**2).mean())) if len(errors) else float("nan")
 
 
 def picture_errors(made: FloatArray, truth: FloatArray) -> tuple[float, float]:

@@ -23,6 +23,7 @@ from itertools import count
 import numpy as np
 from worlds.door import PLACED, WRONG_BY_MM
 from worlds.files import DATA, face_data
+from worlds.fits import fitted_face
 from worlds.glasses_on_head import worn_glasses
 from worlds.light_stage import LightStage
 from worlds.raw_like import raw_like
@@ -132,9 +133,8 @@ def cases(quick: bool) -> Iterator[Case]:
 
 
 def fitted(scene: Scene, landmarks: PlacedLandmarks | None = None, colors: bool = True) -> Found:
-    model = s2a.AnnotatedFaceModel.default()
     scan = replace(scene.scan, landmarks=landmarks)
-    face = s2a.fit(scan, model, s2a.register(scan, model), options=FitOptions(colors=colors))
+    face = fitted_face(scan, options=FitOptions(colors=colors))
     return of_fit(face, scene.landmarks)
 
 
@@ -153,11 +153,14 @@ def with_five(scene: Scene, one_wrong: bool) -> Found:
     return fitted(scene, PlacedLandmarks.of(points))
 
 
+def pose_of(scene: Scene) -> FloatArray:
+    return s2a.register(scene.scan, s2a.AnnotatedFaceModel.default()).model_from_scan
+
+
 def detected(scene: Scene) -> PlacedLandmarks:
     import mediapipe  # noqa: F401 (its absence is to be reported)
 
-    pose = s2a.register(scene.scan, s2a.AnnotatedFaceModel.default()).model_from_scan
-    found = detected_landmarks(scene.scan, pose)
+    found = detected_landmarks(scene.scan, pose_of(scene))
     return found or PlacedLandmarks(np.full((68, 3), np.nan), np.full(68, np.nan))
 
 
@@ -168,7 +171,7 @@ def mediapipe_alone(scene: Scene) -> Found:
 
 def nricp(scene: Scene) -> Timed:
     model = s2a.AnnotatedFaceModel.default()
-    pose = s2a.register(scene.scan, model).model_from_scan
+    pose = pose_of(scene)
     moved = deformed("nricp_amberg", scene.scan, model, pose)
     rest, faces = model.surface(1)
     landmarks = ClosestPointQuery(rest, faces).query(model.landmarks).interpolated(moved.answer, faces)
@@ -185,7 +188,6 @@ def errors(scene: Scene, found: Found) -> dict[str, float]:
     error = np.linalg.norm(found.offset_mm, axis=1)
     row = {"51 mm": mean_of(error[INNER])}
     row |= {name: mean_of(error[part]) for name, part in FEATURES.items()}
-    row["largest"] = float(np.max(error[INNER], initial=0, where=np.isfinite(error[INNER])))
     row["five points"] = mean_of(error[list(KEY_POINTS)])
     row["nose above"] = mean_of(-found.offset_mm[NOSE_TOP, 1])
     row["brows above"] = mean_of(-found.offset_mm[BROW_ENDS, 1])
@@ -216,8 +218,7 @@ def jaws(quick: bool) -> Iterator[Case]:
 
 
 def jaw_deg(scene: tuple[s2a.RawScan, bool]) -> float:
-    model = s2a.AnnotatedFaceModel.default()
-    return float(s2a.fit(scene[0], model, s2a.register(scene[0], model)).metrics["jaw_deg"])
+    return float(fitted_face(scene[0]).metrics["jaw_deg"])
 
 
 @cache
@@ -225,9 +226,8 @@ def without_colors(name: str) -> tuple[Scene, FloatArray, FloatArray]:
     """Return a scene, its pose and the landmarks' errors (51,) of a fit without colours."""
     names = list(LightStage.load().shapes)
     scene = flame_scan() if name == "flame_scan" else light_stage(name, "", 0.0, names.index(name))
-    model = s2a.AnnotatedFaceModel.default()
-    pose = s2a.register(scene.scan, model).model_from_scan
-    face = s2a.fit(scene.scan, model, pose)
+    pose = pose_of(scene)
+    face = s2a.fit(scene.scan, s2a.AnnotatedFaceModel.default(), pose)
     return scene, pose, np.linalg.norm(of_fit(face, scene.landmarks).offset_mm[INNER], axis=1)
 
 
@@ -275,9 +275,8 @@ def wearer(name: str, seed: int) -> Wearer:
 
 def by_the_eyes(scene: Wearer, dressed: bool, covers: bool) -> dict[str, float]:
     """Fit, and return the errors of surface and landmarks in mm."""
-    model = s2a.AnnotatedFaceModel.default()
     scan = scene.dressed if dressed else scene.bare
-    face = s2a.fit(scan, model, s2a.register(scan, model), options=FitOptions(covers=covers))
+    face = fitted_face(scan, options=FitOptions(covers=covers))
     shape_from_model = invert_rigid(face.model_from_scan @ scene.scans_from_shape[dressed])
     points = transform_points(shape_from_model, face.vertices)
     distance = NearestSurface(scene.shape, scene.faces).query(points).distance

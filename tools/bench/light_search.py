@@ -3,32 +3,24 @@
 Every scene is synthetic with a known albedo, 128 texels wide, 8 bits. "MSE %" is 100 x MSE of V after the
 best single scale. `budgets` ends the search after so many evaluations; `count` has 60 scenes of one to three
 lights at least 25 degrees apart, and holds the log odds of parts that are absent ("kept out") against 0;
-`seeds` are twenty of texture and noise: the search itself draws nothing at random; `speed` are evaluations a
-CPU second and CPU seconds of whole estimates at 512 x 512.
+`seeds` are twenty of texture and noise: the search itself draws nothing at random; `speed` are CPU
+seconds of whole estimates at 512 x 512.
 """
 
 from __future__ import annotations
 
 import re
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from itertools import product
-from typing import Any
 
 import numpy as np
 
 import scan2albedo as s2a
 from bench.albedo import MAKERS, TEXTURES, TWO_LIGHTS, Scene, light_error_deg, value_of
 from bench.runner import Bench, Case
-from scan2albedo.albedo import AlbedoEstimate, EstimateOptions, albedo_error
-from scan2albedo.albedo.levels import usable_texels
-from scan2albedo.albedo.light_parameters import LightModel
-from scan2albedo.albedo.lit_image import LitImage
-from scan2albedo.albedo.node_field import Scales
-from scan2albedo.albedo.paper_search import DeviationProblem
-from scan2albedo.albedo.prior import AlbedoPrior
-from scan2albedo.core import Budget, Meter
+from scan2albedo.albedo import AlbedoEstimate, albedo_error
+from scan2albedo.core import Budget
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.synthetic import Material, SyntheticScene, face, hemisphere, light_at
 
@@ -53,7 +45,6 @@ def errors(scene: SyntheticScene, found: AlbedoEstimate | FloatArray) -> dict[st
         "MSE %": mse_percent(scene, value_of(found.albedo_linear)),
         "right %": 100.0 * right,
         "light deg": light_error_deg(found.lights, scene.lights),
-        "evaluations": float(found.iterations),
         "kept out %": kept_out_percent(scene.material, found),
     }
 
@@ -124,44 +115,6 @@ def seed_cases(quick: bool) -> Iterator[Case]:
             yield Case(f"{group}, {texture} {seed}", made, group)
 
 
-def rates(quick: bool) -> Iterator[Case]:
-    """Yield what is evaluated at 128 x 128; a scene is one evaluation."""
-    scene = face(size=SIZE, lights=[light_at(40, 10)])
-    view = (0.0, 0.0, 1.0)
-    lit = LitImage(
-        scene.image,
-        usable_texels(scene.image),
-        "oren-nayar",
-        view,
-        EstimateOptions(),
-        Meter("m", "u"),
-        AlbedoPrior.faces(),
-    )
-    paper = DeviationProblem(lit, lit.at(SIZE).level)
-    problem = lit.posterior(SIZE)
-    model = LightModel(1, "oren-nayar", view, 100.0, rough=True, specular=True)
-    x = model.from_lights(np.array([[0.6, 0.2, 0.77]]), np.array([2.0]))
-    start = problem.start(model, x, problem.started(Scales()))
-    still = np.zeros(len(start.x))
-    works: dict[str, Callable[[], Any]] = {
-        "paper's objective with its table": lambda: paper.cost(model, x, rays=False),
-        "posterior": lambda: start.moved(still),
-        "posterior and normal equations": lambda: start.moved(still).quadratic(),
-    }
-    for name, work in works.items():
-        yield Case(name, lambda work=work: work)
-
-
-def a_second(work: Callable[[], Any]) -> float:
-    """Return how often something runs in a CPU second."""
-    start = time.process_time()
-    runs = 0
-    while time.process_time() < start + 1:
-        work()
-        runs += 1
-    return runs / (time.process_time() - start)
-
-
 def large(quick: bool) -> Iterator[Case]:
     size = SIZE if quick else 512
     lights = {"one light": [light_at(40, 10)], "two lights": TWO_LIGHTS}
@@ -179,8 +132,5 @@ BENCHES = {
     ),
     "count": Bench(count_cases, OURS, errors),
     "seeds": Bench(seed_cases, OURS, errors, peers={"true light": lambda scene: Scene.of(scene).unlit}),
-    "rates": Bench(
-        rates, {"a second": a_second}, lambda work, found: {"a second": found}, summaries=(), warm=True
-    ),
     "speed": Bench(large, OURS, errors, summaries=(), repeats=3),
 }

@@ -21,12 +21,14 @@ from functools import cache, partial
 import numpy as np
 from scipy.optimize import least_squares
 from worlds.files import face_data
+from worlds.fits import fitted_face
+from worlds.light_stage import FACE_VERTICES, NEUTRAL, LightStage
 from worlds.raw_like import raw_like
 
 import scan2albedo as s2a
+from bench.judging import rms
 from bench.runner import Bench, Case
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.fitting import FittedFace
 from scan2albedo.fitting.linear_model import fit_linear_model
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import invert_rigid, procrustes, rotation_from_vector, transform_points
@@ -34,31 +36,34 @@ from scan2albedo.io.linear_model_files import LinearFaceModel
 from scan2albedo.reflectance.linear_model import principal_directions
 from scan2albedo.templates.annotated_face_model import linear_model_places
 
-IDENTITIES = ("generic_neutral", "person1", "person2", "person3", "person4")
 EXPRESSION_SD = 0.4
 """Of the weights of ICT's expressions, which go from 0 to 1."""
 LANDMARK_MM = 1.0
 METRES_WEIGHT = 1e-3
 """flame-fitting's weight of a coefficient beside landmarks in metres."""
-FACE = slice(0, 6706)
-"""ICT's vertices of the face without neck, ears and scalp."""
+FACE = slice(0, FACE_VERTICES)
 REAL = {"james": "james_ibug68.csv", "flame_scan": "flame_scan_ibug51.csv"}
 """Scans with points placed by hand."""
+
+
+def moves() -> tuple[str, ...]:
+    """Return the names of the expressions, in the file's order."""
+    with np.load(face_data("ict_expressions.npz")) as data:
+        return tuple(data.files)
 
 
 @cache
 def ict_model(without: str = "") -> tuple[LinearFaceModel, IntArray]:
     """Return a model of the ICT faces but one, and the vertices of its 51 inner landmarks."""
-    with np.load(face_data("ict_faces.npz")) as data, np.load(face_data("ict_expressions.npz")) as moves:
-        people = np.array([data[f"shape_{name}"] for name in IDENTITIES if name != without], float)
-        mean = people.mean(0)
-        off = people - mean
-        directions = np.tensordot(principal_directions(off, None, size=float(np.sum(mean**2)))[0], off, 1)
-        expressions = [EXPRESSION_SD * moves[name].astype(float) for name in moves.files]
-        basis = np.moveaxis(np.concatenate([directions, expressions]), 0, -1)
-        faces = data["faces"][: data["face_area_faces"]].astype(np.int64)
-        model = LinearFaceModel("ict", "0" * 64, mean, basis, len(directions), faces)
-        return model, data["landmarks68"].astype(np.int64)[17:]
+    stage = LightStage.load()
+    people = np.array([shape for name, shape in stage.shapes.items() if name != without])
+    mean = people.mean(0)
+    off = people - mean
+    directions = np.tensordot(principal_directions(off, None, size=float(np.sum(mean**2)))[0], off, 1)
+    expressions = [EXPRESSION_SD * stage.expressions[name] for name in moves()]
+    basis = np.moveaxis(np.concatenate([directions, expressions]), 0, -1)
+    model = LinearFaceModel("ict", "0" * 64, mean, basis, len(directions), stage.face_area)
+    return model, stage.landmarks[17:]
 
 
 @dataclass(frozen=True)
@@ -87,13 +92,8 @@ class Answer:
     deviation: FloatArray | None = None
 
 
-def plain_fit(scan: s2a.RawScan) -> FittedFace:
-    default = s2a.AnnotatedFaceModel.default()
-    return s2a.fit(scan, default, s2a.register(scan, default))
-
-
 def ours(scene: Scene) -> Answer:
-    fitted = plain_fit(scene.scan)
+    fitted = fitted_face(scene.scan)
     found = fit_linear_model(scene.scan, fitted, *scene.places, np.ones(len(fitted.vertices)))
     vertices = transform_points(invert_rigid(fitted.model_from_scan), found.vertices)
     return Answer(vertices, found.coefficients, found.deviation[7:])
@@ -127,10 +127,6 @@ def best_of_basis(scene: Scene) -> Answer:
         rows = model.basis[FACE].reshape(-1, len(coefficients)).astype(float)
         coefficients = np.linalg.lstsq(rows, (own - model.mean[FACE]).ravel(), rcond=None)[0]
     return Answer(transform_points(pose, model.mean + model.basis @ coefficients))
-
-
-def rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def errors(scene: Scene, answer: Answer) -> dict[str, float]:
@@ -179,24 +175,21 @@ def own_shape(seed: int) -> Scene:
 
 
 def person(name: str) -> Scene:
-    with np.load(face_data("ict_faces.npz")) as data:
-        shape = data[f"shape_{name}"].astype(float)
+    shape = LightStage.load().shapes[name]
     return scene_of(*ict_model(name), shape, 0, np.random.default_rng(0))
 
 
 def mixture(name: str, without: str, seed: int) -> Scene:
     """Return a scan of three expressions at once, for a model with ICT's blendshapes."""
     model, landmarks = ict_model(without)
-    with np.load(face_data("ict_faces.npz")) as data, np.load(face_data("ict_expressions.npz")) as moves:
-        shape = data[f"shape_{name}"].astype(float)
-        names = tuple(moves.files)
+    names = moves()
     basis = np.array(model.basis, float)
     basis[..., model.shapes :] /= EXPRESSION_SD
     rng = np.random.default_rng([0, seed])
     weights = np.zeros(len(names))
     weights[rng.choice(len(names), 3, replace=False)] = rng.uniform(0.3, 0.9, 3)
     truth = np.concatenate([np.zeros(model.shapes), weights])
-    shape = shape + basis[..., model.shapes :] @ weights
+    shape = LightStage.load().shapes[name] + basis[..., model.shapes :] @ weights
     return scene_of(replace(model, basis=basis, names=names), landmarks, shape, seed, rng, truth)
 
 
@@ -204,7 +197,7 @@ def real_scan(name: str) -> Scene:
     model, landmarks = ict_model()
     scan = s2a.load_scan(face_data(f"{name}.obj"))
     placed = np.loadtxt(face_data(REAL[name]), delimiter=",")[-51:] * scan.mm_per_unit
-    fitted = plain_fit(scan)
+    fitted = fitted_face(scan)
     known = fitted.vertices[~np.isnan(fitted.residual_mm)]
     face = transform_points(invert_rigid(fitted.model_from_scan), known)
     places = linear_model_places(model, s2a.AnnotatedFaceModel.default())
@@ -212,7 +205,7 @@ def real_scan(name: str) -> Scene:
 
 
 def mixtures(quick: bool) -> Iterator[Case]:
-    for name in IDENTITIES[1:]:
+    for name in NEUTRAL[1:]:
         for without in ("", name):
             group = "person left out" if without else "person in the model"
             for seed in range(1 if quick else 3):
@@ -234,7 +227,7 @@ BENCHES = {
         score=errors,
     ),
     "people": Bench(
-        partial(cases, IDENTITIES[1:], person),
+        partial(cases, NEUTRAL[1:], person),
         methods=OURS,
         peers=LANDMARKS | {"basis, all known": best_of_basis},
         score=errors,

@@ -1,23 +1,21 @@
 """A person from several scans: the neutral shape, scans of strangers, and one albedo.
 
-`shape`: light-stage people scanned raw-like, of one or two of thirteen expressions at random weights 0 to 1,
-in any pose, a third of them without a side of the face, their unit wrong by 2 % (one deviation). Errors after
-the best similarity: mean distance from the fitted to the true neutral face, mm, and of 51 landmarks; with the
-generic face as template (`shape_own_model`), of all its vertices. Peers are the first scan alone, and the
-mean and the median of the fits laid on each other. `strangers` are sets with one scan of another person: in
-how many it is the farthest, the odds are right, and the odds of the others are. `albedo` are synthetic scans,
-each with an expression, a lamp near by and a pose of its own, through `scan2albedo person` as a user runs it,
-at draft; errors are relative RMSE on the texels of skin that two scans or more show, in % of the true albedo,
-beside each scan alone and the stated one. `traced` are the pairs of scans that `python tools/worlds FOLDER
---heads` makes, in the folder that S2A_TRACED names: both alone, and the common albedo on the texels of skin
-of either. `FIT_MM` and `PEOPLE_MM` were chosen on person1, person2 and the generic face.
+`shape`: light-stage people scanned raw-like, of one or two of thirteen expressions at random weights 0 to
+1, in any pose, a third of them without a side of the face, their unit wrong by 2 % (one deviation). Errors
+after the best similarity: mean distance from the fitted to the true neutral face, mm, and of 51 landmarks.
+Peers are the first scan alone, and the mean and the median of the fits laid on each other. `strangers` are
+sets with one scan of another person: in how many it is the farthest, the odds are right, and the odds of
+the others are. `albedo` are synthetic scans, each with an expression, a lamp near by and a pose of its own,
+through `scan2albedo person` as a user runs it, at draft; errors are relative RMSE on the texels of skin
+that two scans or more show, in % of the true albedo, beside each scan alone and the stated one. `traced`
+are the pairs of scans that `python tools/worlds FOLDER --heads` makes, in the folder that S2A_TRACED names:
+both alone, and the common albedo on the texels of skin of either. `FIT_MM` and `PEOPLE_MM` were chosen on
+person1, person2 and the generic face.
 """
 
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -26,12 +24,14 @@ from pathlib import Path
 
 import numpy as np
 from worlds.files import write_obj
+from worlds.fits import fitted_face
 from worlds.light_stage import LightStage
 from worlds.raw_like import raw_like
 
 import scan2albedo as s2a
 from bench.judging import VARIABLE, ScanTruth, judged_scan, score
 from bench.landmarks import INNER
+from bench.pipeline import run_command
 from bench.runner import Bench, Case, Timed
 from scan2albedo.albedo import albedo_error
 from scan2albedo.core.arrays import BoolArray, FloatArray
@@ -94,15 +94,14 @@ class Truth:
     """A person's neutral face, and how far an estimate is from it."""
 
     def __init__(self, people: LightStage, person: str, model: s2a.AnnotatedFaceModel) -> None:
-        self.points = people.shapes[person]
+        points = people.shapes[person]
         self.model = model
-        self.landmarks = self.points[people.landmarks]
-        self.query = ClosestPointQuery(self.points, people.faces)
-        self.inner = np.unique(people.face_area)
-        self.at_rim = boundary_vertex_mask(len(self.points), people.faces)[people.faces].any(1)
+        self.landmarks = points[people.landmarks]
+        self.query = ClosestPointQuery(points, people.faces)
+        self.at_rim = boundary_vertex_mask(len(points), people.faces)[people.faces].any(1)
 
     def of(self, control: FloatArray) -> tuple[FloatArray, BoolArray, float]:
-        """Return each vertex's distance (V,), which count (V,), and the mean correspondence error, mm."""
+        """Return each vertex's distance (V,), which count (V,), and the mean error of 51 landmarks, mm."""
         subdivision = self.model.subdivision(2)
         vertices = subdivision.matrix @ control
         found = self.model.landmarks_of(control)
@@ -113,23 +112,9 @@ class Truth:
             points = transform_points(procrustes(points, hits.points, weights=trust, scale=True), points)
         hits = self.query.query(points)
         counted = ~boundary_vertex_mask(len(vertices), subdivision.faces) & ~self.at_rim[hits.face]
-        template = self.model.template_of(control)
-        if template is None:
-            target, source = self.landmarks[INNER], found[INNER]
-            moved = transform_points(procrustes(vertices, points, scale=True), source)
-        else:
-            target, source = self.points[self.inner], template[self.inner]
-            moved = transform_points(procrustes(source, target, scale=True), source)
-        return hits.distance, counted, float(np.linalg.norm(moved - target, axis=1).mean())
-
-
-@cache
-def generic_model() -> s2a.AnnotatedFaceModel:
-    people = LightStage.load()
-    rest = people.shapes["generic_neutral"]
-    return s2a.AnnotatedFaceModel.from_mesh(
-        rest, people.face_area, landmarks=people.landmarks, name="generic face"
-    )
+        moved = transform_points(procrustes(vertices, points, scale=True), found[INNER])
+        apart = np.linalg.norm(moved - self.landmarks[INNER], axis=1)
+        return hits.distance, counted, float(apart.mean())
 
 
 def fits_of(
@@ -139,32 +124,31 @@ def fits_of(
     for seed in range(count):
         scan = person_scan(people, person, seed)
         try:
-            yield s2a.fit(scan, model, s2a.register(scan, model))
+            yield fitted_face(scan, model)
         except s2a.Scan2AlbedoError as error:
             print(f"  {person}, scan {seed} left out: {error}", flush=True)
 
 
 @cache
-def person_fits(person: str, own_model: bool, count: int) -> tuple[list[FittedFace], Truth]:
-    model = generic_model() if own_model else s2a.AnnotatedFaceModel.default()
-    people = LightStage.load()
+def person_fits(person: str, count: int) -> tuple[list[FittedFace], Truth]:
+    people, model = LightStage.load(), s2a.AnnotatedFaceModel.default()
     return list(fits_of(people, person, model, count)), Truth(people, person, model)
 
 
-def drawn(person: str, own_model: bool, scans: int, count: int, draw: int) -> tuple[list[FittedFace], Truth]:
-    fits, truth = person_fits(person, own_model, scans)
+def drawn(person: str, scans: int, count: int, draw: int) -> tuple[list[FittedFace], Truth]:
+    fits, truth = person_fits(person, scans)
     rng = np.random.default_rng(count)
     for _ in range(draw + 1):
         chosen = rng.choice(len(fits), count, replace=False)
     return [fits[k] for k in chosen], truth
 
 
-def shapes(own_model: bool, quick: bool) -> Iterator[Case]:
+def shapes(quick: bool) -> Iterator[Case]:
     scans = 3 if quick else SCANS
     for person in PEOPLE[: 1 if quick else None]:
         for count in COUNTS[:3] if quick else COUNTS:
             for draw in range(1 if quick else DRAWS):
-                make = partial(drawn, person, own_model, scans, count, draw)
+                make = partial(drawn, person, scans, count, draw)
                 yield Case(f"{person}, {count} scans, draw {draw}", make, f"{count} scans")
 
 
@@ -177,16 +161,14 @@ def shape_errors(scene: tuple[list[FittedFace], Truth], control: FloatArray) -> 
         stated = found.deviation_mm[counted]
         row["stated mm"] = float(np.sqrt(np.mean(stated**2)))
         row["true mm"] = float(np.sqrt(np.mean(distance[counted] ** 2)))
-        for limit in (1, 2):
-            row[f"within {limit} %"] = float(100 * np.mean(distance[counted] < limit * stated))
     return row
 
 
 def with_stranger(person: str, stranger: str, count: int, draw: int) -> list[FittedFace]:
     """Return fits of a person's scans, and one of a scan of another person."""
-    own, _ = drawn(person, False, SCANS, count, draw)
+    own, _ = drawn(person, SCANS, count, draw)
     rng = np.random.default_rng([count, draw])
-    others, _ = person_fits(stranger, False, SCANS)
+    others, _ = person_fits(stranger, SCANS)
     return [*own, others[rng.integers(len(others))]]
 
 
@@ -204,9 +186,6 @@ def odds(fits: list[FittedFace], shape: PersonShape) -> dict[str, float]:
         "farthest %": 100.0 * (shape.other_person.argmax() == len(fits) - 1),
         "told %": 100.0 * (shape.other_person[-1] > 0),
         "others kept %": float(100 * np.mean(shape.other_person[:-1] < 0)),
-        "log odds": float(shape.other_person[-1]),
-        "of others": float(shape.other_person[:-1].max()),
-        "mm": float(shape.distance_mm[-1]),
     }
 
 
@@ -249,14 +228,10 @@ def albedo_cases(quick: bool) -> Iterator[Case]:
 def by_command(scene: tuple[Files, int, int]) -> Timed:
     """Run the command; its answer is the result's folder and the most memory, in MB."""
     files, count, size = scene
-    command = [sys.executable, "-m", "scan2albedo", "person", f"of{count}", *files.scans[:count]]
-    command += ["-o", files.folder, "--quality", "draft", "--size", size, "--no-pictures"]
-    process = subprocess.Popen(list(map(str, command)), stderr=subprocess.PIPE, text=True)
-    said = process.stderr.read()
-    _, status, used = os.wait4(process.pid, 0)
-    if os.waitstatus_to_exitcode(status) == 2:
-        raise s2a.ScanError(said)
-    return Timed((files.folder / f"of{count}", used.ru_maxrss / 1024), used.ru_utime + used.ru_stime)
+    words = ["person", f"of{count}", *files.scans[:count], "-o", files.folder]
+    words += ["--quality", "draft", "--size", size, "--no-pictures"]
+    done = run_command(list(map(str, words)))
+    return Timed((files.folder / f"of{count}", done.answer.peak_mb), done.cpu_s)
 
 
 def albedo_errors(scene: tuple[Files, int, int], answer: tuple[Path, float]) -> dict[str, float]:
@@ -314,8 +289,7 @@ def pair_errors(files: list[Path], common: FloatArray) -> dict[str, float]:
 METHODS = {"common_shape": lambda scene: common_shape(scene[0]).control_points}
 OTHERS = {name: lambda scene, peer=peer: peer(scene[0]) for name, peer in PEERS.items()}
 BENCHES = {
-    "shape": Bench(partial(shapes, False), METHODS, shape_errors, OTHERS, summaries=("mean",)),
-    "shape_own_model": Bench(partial(shapes, True), METHODS, shape_errors, OTHERS, summaries=("mean",)),
+    "shape": Bench(shapes, METHODS, shape_errors, OTHERS, summaries=("mean",)),
     "strangers": Bench(strangers, {"common_shape": common_shape}, odds),
     "albedo": Bench(albedo_cases, {"scan2albedo person": by_command}, albedo_errors),
     "traced": Bench(pairs, {"scan2albedo": common_of}, pair_errors),

@@ -3,7 +3,7 @@
 `lobes` and `transfer` are compared with sums over thousands of distant lights: relative RMSE of highlights,
 and of what vertices receive (diffuse and lobes of s = 1, 8, 64, medians). `shadows` are painted people of
 the face model in generated light with ray-traced shadows: eight of the model that the fit has, eight new
-ones; `displayed` the same new ones as photographs of 8 bits and gamma 1.2, taken for other gammas too.
+ones.
 `unknown` shares nothing with the fit: light-stage shapes, skin painted in space, traced by Mitsuba (25 s
 each, kept in the folder that S2A_TRACED names), on a mesh fitted to the shape, and with a shape from 68
 landmarks that are a pixel off (six people in three lights, where the truth is what the picture shows at a
@@ -24,11 +24,11 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from worlds import unknown_faces as unknown
 from worlds.environments import generated_environment
 from worlds.model_faces import (
-    CAMERA_MM,
     ShadowedSurface,
     albedo_error,
     learned,
     person,
+    scaled_error,
     sent,
     surface,
 )
@@ -37,8 +37,7 @@ from bench.runner import Bench, Case
 from scan2albedo.albedo import albedo_error as error_of
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.mesh import normalized
-from scan2albedo.geometry.pinhole import look_at, project
-from scan2albedo.geometry.rasterization import interpolate, rasterize
+from scan2albedo.geometry.pinhole import project
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics, project_environment
 from scan2albedo.reflectance import (
@@ -61,8 +60,6 @@ from scan2albedo.runs.reflectance.image_run import LANDMARK_NORMALS, shaped_vert
 from scan2albedo.runs.reflectance.model_run import FaceModels, synthetic_model
 
 ANGLES_DEG = (0, 30, 45, 60, 70, 80)
-DISPLAY_GAMMA = 1.2
-PICTURE = (640, 640)
 
 
 @dataclass(frozen=True)
@@ -130,15 +127,14 @@ class Shot:
 
     face: VertexReflectance
     image: ImageObservation
-    elsewhere: FloatArray | None = None
+    elsewhere: FloatArray
 
     def errors(self, found: VertexReflectance) -> dict[str, float]:
-        row = {"albedo %": 100 * albedo_error(found.diffuse_linear, self.face)}
-        if self.elsewhere is not None:
-            a, b = (sent(one, self.elsewhere)[surface().seen] for one in (found, self.face))
-            apart = np.linalg.norm(np.sum(a * b) / np.sum(a * a) * a - b)
-            row["relit %"] = float(100 * apart / np.linalg.norm(b))
-        return row
+        relit = (sent(one, self.elsewhere)[surface().seen] for one in (found, self.face))
+        return {
+            "albedo %": 100 * albedo_error(found.diffuse_linear, self.face),
+            "relit %": 100 * scaled_error(*relit),
+        }
 
 
 @cache
@@ -192,31 +188,6 @@ def without_transfer(scene: Shot) -> VertexReflectance:
 def chosen(scene: Shot) -> VertexReflectance:
     s = surface()
     return fit_face(with_transfer(scene), people(), s.vertices, s.faces).reflectance
-
-
-@dataclass(frozen=True)
-class Displayed(Shot):
-    """A picture (H, W, 3) of 8 bits before grey, of gamma 1.2, in which no skin is saturated."""
-
-    picture: np.ndarray | None = None
-    camera: FloatArray | None = None
-
-    @classmethod
-    def of(cls, k: int) -> Displayed:
-        s, taken = surface(), shadowed(person(k), k, 63_000)
-        camera = look_at(CAMERA_MM, s.vertices.mean(0), focal_px=2300.0, shape=PICTURE)
-        pixels, depth = project(camera, s.vertices)
-        raster = rasterize(pixels, -depth, s.faces, PICTURE)
-        linear = sent(taken.face, light_of(63_000)[k])
-        shown = (0.9 * linear / linear[s.seen].max()) ** (1 / DISPLAY_GAMMA)
-        picture = np.where(raster.face[..., None] >= 0, interpolate(raster, s.faces, shown), 0.5)
-        picture = np.round(255 * picture).astype(np.uint8)
-        return cls(taken.face, taken.image, taken.elsewhere, picture, camera)
-
-    def fitted(self, gamma: float) -> VertexReflectance:
-        s = surface()
-        image = observe_photograph(self.picture, self.camera, s.vertices, s.faces, gamma=gamma)
-        return fit_image(image, people()).face.reflectance
 
 
 @cache
@@ -311,14 +282,6 @@ BENCHES = {
     "shadows": Bench(
         shadow_cases,
         methods=SHADOW_FITS,
-        score=Shot.errors,
-    ),
-    "displayed": Bench(
-        lambda quick: [Case(f"new face {k}", partial(Displayed.of, k)) for k in range(2 if quick else 8)],
-        methods={
-            f"gamma {gamma:g}": partial(lambda gamma, scene: scene.fitted(gamma), gamma)
-            for gamma in (1.2, 1.0, 1.8, 2.4)
-        },
         score=Shot.errors,
     ),
     "unknown": Bench(

@@ -1,8 +1,8 @@
-"""Shadow rays beside Open3D's and trimesh's, and the shading kernel beside its NumPy reference.
+"""Shadow rays beside Open3D's, and the shading kernel beside its NumPy reference.
 
 Rays start at every texel of a face. `RayCaster` and Open3D get the same rays; `ShadowMap` answers for the
 same texels, but shoots only where they face the light. "differ" counts texels that Open3D answers otherwise;
-of the shading it is the largest difference from the reference. trimesh is slow: ask for it by name.
+of the shading it is the largest difference from the reference.
 """
 
 from __future__ import annotations
@@ -38,24 +38,17 @@ class Texels:
         import open3d
 
         image = face(0, size=size).image
-        self.vertices, self.faces = image.occluder_mesh()
+        vertices, faces = image.occluder_mesh()
         self.position = image.position[image.mask]
         self.normal = image.normal[image.mask]
         self.origins = self.position + OFFSET_MM * self.normal
         self.toward = np.array(direction) / np.linalg.norm(direction)
-        self.caster = RayCaster(self.vertices, self.faces)
+        self.caster = RayCaster(vertices, faces)
         self.shadows = ShadowMap(self.caster, self.position, self.normal, OFFSET_MM)
         self.peer = open3d.t.geometry.RaycastingScene()
-        self.peer.add_triangles(self.vertices.astype(np.float32), self.faces.astype(np.uint32))
+        self.peer.add_triangles(vertices.astype(np.float32), faces.astype(np.uint32))
         ahead = np.broadcast_to(self.toward, self.origins.shape)
         self.rays = open3d.core.Tensor(np.concatenate([self.origins, ahead], 1).astype(np.float32))
-
-
-def trimesh_rays(texels: Texels) -> BoolArray:
-    import trimesh
-
-    mesh = trimesh.Trimesh(texels.vertices, texels.faces, process=False)
-    return mesh.ray.intersects_any(texels.origins, np.tile(texels.toward, (len(texels.origins), 1)))
 
 
 def differing(texels: Texels, answer: BoolArray | NDArray[np.uint8]) -> dict[str, float]:
@@ -123,12 +116,8 @@ BENCHES = {
             "RayCaster": lambda texels: texels.caster.occluded(texels.origins, texels.toward),
             "ShadowMap": lambda texels: texels.shadows.visible(texels.toward),
         },
-        peers={
-            "Open3D": lambda texels: texels.peer.test_occlusions(texels.rays).numpy(),
-            "trimesh": trimesh_rays,
-        },
+        peers={"Open3D": lambda texels: texels.peer.test_occlusions(texels.rays).numpy()},
         score=differing,
-        slow=("trimesh",),
         warm=True,
         repeats=9,
     ),

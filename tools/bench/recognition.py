@@ -204,7 +204,7 @@ def compared(listed: Iterable[ListedScan], size: int, brdfs: Sequence[str], cond
     known = {scan.person for scan in gallery}
     probes = [scan for scan in scans if scan.name in files and scan.person in known and scan not in gallery]
     wanted = [scan for scan in probes if not condition or condition in scan.conditions.values()]
-    return Compared(wanted, gallery, files)
+    return Compared(wanted, files, gallery)
 
 
 def called(work: Callable[[], Path | str]) -> Path | str:

@@ -4,25 +4,24 @@
 two real scans. Each is registered where it lies, then in a random pose and unit (mm, cm, m, decided from the
 size as `load_scan` does): "repeated" compares the two (within 2 degrees and 2 mm), "in basin" compares with
 landmarks (another person's template has a basin of 10 degrees and 15 mm, no exact pose). "sure misses" have a
-confidence of 0.5 and more. `same_person` registers with a template of the same person, beside the exact pose.
-`settings` are our options, and others' budgets, on harder synthetic scans: "mm" is by how far the face's
-points are from their place. `rate` are depth images and costs of the annealing a CPU second.
+confidence of 0.5 and more. `settings` are our options, and others' budgets, on harder synthetic scans: "mm"
+is by how far the face's points are from their place.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache, partial
 
 import numpy as np
 from worlds.files import face_data
+from worlds.light_stage import FACE_VERTICES
 from worlds.raw_like import raw_like
 from worlds.synthetic_scans import ScanScene, hard_scan_scenes, scan_scenes
 
 import scan2albedo as s2a
-from bench.peers.registration import PEERS, Peer, Surface, fpfh_ransac_icp
+from bench.peers.registration import PEERS, Peer, Surface
 from bench.runner import Bench, Case
 from bench.settings import presets, varied, within
 from scan2albedo.core import Budget
@@ -30,7 +29,6 @@ from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import RegistrationError
 from scan2albedo.geometry.mesh import vertex_components
 from scan2albedo.geometry.rigid import (
-    Similarity,
     compose,
     invert_rigid,
     procrustes,
@@ -40,20 +38,15 @@ from scan2albedo.geometry.rigid import (
 )
 from scan2albedo.io.units import millimetres_per_unit
 from scan2albedo.registration import RegistrationOptions
-from scan2albedo.registration.depth_annealing import DepthDerivativeObjective
-from scan2albedo.registration.inputs import Template
 
 REAL_SCANS = {"james": "james.obj", "humface": "humface.ply"}
 POSES = 300
 REAL_POSES = 50
-FACE_PART = 6706
-"""ICT's vertices of the face without neck, ears and scalp."""
 REPEAT_DEG = 2.0
 REPEAT_MM = 2.0
 BASIN_DEG = 10.0
 BASIN_MM = 15.0
 """Within the basin a fit finds the rest."""
-SAME_PERSON = ("generic_neutral", "generic_mouthSmile_L_mouthSmile_R", "generic_jawOpen0.7")
 SURE = 0.5
 UNITS = (1.0, 0.1, 0.001)
 UNPOSED = {"rotation_max_deg": 0.0, "translation_max_mm": 0.0}
@@ -72,8 +65,8 @@ class Shapes:
 
     def truth(self, name: str) -> FloatArray:
         """Return (4, 4) default model from shape."""
-        generic = self.vertices["generic_neutral"][:FACE_PART]
-        return self.model_from_generic @ procrustes(self.vertices[name][:FACE_PART], generic)
+        generic = self.vertices["generic_neutral"][:FACE_VERTICES]
+        return self.model_from_generic @ procrustes(self.vertices[name][:FACE_VERTICES], generic)
 
 
 @cache
@@ -187,31 +180,6 @@ def errors(scene: Scene, found: Found) -> dict[str, float]:
     return row
 
 
-def own_template() -> tuple[s2a.AnnotatedFaceModel, FloatArray]:
-    """Return the generic face as a model and its pose from the generic shapes."""
-    shapes = published()
-    used = shapes.faces[(shapes.faces < FACE_PART).all(1)]
-    index = np.unique(used)
-    vertices = shapes.vertices["generic_neutral"][index]
-    model = s2a.AnnotatedFaceModel.from_mesh(vertices, np.searchsorted(index, used))
-    return model, compose(np.eye(3), -vertices.mean(0))
-
-
-def same_person_error(scan: s2a.RawScan, found: Found) -> dict[str, float]:
-    degrees, mm = difference(found.pose, own_template()[1])
-    return {"deg": degrees, "mm": mm}
-
-
-def with_own_template(scan: s2a.RawScan, options: RegistrationOptions) -> Found:
-    return registered(scan, options, model=own_template()[0])
-
-
-def same_person_cases(quick: bool) -> Iterator[Case]:
-    for shape in SAME_PERSON:
-        for seed in range(1 if quick else 4):
-            yield Case(f"{shape} {seed}", lambda shape=shape, seed=seed: scan_of(shape, seed)[0], shape)
-
-
 def off_their_place(scene: ScanScene, found: Found) -> dict[str, float]:
     """Return the mean distance between the true face's points where the poses found and true put them."""
     if found.pose is None:
@@ -255,55 +223,23 @@ def scenes(quick: bool) -> Iterator[Case]:
         yield Case(f"scan {number}", lambda made=made: made)
 
 
-def rate(objective: DepthDerivativeObjective) -> float:
-    """Return depth images and costs a CPU second."""
-    trials = np.random.default_rng(0).normal(scale=0.03, size=(1000, 5))
-    start = time.process_time()
-    for trial in trials:
-        objective(trial)
-    return len(trials) / (time.process_time() - start)
-
-
-def objective(size: int) -> DepthDerivativeObjective:
-    model = s2a.AnnotatedFaceModel.default()
-    rest = Similarity(np.eye(3), np.zeros(3))
-    return DepthDerivativeObjective(*model.surface(2), Template.of(model, 0), rest, size)
-
-
-RANSAC = {f"Open3D FPFH+RANSAC+ICP {n}": fpfh_ransac_icp(n) for n in (1000, 10_000)}
+OTHERS = {name: lambda scene, peer=peer: by_peer(peer, scene.scan) for name, peer in PEERS.items()}
 BENCHES = {
     "raw": Bench(
         cases,
         methods={"scan2albedo": lambda scene: registered(scene.scan)},
-        peers={name: lambda scene, peer=peer: by_peer(peer, scene.scan) for name, peer in PEERS.items()},
+        peers=OTHERS,
         score=errors,
         quick=("scan2albedo",),
         error="mm",
         warm=True,
     ),
-    "same_person": Bench(
-        same_person_cases,
-        methods={
-            "ICP": partial(with_own_template, options=RegistrationOptions()),
-            "annealing forced": partial(with_own_template, options=FORCED),
-        },
-        score=same_person_error,
-    ),
     "settings": Bench(
         scenes,
         methods=settings(),
-        peers={
-            name: lambda scene, peer=peer: by_peer(peer, scene.scan)
-            for name, peer in {**PEERS, **RANSAC}.items()
-        },
+        peers=OTHERS,
         score=off_their_place,
         quick=("default", "candidates 2"),
-        warm=True,
-    ),
-    "rate": Bench(
-        lambda quick: (Case(f"{size} pixels", lambda size=size: objective(size)) for size in (32, 64, 128)),
-        methods={"scan2albedo": rate},
-        score=lambda scene, found: {"a CPU second": found},
         warm=True,
     ),
 }

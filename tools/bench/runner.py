@@ -16,14 +16,13 @@ from scan2albedo.errors import Scan2AlbedoError
 
 CPU = "CPU s"
 """Column of the CPU seconds of this process with all its threads."""
-MEMORY = "peak MB"
-"""Column of the most memory that was resident while a method ran."""
 SUMMARIES: dict[str, Callable[[NDArray[np.float64]], float]] = {
     "n": lambda values: float(len(values)),
     "sum": lambda values: float(values.sum()),
     "least": lambda values: float(values.min()),
     "mean": lambda values: float(values.mean()),
     "median": lambda values: float(np.median(values)),
+    "rms": lambda values: float(np.sqrt(np.mean(values**2))),
     "worst": lambda values: float(values.max()),
 }
 """What the rows of a method are summarised to; "n" the number of them, "worst" the largest."""
@@ -87,8 +86,6 @@ class Bench:
         Whether every method runs once on the first case before the clock counts.
     repeats : int
         Runs of each method, in turns; the one of least CPU time counts.
-    memory : bool
-        Whether to measure `MEMORY`.
     picture : callable, optional
         From a scene and its answers by method to an image (H, W, 3) for `--pictures`.
     remarks : callable, optional
@@ -105,7 +102,6 @@ class Bench:
     summaries: Sequence[str] = ("mean", "worst")
     warm: bool = False
     repeats: int = 1
-    memory: bool = False
     picture: Callable[[Any, Mapping[str, Any]], NDArray[Any]] | None = None
     remarks: Callable[[Sequence[Row]], Iterable[str]] | None = None
 
@@ -159,9 +155,9 @@ def run(
             yield Row(case.name, case.group, "-", {}, str(error), failed=True)
             continue
         if warm:
-            _answers(bench, chosen, scene, 1)
+            _answers(chosen, scene, 1)
             warm = False
-        answers = _answers(bench, chosen, scene, bench.repeats)
+        answers = _answers(chosen, scene, bench.repeats)
         for name, (answer, measured) in answers.items():
             if isinstance(answer, Exception):
                 yield Row(case.name, case.group, name, measured, str(answer), failed=True)
@@ -175,14 +171,12 @@ def run(
 
 
 def _answers(
-    bench: Bench, methods: Mapping[str, Method], scene: Any, repeats: int
+    methods: Mapping[str, Method], scene: Any, repeats: int
 ) -> dict[str, tuple[Any, dict[str, float]]]:
     """Return what each method answers, or raises, and what that cost; methods take turns."""
     found: dict[str, tuple[Any, dict[str, float]]] = {}
     for _ in range(repeats):
         for name, method in methods.items():
-            if bench.memory:
-                Path("/proc/self/clear_refs").write_text("5")
             start = time.process_time()
             try:
                 with warnings.catch_warnings():
@@ -191,9 +185,6 @@ def _answers(
             except (ModuleNotFoundError, Scan2AlbedoError) as error:
                 answer = error
             cost = {CPU: time.process_time() - start}
-            if bench.memory:
-                status = Path("/proc/self/status").read_text()
-                cost[MEMORY] = int(status.split("VmHWM:")[1].split()[0]) / 1024
             if isinstance(answer, Timed):
                 cost[CPU] = answer.cpu_s
                 answer = answer.answer

@@ -7,12 +7,11 @@ scale, on V = max(R, G, B):
 
 - relative RMSE; what half of the texels and 95 in 100 err by at most, each of its own albedo; relative RMSE
   of colour; 100 x MSE of V, the paper's figure;
-- parts of the texels that err by less than `expected_error`, and than twice that; outlines in the albedo that
-  the photograph lacks (share, and mean excess in log units); lamps found of all lamps.
+- parts of the texels that err by less than `expected_error`, and than twice that; lamps found of all lamps.
 
 Texels that got less than 3 % of the median light do not count; under single flashes those count that the
 flash explains to a quarter. Peers divide by ambient occlusion, by nine harmonics (SH), and by the same with
-the face's own shadows. Slow: the paper's objective.
+the face's own shadows.
 """
 
 from __future__ import annotations
@@ -35,7 +34,6 @@ from bench.judging import (
     ScanTruth,
     TracedImage,
     calibration,
-    invented_outlines,
     judged_scan,
     load_flashes,
     load_image,
@@ -45,7 +43,7 @@ from bench.judging import (
     simple_peers,
 )
 from bench.runner import Bench, Case, Timed
-from scan2albedo.albedo import AlbedoEstimate, EstimateOptions
+from scan2albedo.albedo import AlbedoEstimate
 from scan2albedo.core.arrays import BoolArray, FloatArray
 
 FOLDERS = {"skin": "real_skin", "flashes": "yale", "scans": "traced", "images": "traced"}
@@ -135,11 +133,6 @@ def simple_peer(name: str, scene: Scene) -> Timed:
     return Timed(scene.peers[name], np.nan)
 
 
-def papers_objective(scene: Scene) -> FloatArray:
-    found = s2a.estimate_albedo(scene.image, options=EstimateOptions(objective="albedo-deviation"), seed=0)
-    return np.asarray(found.albedo_linear, np.float64)
-
-
 def figures(scene: Scene, answer: AlbedoEstimate | FloatArray) -> dict[str, float | str]:
     estimate = answer if isinstance(answer, AlbedoEstimate) else None
     albedo = np.asarray(answer if estimate is None else estimate.albedo_linear, np.float64)
@@ -153,14 +146,6 @@ def figures(scene: Scene, answer: AlbedoEstimate | FloatArray) -> dict[str, floa
     }
     if estimate is None:
         return row
-    shading = np.asarray(estimate.shading, np.float64)
-    outlines = invented_outlines(
-        np.asarray(scene.image.texture_linear, np.float64).max(2),
-        shading.max(2) if shading.ndim == 3 else shading,
-        albedo.max(2),
-        scene.image.mask,
-    )
-    assert estimate.expected_error is not None
     said, twice = calibration(
         albedo.max(2), scene.albedo_linear.max(2), estimate.expected_error, scene.judged
     )
@@ -168,8 +153,6 @@ def figures(scene: Scene, answer: AlbedoEstimate | FloatArray) -> dict[str, floa
     return row | {
         "as said": said,
         "twice": twice,
-        "outlines": outlines.share,
-        "excess": outlines.mean_excess,
         "lamps": f"{lamps} {scene.note}",
     }
 
@@ -178,12 +161,8 @@ BENCHES = {
     kind: Bench(
         partial(cases, kind),
         methods={"ours": ours},
-        peers={
-            **{name: partial(simple_peer, name) for name in ("as is", "AO", "SH", "SH+shadows")},
-            "paper's objective": papers_objective,
-        },
+        peers={name: partial(simple_peer, name) for name in ("as is", "AO", "SH", "SH+shadows")},
         score=figures,
-        slow=("paper's objective",),
         summaries=("least", "mean", "worst"),
     )
     for kind in PATTERNS

@@ -27,6 +27,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from worlds.files import DATA, face_data
+from worlds.fits import fitted_face
+from worlds.light_stage import LightStage
 
 import scan2albedo as s2a
 from bench.judging import score
@@ -96,16 +98,19 @@ class Processed:
         return np.log(np.maximum(self.true, 1e-3))
 
     @cached_property
+    def usual(self) -> FloatArray:
+        """Log albedo (3,) of the face."""
+        return np.median(self.log_true[self.inside], axis=0)
+
+    @cached_property
     def skin(self) -> BoolArray:
         """Texels (H, W) of skin by their true albedo."""
-        usual = np.median(self.log_true[self.inside], axis=0)
-        return np.abs(self.log_true - usual).max(-1) < SKIN
+        return np.abs(self.log_true - self.usual).max(-1) < SKIN
 
     @cached_property
     def dark(self) -> BoolArray:
         """Texels (H, W) that are as dark as hair."""
-        usual = np.median(self.log_true[self.inside], axis=0)
-        return self.log_true.max(-1) < usual.max() - 2 * SKIN
+        return self.log_true.max(-1) < self.usual.max() - 2 * SKIN
 
     def rim_step(self, texture: FloatArray) -> float:
         """Return the RMS over the face's rim of the step of log colour of skin across it.
@@ -211,17 +216,15 @@ class Fitted:
 def template(name: str) -> s2a.AnnotatedFaceModel:
     if name == "mask":
         return s2a.AnnotatedFaceModel.from_file(face_data("canonical_face_model.obj"))
-    with np.load(face_data("ict_faces.npz")) as people:
-        uv = people["uv"][people["uv_faces"]]
-        vertices = people["shape_generic_neutral"]
-        return s2a.AnnotatedFaceModel.from_mesh(vertices, people["faces"], uv, control_size=2500, name=name)
+    stage = LightStage.load()
+    head = stage.shapes["generic_neutral"], stage.faces, stage.corner_uv
+    return s2a.AnnotatedFaceModel.from_mesh(*head, control_size=2500, name=name)
 
 
 @cache
 def fitted_template(name: str, texels: int) -> Fitted:
     scan = s2a.load_scan(face_data("james.obj"))
-    model = template(name)
-    fitted = s2a.fit(scan, model, s2a.register(scan, model))
+    fitted = fitted_face(scan, template(name))
     return Fitted(scan, fitted, texels, transform_points(fitted.model_from_scan, scan.vertices))
 
 
@@ -301,8 +304,7 @@ class Sitting:
 def sitting(spacing_mm: float, noise_mm: float, seed: int) -> Sitting:
     scanner = Scanner(spacing_mm=spacing_mm, noise_mm=noise_mm, picture_size=400)
     scan, truth = raw_scan(seed, scanner=scanner)
-    mask = template("mask")
-    return Sitting(scan, truth, s2a.fit(scan, mask, s2a.register(scan, mask)))
+    return Sitting(scan, truth, fitted_face(scan, template("mask")))
 
 
 def sittings(quick: bool) -> Iterator[Case]:

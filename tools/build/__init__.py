@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from worlds.files import DATA
+from worlds.fits import fitted_face
 
 import scan2albedo as s2a
 from scan2albedo.fitting import FittedFace
@@ -23,8 +24,7 @@ def output(arguments: list[str], shipped: str) -> Path:
 
 def fitted_heads() -> Iterator[tuple[str, s2a.RawScan, FittedFace]]:
     """Yield the name of each head of ../shared/data/heads, its scan and the model fitted to it."""
-    model = s2a.AnnotatedFaceModel.default()
     for path in sorted((DATA / "heads").glob("*.obj")):
         scan = s2a.load_scan(path)
-        yield path.stem, scan, s2a.fit(scan, model, s2a.register(scan, model, seed=0))
+        yield path.stem, scan, fitted_face(scan)
         print(path.stem, flush=True)

@@ -103,7 +103,7 @@ def learn(heads: Iterable[Head]) -> AlbedoPrior:
     mean = np.where(known[..., None], mean, blurred(mean, known, 3.0))
     off = np.nan_to_num(logs - mean)
     # Nodes x of each head minimise |B x - off|^2 + RIDGE |x|^2 over the known cells.
-    weights = AlbedoPrior.node_weights((np.indices((MEANS, MEANS)).reshape(2, -1).T + 0.5) / MEANS)
+    weights = AlbedoPrior.node_weights(centres())
     inside = weights[known.ravel()]
     normal = (inside.T @ inside).toarray() + RIDGE * np.eye(NODES**2)
     flat = off.reshape(len(off), MEANS**2, 3)

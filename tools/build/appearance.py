@@ -8,8 +8,10 @@ shadows and an environment, with a beard painted on some, and a cap, a mask or a
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,23 +39,10 @@ LIGHTS = 6
 """Times that each head is shown."""
 SIDE = 1024
 """Of the heads' textures, in whose pixels OUTLINES are."""
-_HALF_BROW = [(335, 298), (365, 272), (410, 256), (450, 262), (485, 285), (480, 300), (445, 300), (410, 290)]
-_OTHER_BROW = [(565, 288), (580, 272), (620, 255), (660, 258), (700, 275), (720, 295), (660, 285), (575, 300)]
-OUTLINES = {
-    "brow": (_HALF_BROW, _OTHER_BROW),
-    "eye": (
-        [(375, 350), (395, 325), (440, 318), (468, 322), (468, 340), (440, 352)],
-        [(582, 340), (600, 322), (640, 318), (670, 330), (690, 352), (640, 350)],
-    ),
-    "lip": (
-        [(420, 587), (450, 568), (480, 552), (505, 556), (525, 560), (545, 556), (570, 550), (600, 562)]
-        + [(630, 585), (605, 605), (580, 628), (525, 635), (470, 628), (440, 605)],
-    ),
-    "nostril": (
-        [(469, 480), (474, 471), (484, 467), (494, 471), (499, 480), (494, 489), (484, 493), (474, 489)],
-        [(548, 478), (553, 469), (563, 465), (573, 469), (578, 478), (573, 487), (563, 491), (553, 487)],
-    ),
-}
+OUTLINES: dict[str, list[list[list[int]]]] = json.loads(
+    Path(__file__).with_name("valid_outlines.json").read_text(encoding="utf-8")
+)
+"""Polygons of each class, drawn by hand on the heads' textures."""
 RIM = {"brow": 30, "eye": 16, "lip": 24, "nostril": 16}
 """Width of the line around an outline where the truth is not known."""
 BROW_DARKER = (0.08, 0.2)
@@ -82,11 +71,12 @@ class Shown:
 def truth_in_texture(linear: FloatArray) -> NDArray[np.uint8]:
     """Return the classes (SIDE, SIDE) of a head's texture (SIDE, SIDE, 3), 0 where they are not known."""
 
-    def drawn(points: list[tuple[int, int]], width: int) -> BoolArray:
+    def drawn(points: list[list[int]], width: int) -> BoolArray:
+        corners = list(map(tuple, points))
         picture = Image.new("L", (SIDE, SIDE))
         draw = ImageDraw.Draw(picture)
-        draw.polygon(points, fill=1)
-        draw.line([*points, points[0]], fill=1, width=max(width, 1), joint="curve")
+        draw.polygon(corners, fill=1)
+        draw.line([*corners, corners[0]], fill=1, width=max(width, 1), joint="curve")
         return np.asarray(picture) > 0
 
     bright = gaussian_filter(np.log(np.maximum(linear.max(-1), 1e-3)), 3)

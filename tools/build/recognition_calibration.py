@@ -129,7 +129,7 @@ def head_similarities(folder: Path, viewed: bool) -> Judged:
     return Judged(found, names, sittings, lights)
 
 
-def make_people(folder: Path, persons: int, seed: int, sessions: Sequence[int] = (0, 1, 2)) -> None:
+def make_people(folder: Path, persons: int, seed: int) -> None:
     """Scan and process synthetic people; results are PERSON_SESSION, those that are there are kept.
 
     Sessions 0 and 1 have the same lamps for everybody, others their own; expressions and poses are random.
@@ -137,7 +137,7 @@ def make_people(folder: Path, persons: int, seed: int, sessions: Sequence[int] =
     own = Population()
     studio = random_lights(np.random.default_rng([seed, 77]), own)
     for person in range(persons):
-        for session in sessions:
+        for session in range(3):
             name = f"p{person:02d}_s{session}"
             if (folder / name / "result.json").is_file():
                 continue

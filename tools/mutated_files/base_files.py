@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 import scan2albedo as s2a
 from scan2albedo.core import GeometryImage
+from scan2albedo.geometry.mesh import grid_faces
 from scan2albedo.io.geometry_image_files import write_geometry_image, write_geometry_image_exr
 from scan2albedo.io.glb import write_glb, write_skinned_glb
 from scan2albedo.io.images import encode_image, write_exr
@@ -41,11 +42,7 @@ def ball(count: int = 12) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArr
     u, v = np.meshgrid(np.linspace(0, 1, count + 1), np.linspace(0.05, 0.95, count))
     azimuth, polar = 2 * np.pi * u.ravel(), np.pi * v.ravel()
     around = np.stack([np.sin(polar) * np.sin(azimuth), -np.cos(polar), np.sin(polar) * np.cos(azimuth)], 1)
-    row, column = (i.ravel() for i in np.mgrid[: count - 1, :count])
-    start = row * (count + 1) + column
-    lower = np.stack([start, start + 1, start + count + 2], 1)
-    upper = np.stack([start, start + count + 2, start + count + 1], 1)
-    return 90 * around, np.concatenate([lower, upper]), np.stack([u.ravel(), v.ravel()], 1)
+    return 90 * around, grid_faces(count, count + 1)[:, ::-1], np.stack([u.ravel(), v.ravel()], 1)
 
 
 def picture(size: int = 32) -> NDArray[np.uint8]:

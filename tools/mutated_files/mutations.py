@@ -54,17 +54,18 @@ _BINARY_NUMBERS = (0, 1, 0x7F, 0x80, 0xFF, 0x7FFF, 0xFFFF, 0x10000, 0x7FFFFFFF, 
 
 def flip_bits(data: bytes, rng: np.random.Generator) -> bytes:
     """Flip one to sixteen bits."""
-    changed = bytearray(data)
-    for _ in range(rng.integers(1, 17)):
-        changed[rng.integers(len(data))] ^= 1 << int(rng.integers(8))
-    return bytes(changed)
+    return _flipped(data, 16, len(data), rng)
 
 
 def flip_bits_of_head(data: bytes, rng: np.random.Generator) -> bytes:
     """Flip one to four bits of the first 128 bytes, where headers stand."""
+    return _flipped(data, 4, min(len(data), 128), rng)
+
+
+def _flipped(data: bytes, most: int, reach: int, rng: np.random.Generator) -> bytes:
     changed = bytearray(data)
-    for _ in range(rng.integers(1, 5)):
-        changed[rng.integers(min(len(data), 128))] ^= 1 << int(rng.integers(8))
+    for _ in range(rng.integers(1, most + 1)):
+        changed[rng.integers(reach)] ^= 1 << int(rng.integers(8))
     return bytes(changed)
 
 

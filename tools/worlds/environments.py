@@ -21,9 +21,9 @@ SHAPE = (32, 64)
 """Rows and columns: finer than harmonics of order 8 resolve."""
 
 
-def generated_lighting(*, count: int = 600, components: int = 80, seed: int = 0) -> LightingModel:
+def generated_lighting(*, count: int = 600, components: int = 80) -> LightingModel:
     """Learn a model of `components` directions from `count` maps of `generated_environment`."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     projection = np.concatenate([row_projection(row, SHAPE) for row in range(SHAPE[0])]).T
     maps = (generated_environment(rng).reshape(-1, 3) for _ in range(count))
     lights = np.stack([projection @ image for image in maps])
@@ -162,11 +162,12 @@ def sky(rows: int = 128) -> FloatArray:
 ENVIRONMENTS = {"studio": studio, "sky": sky}
 
 
-def reference_lights(environment: FloatArray, count: int = 8192) -> DistantLights:
-    """Return lights drawn by brightness, stratified and jittered, each of radiance over density.
+def reference_lights(environment: FloatArray) -> DistantLights:
+    """Return 8,192 lights drawn by brightness, stratified and jittered, each of radiance over density.
 
     It shares nothing with the lights that are measured: no lattice, no cells.
     """
+    count = 8192
     rows, columns = environment.shape[:2]
     edges = np.cos(np.arange(rows + 1) * np.pi / rows)
     size = np.repeat(texel_solid_angles(rows, columns), columns)

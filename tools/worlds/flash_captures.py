@@ -33,38 +33,27 @@ def unit(vectors: FloatArray) -> FloatArray:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-def arc(azimuths_deg: FloatArray, elevation_deg: float = 0.0, radius_mm: float = 1000.0) -> FloatArray:
-    """Return positions (N, 3) around a face that looks along +z."""
+def arc(azimuths_deg: FloatArray, elevation_deg: float = 0.0) -> FloatArray:
+    """Return positions (N, 3) a metre before a face that looks along +z."""
     azimuth, elevation = np.radians(azimuths_deg), np.radians(elevation_deg)
-    across = np.cos(elevation)
-    return radius_mm * np.stack(
-        [
-            np.sin(azimuth) * across,
-            np.full(len(azimuth), np.sin(elevation)),
-            np.cos(azimuth) * across,
-        ],
-        axis=1,
-    )
+    level, across = np.full(len(azimuth), np.sin(elevation)), np.cos(elevation)
+    return 1000.0 * np.stack([np.sin(azimuth) * across, level, np.cos(azimuth) * across], axis=1)
 
 
-def studio(views: int = 9, flashes: int = 11) -> tuple[FloatArray, FloatArray, IntArray]:
+def studio() -> tuple[FloatArray, FloatArray, IntArray]:
     """Return cameras, lights (J, 3) and light numbers (J,) of all pairs: an arc, two flashes above it."""
-    cameras = arc(np.linspace(-60, 60, views))
-    lights = np.concatenate([arc(np.linspace(-60, 60, max(flashes - 2, 1))), arc(np.array([-20.0, 20]), 25)])[
-        :flashes
-    ]
-    view, light = np.repeat(np.arange(views), flashes), np.tile(np.arange(flashes), views)
+    cameras = arc(np.linspace(-60, 60, 9))
+    lights = np.concatenate([cameras, arc(np.array([-20.0, 20]), 25)])
+    view, light = np.repeat(np.arange(9), 11), np.tile(np.arange(11), 9)
     return cameras[view], lights[light], light
 
 
-def head_capture(
-    count: int = 20_000, *, seed: int = 0, views: int = 9, flashes: int = 11, black: float = 0.0
-) -> Capture:
+def head_capture(count: int, *, black: float = 0.0) -> Capture:
     """Return a front of a head of `count` vertices with skin and highlights drawn at random.
 
     `black` is the part of the vertices with a black channel.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     azimuth, height = rng.uniform(-1.0, 1.0, count), rng.uniform(-0.6, 0.6, count)
     across = np.sqrt(1 - height**2)
     normals = np.stack([np.sin(azimuth) * across, height, np.cos(azimuth) * across], axis=1)
@@ -75,11 +64,8 @@ def head_capture(
     dark = rng.random(count) < black
     skin[dark, rng.integers(0, 3, dark.sum())] = 0.0
     weights = np.abs(rng.normal([0.12, 0.15, 0.10], [0.06, 0.08, 0.06], (count, 3)))
-    cameras, lights, light = studio(views, flashes)
     normals = unit(normals / [75.0, 100.0, 90.0])
-    return Capture(
-        vertices, normals, VertexReflectance(skin, weights, np.ones(count, bool)), cameras, lights, light
-    )
+    return Capture(vertices, normals, VertexReflectance(skin, weights, np.ones(count, bool)), *studio())
 
 
 def radiance(capture: Capture) -> tuple[FloatArray, BoolArray]:
@@ -111,7 +97,6 @@ def samples_of(
     *,
     noise: float = 0.0,
     said_noise: float | None = None,
-    seed: int = 0,
     shadowed: float = 0.0,
     normals_off_deg: float = 0.0,
 ) -> VertexSamples:
@@ -120,7 +105,7 @@ def samples_of(
     `shadowed` is the part of the observations that a shadow nobody knows of darkens to a tenth;
     `normals_off_deg` turns the normals that the fit believes in.
     """
-    rng = np.random.default_rng([seed, 1])
+    rng = np.random.default_rng([0, 1])
     clean, faced = radiance(capture)
     white = float(np.percentile(clean[faced], 99))
     shadow = np.where(rng.random(faced.shape) < shadowed, 0.1, 1.0)

@@ -12,6 +12,13 @@ from scan2albedo.synthetic.sitter import Mesh, join
 from scan2albedo.synthetic.wearer import fit_temples, seat
 
 
+def fan(outline: FloatArray) -> Mesh:
+    """Return a flat lens in an outline (R, 3): triangles from its middle."""
+    rim = 1 + np.arange(len(outline))
+    points = np.concatenate([outline.mean(0, keepdims=True), outline])
+    return points, np.stack([np.zeros_like(rim), rim, np.roll(rim, -1)], axis=1)
+
+
 def worn_glasses(head: Mesh, eyes: FloatArray, seed: int = 0, lens_mm: float = 15.0) -> Mesh:
     """Return a frame with lenses that sits on a head, mm, that looks along +z.
 
@@ -24,11 +31,9 @@ def worn_glasses(head: Mesh, eyes: FloatArray, seed: int = 0, lens_mm: float = 1
     glasses = eyeglasses(shape=shape, bend=fit_temples(shape, seed, scene, eyes))
     parts = [(glasses.vertices, glasses.faces)]
     for outline in glasses.lens_outlines:
-        rim = 1 + np.arange(len(outline))
-        fan = np.stack([np.zeros_like(rim), rim, np.roll(rim, -1)], axis=1)
-        points = np.concatenate([outline.mean(axis=0, keepdims=True), outline])
-        looks_back = np.cross(*(points[fan[0, 1:]] - points[0]))[2] < 0
-        parts.append((points, fan[:, ::-1] if looks_back else fan))
+        points, faces = fan(outline)
+        looks_back = np.cross(*(points[faces[0, 1:]] - points[0]))[2] < 0
+        parts.append((points, faces[:, ::-1] if looks_back else faces))
     vertices, faces = join(parts)
     world_from_glasses = seat(glasses, scene, eyes)
     lenses = transform_points(world_from_glasses, glasses.lens_centers)

@@ -28,8 +28,7 @@ def overcast(directions: FloatArray) -> FloatArray:
     """Return radiance (N, 3) of an overcast sky (CIE: thrice as bright above) over dark, brown ground."""
     up = np.clip(directions[:, 1:2], -1, 1)
     sky = (1 + 2 * np.maximum(up, 0)) / 3 * np.array([1.35, 1.45, 1.6])
-    ground = np.array([0.20, 0.17, 0.13]) * np.ones_like(up)
-    return sky + (ground - sky) * smoothstep((0.03 - up) / 0.1)
+    return _over_ground(sky, (0.20, 0.17, 0.13), up)
 
 
 def clear_sky(directions: FloatArray) -> FloatArray:
@@ -37,8 +36,11 @@ def clear_sky(directions: FloatArray) -> FloatArray:
     up = np.clip(directions[:, 1:2], -1, 1)
     blue, pale = np.array([0.55, 0.95, 1.75]), np.array([1.15, 1.35, 1.55])
     sky = blue + (pale - blue) * np.exp(-np.maximum(up, 0) / 0.25)
-    ground = np.array([0.75, 0.68, 0.52]) * np.ones_like(up)
-    return sky + (ground - sky) * smoothstep((0.03 - up) / 0.1)
+    return _over_ground(sky, (0.75, 0.68, 0.52), up)
+
+
+def _over_ground(sky: FloatArray, ground: Color, up: FloatArray) -> FloatArray:
+    return sky + (np.array(ground) - sky) * smoothstep((0.03 - up) / 0.1)
 
 
 def dim_room(directions: FloatArray) -> FloatArray:
@@ -207,10 +209,9 @@ class Part:
 
 @dataclass(frozen=True)
 class Rig:
-    """A light: its name, what it is, and its parts."""
+    """A light: its name and its parts."""
 
     name: str
-    description: str
     parts: tuple[Part, ...]
 
     def lamps(self) -> list[dict[str, Any]]:
@@ -241,54 +242,30 @@ def _flash(azimuth_deg: float, elevation_deg: float, distance_mm: float, strengt
 
 
 def rigs() -> tuple[Rig, ...]:
-    """Return the lights of the set; a raw scan stands in the one that its recipe names."""
+    """Return the lights of the set; a raw scan stands in the one that its recipe names.
+
+    All but the dome, the sky and the window have a dim room around; "window" is on the left of a room with
+    coloured walls, "lamp_room" a bulb above on the right, "ring" eight lamps around the camera.
+    """
     six = ((0, 45), (60, 10), (-60, 10), (35, -35), (-35, -35), (180, 50))
+    clear_day = Part(Environment("clear_sky"), 0.28)
     ring = [
         Part(Lamp(24 * np.cos(a), 5 + 24 * np.sin(a), 950.0, (30.0,)), 0.125)
         for a in 2 * np.pi * np.arange(8) / 8
     ]
     return (
-        Rig("dome", "uniform dome", (Part(Environment("uniform"), 1.0),)),
-        Rig("sky", "overcast sky over dark ground", (Part(Environment("overcast"), 1.0),)),
-        Rig(
-            "softboxes6",
-            "six softboxes around the head and a dim room",
-            (*(_softbox(a, e, 0.3, COOL if a > 0 else WHITE) for a, e in six), _room(0.12)),
-        ),
-        Rig(
-            "softboxes2",
-            "two softboxes, the right one weaker and warmer, and a dim room",
-            (_softbox(-42, 18, 0.7), _softbox(48, 10, 0.4, WARM), _room(0.10)),
-        ),
-        Rig(
-            "softbox_side",
-            "one large softbox at the side and a dim room",
-            (Part(Lamp(68, 12, 1100.0, (600.0, 700.0)), 1.0), _room(0.14)),
-        ),
-        Rig(
-            "window", "a window on the left of a room with coloured walls", (Part(WindowedRoom(), 1.0, COOL),)
-        ),
-        Rig("ring", "a ring of eight lamps around the camera and a dim room", (*ring, _room(0.08))),
-        Rig(
-            "lamp_room",
-            "a bulb above on the right and a dim warm room",
-            (Part(Lamp(-48, 38, 1800.0, (45.0,)), 0.9, WARM), _room(0.30, WARM)),
-        ),
-        Rig("flash", "a camera flash at 1 m and a dim room", (_flash(14, 8, 1000.0), _room(0.12, WARM))),
-        Rig("flash_near", "a camera flash at 0.6 m and a dim room", (_flash(-22, 12, 600.0), _room(0.10))),
-        Rig(
-            "flashes2",
-            "two flashes at 0.8 m and a dim room",
-            (_flash(40, 12, 800.0, 0.8), _flash(-38, 8, 800.0, 0.55), _room(0.08)),
-        ),
-        Rig(
-            "sun",
-            "the sun and a clear sky",
-            (
-                Part(Lamp(35, 42, 10_000.0, (50.0,)), 1.3, (1.12, 1.0, 0.82)),
-                Part(Environment("clear_sky"), 0.28),
-            ),
-        ),
+        Rig("dome", (Part(Environment("uniform"), 1.0),)),
+        Rig("sky", (Part(Environment("overcast"), 1.0),)),
+        Rig("softboxes6", (*(_softbox(a, e, 0.3, COOL if a > 0 else WHITE) for a, e in six), _room(0.12))),
+        Rig("softboxes2", (_softbox(-42, 18, 0.7), _softbox(48, 10, 0.4, WARM), _room(0.10))),
+        Rig("softbox_side", (Part(Lamp(68, 12, 1100.0, (600.0, 700.0)), 1.0), _room(0.14))),
+        Rig("window", (Part(WindowedRoom(), 1.0, COOL),)),
+        Rig("ring", (*ring, _room(0.08))),
+        Rig("lamp_room", (Part(Lamp(-48, 38, 1800.0, (45.0,)), 0.9, WARM), _room(0.30, WARM))),
+        Rig("flash", (_flash(14, 8, 1000.0), _room(0.12, WARM))),
+        Rig("flash_near", (_flash(-22, 12, 600.0), _room(0.10))),
+        Rig("flashes2", (_flash(40, 12, 800.0, 0.8), _flash(-38, 8, 800.0, 0.55), _room(0.08))),
+        Rig("sun", (Part(Lamp(35, 42, 10_000.0, (50.0,)), 1.3, (1.12, 1.0, 0.82)), clear_day)),
     )
 
 

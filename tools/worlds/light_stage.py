@@ -14,6 +14,8 @@ from worlds.files import face_data
 
 NEUTRAL = ("generic_neutral", "person1", "person2", "person3", "person4")
 """The people without expression; the first one is their mean."""
+FACE_VERTICES = 6706
+"""Vertices of the face without neck, ears and scalp; they come first."""
 _SMILE = "shape_generic_mouthSmile_L_mouthSmile_R"
 _SPREAD = 0.35
 """Standard deviation of the weights of people about the mean of a mixture."""

@@ -20,10 +20,8 @@ from scan2albedo import (
     AnnotatedFaceModel,
     GeometryImage,
     RawScan,
-    fit,
     geometry_image,
     load_scan,
-    register,
 )
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.fitting import FittedFace
@@ -36,6 +34,7 @@ from scan2albedo.synthetic.face_shape import Expression, person
 from scan2albedo.synthetic.raw_scan import random_pose
 from scan2albedo.synthetic.renderer import SHADOW_OFFSET_MM, RayScene, render
 from worlds.files import face_data
+from worlds.fits import fitted_face
 from worlds.pictures import bilinear
 from worlds.population import Population, random_lights
 from worlds.rooms import random_room
@@ -190,16 +189,15 @@ class _Head:
 
 def head(name: str) -> tuple[Callable[[int], Scan], Callable[[], View]]:
     """Return what gives a head's scan of a sitting, and what gives its frontal view."""
-    model, scan = AnnotatedFaceModel.default(), load_scan(face_data(f"heads/{name}.obj"))
-    fitted = fit(scan, model, register(scan, model, seed=0))
+    scan = load_scan(face_data(f"heads/{name}.obj"))
+    fitted = fitted_face(scan)
     one = _Head(name, scan, fitted, transform_points(fitted.model_from_scan, scan.vertices))
     return one.sitting, one.view
 
 
 def scanned(scan: RawScan, surface: Surface, surface_from_scan: FloatArray) -> tuple[GeometryImage, Places]:
     """Return the geometry image of a fitted scan, coloured with albedo, and where its texels truly lie."""
-    model = AnnotatedFaceModel.default()
-    fitted = fit(scan, model, register(scan, model, seed=0))
+    fitted = fitted_face(scan)
     image = geometry_image(fitted, scan, size=SIZE)
     points = transform_points(invert_rigid(fitted.model_from_scan), image.position[image.seen].astype(float))
     query = ClosestPointQuery(surface.vertices, surface.faces)

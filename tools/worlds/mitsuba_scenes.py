@@ -48,8 +48,6 @@ class MitsubaScene:
         interreflection and gloss together, times the exposure.
     clipped : (H, W) bool
         Texels where some channel is at white.
-    texture : str
-        Name of the albedo: "wood", "wood-coarse", "skin", ...
     """
 
     name: str
@@ -60,7 +58,6 @@ class MitsubaScene:
     lights: tuple[s2a.PointLight, ...]
     light_on_value: FloatArray
     clipped: BoolArray
-    texture: str
 
 
 @dataclass(frozen=True)
@@ -72,12 +69,12 @@ class Surface:
     albedos: dict[str, FloatArray]
 
 
-def scene_names(folder: Path = FOLDER) -> list[str]:
+def scene_names() -> list[str]:
     """Return the names of all scenes in the set's order."""
-    return [entry["name"] for entry in _index(folder)]
+    return [entry["name"] for entry in _index()]
 
 
-def load_scenes(names: list[str] | None = None, folder: Path = FOLDER) -> Iterator[MitsubaScene]:
+def load_scenes(names: list[str] | None = None) -> Iterator[MitsubaScene]:
     """Yield the scenes named (all when None).
 
     Raises
@@ -85,19 +82,17 @@ def load_scenes(names: list[str] | None = None, folder: Path = FOLDER) -> Iterat
     ValueError
         For a name that is not in the set.
     """
-    entries = _index(folder)
-    unknown = set(names or ()) - {entry["name"] for entry in entries}
-    if unknown:
-        raise ValueError(f"no scenes {sorted(unknown)} in the set, expected some of {scene_names(folder)}")
-    for entry in entries:
+    if unknown := set(names or ()) - set(scene_names()):
+        raise ValueError(f"no scenes {sorted(unknown)} in the set, expected some of {scene_names()}")
+    for entry in _index():
         if names is None or entry["name"] in names:
-            yield _scene(entry, folder)
+            yield _scene(entry)
 
 
-def _scene(entry: dict[str, Any], folder: Path) -> MitsubaScene:
-    surface = load_surface(entry["geometry"], folder)
+def _scene(entry: dict[str, Any]) -> MitsubaScene:
+    surface = load_surface(entry["geometry"])
     mask = surface.image.mask
-    with np.load(folder / f"{entry['name']}.npz") as stored:
+    with np.load(FOLDER / f"{entry['name']}.npz") as stored:
         code, light = stored["texture_srgb"], stored["light_on_value"].astype(np.float64)
 
     def grid(values: NDArray) -> NDArray:
@@ -126,42 +121,31 @@ def _scene(entry: dict[str, Any], folder: Path) -> MitsubaScene:
         lights,
         grid(light),
         grid((code == 255).any(1)),
-        entry["texture"],
     )
 
 
 @cache
-def load_surface(geometry: str, folder: Path = FOLDER) -> Surface:
+def load_surface(geometry: str) -> Surface:
     """Return a geometry of the set by name."""
-    with np.load(folder / f"{geometry}.npz") as stored:
+    with np.load(FOLDER / f"{geometry}.npz") as stored:
         fields = dict(stored)
     size = int(fields["size"])
     mask = np.unpackbits(fields["mask"], count=size * size).astype(bool).reshape(size, size)
     position, normal = np.zeros((2, size, size, 3))
-    normals = {
-        key.removeprefix("normal_"): normalized(value * NORMAL_STEP)
-        for key, value in fields.items()
-        if key.startswith("normal_")
-    }
+
+    def named(kind: str) -> dict[str, NDArray]:
+        return {key.removeprefix(kind): value for key, value in fields.items() if key.startswith(kind)}
+
+    normals = {name: normalized(value * NORMAL_STEP) for name, value in named("normal_").items()}
     position[mask], normal[mask] = fields["position"] * POSITION_STEP_MM, normals["true"]
-    region, inpaint = np.full(mask.shape, 255, np.uint8), mask.copy()
+    image = s2a.GeometryImage(position, normal, mask)
     if "region" in fields:
+        region, inpaint = np.full(mask.shape, 255, np.uint8), mask.copy()
         region[mask] = fields["region"]
         inpaint[mask] = np.unpackbits(fields["inpaint"], count=int(mask.sum())).astype(bool)
-    albedos = {
-        key.removeprefix("albedo_"): value * ALBEDO_STEP
-        for key, value in fields.items()
-        if key.startswith("albedo_")
-    }
-    image = s2a.GeometryImage(
-        position,
-        normal,
-        mask,
-        region=region if "region" in fields else None,
-        inpaint=inpaint if "region" in fields else None,
-    )
-    return Surface(image, normals, albedos)
+        image = replace(image, region=region, inpaint=inpaint)
+    return Surface(image, normals, {name: value * ALBEDO_STEP for name, value in named("albedo_").items()})
 
 
-def _index(folder: Path) -> list[dict[str, Any]]:
-    return json.loads((folder / "scenes.json").read_text(encoding="utf-8"))
+def _index() -> list[dict[str, Any]]:
+    return json.loads((FOLDER / "scenes.json").read_text(encoding="utf-8"))

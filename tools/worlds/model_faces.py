@@ -84,30 +84,31 @@ def person(seed: int, levels: int = 1) -> VertexReflectance:
 
 
 @cache
-def learned(count: int, components: int, levels: int = 1) -> MorphableReflectanceModel:
+def learned(count: int, components: int) -> MorphableReflectanceModel:
     """Return the model of `count` people."""
-    people = [person(1000 + k, levels) for k in range(count)]
+    people = [person(1000 + k) for k in range(count)]
     return MorphableReflectanceModel.from_samples(people, components=components)
 
 
-def shot(
-    face: VertexReflectance, seed: int, noise: float = 0.01, shadow: float = 0.0, levels: int = 1
-) -> ImageObservation:
-    """Return colours of a face in generated light, with noise, a part of it at half brightness."""
-    s, rng = surface(levels), np.random.default_rng([seed, 3])
+def shot(face: VertexReflectance, seed: int) -> ImageObservation:
+    """Return colours of a face in generated light, with 1 % noise."""
+    s, rng = surface(), np.random.default_rng([seed, 3])
     light = project_environment(generated_environment(50_000 + seed))
     color = shade_environment(face, s.normals, s.view, light).radiance_linear
-    color = color * (1 + noise * rng.normal(size=color.shape))
-    if shadow:
-        side = s.vertices @ rng.normal(size=3)
-        color[side > np.quantile(side[s.seen], 1 - shadow)] *= 0.5
+    color = color * (1 + 0.01 * rng.normal(size=color.shape))
     return ImageObservation(color, s.normals, s.view, s.seen)
 
 
 def albedo_error(found: np.ndarray, face: VertexReflectance, levels: int = 1) -> float:
     """Return the relative RMSE of an albedo (V, 3) after the best single scale, over what is seen."""
-    a, truth = found[surface(levels).seen], face.diffuse_linear[surface(levels).seen]
-    return float(np.linalg.norm(np.sum(a * truth) / np.sum(a * a) * a - truth) / np.linalg.norm(truth))
+    seen = surface(levels).seen
+    return scaled_error(found[seen], face.diffuse_linear[seen])
+
+
+def scaled_error(found: np.ndarray, truth: np.ndarray) -> float:
+    """Return the relative RMSE after the best single scale."""
+    scale = np.sum(found * truth) / np.sum(found * found)
+    return float(np.linalg.norm(scale * found - truth) / np.linalg.norm(truth))
 
 
 @cache

@@ -113,3 +113,15 @@ def bilinear(picture: NDArray[np.floating], place: NDArray[np.floating]) -> NDAr
     """Return (N, C) of a picture (H, W, C) at rows and columns `place` (2, N), the first pixel's middle 0."""
     channels = np.moveaxis(picture, 2, 0)
     return np.stack([map_coordinates(c, place, order=1, mode="nearest") for c in channels], 1)
+
+
+def along(points: FloatArray, t: NDArray[np.floating] | float) -> FloatArray:
+    """Return (T, K) the places at t (T,) on a polyline (N, K), whose corners lie at 0, 1, ..."""
+    return np.stack([np.interp(t, np.arange(len(points)), axis) for axis in points.T], -1)
+
+
+def filled_outline(outline: FloatArray, count: int, scales: FloatArray) -> FloatArray:
+    """Return points (S count, 2) in a closed outline (N, 2): it, shrunk by each scale toward its middle."""
+    closed, middle = np.concatenate([outline, outline[:1]]), outline.mean(0)
+    rim = along(closed, np.linspace(0, len(outline), count))
+    return np.concatenate([middle + scale * (rim - middle) for scale in scales])

@@ -38,10 +38,7 @@ _LEAST_ANGLE_DEG = 30.0
 
 @dataclass(frozen=True, kw_only=True)
 class Population:
-    """How alike the people are, and under what they are scanned.
-
-    Raises `ValueError` when a share or range is out of bounds.
-    """
+    """How alike the people are, and under what they are scanned."""
 
     individuality: float = 0.7
     """Share of the (logarithmic) albedo that is one's own, within (0, 1]; the rest is common to all, as
@@ -57,18 +54,6 @@ class Population:
     of each source, and of each lamp; 0 for white ones."""
     scanner: Scanner = Scanner()
     """How each scan is taken."""
-
-    def __post_init__(self) -> None:
-        if not 0 < self.individuality <= 1:
-            raise ValueError(f"individuality is {self.individuality}, expected within (0, 1]")
-        if self.lamp_colors < 0:
-            raise ValueError(f"lamp_colors is {self.lamp_colors}, expected >= 0")
-        if self.light not in ("flashes", "room"):
-            raise ValueError(f"light is {self.light!r}, expected 'flashes' or 'room'")
-        if not 0 < self.light_cone_deg <= 90:
-            raise ValueError(f"light_cone_deg is {self.light_cone_deg}, expected within (0, 90]")
-        if not 0 <= self.tones[0] <= self.tones[1]:
-            raise ValueError(f"tones is {self.tones}, expected 0 <= low <= high")
 
     def albedo(
         self, individual: Individual, seed: int, model: AnnotatedSurface, uv: FloatArray
@@ -88,7 +73,6 @@ def population_scan(
     *,
     seed: int = 0,
     population: Population = Population(),
-    model: AnnotatedSurface | None = None,
     lamps: tuple[PointLight, ...] | None = None,
 ) -> tuple[RawScan, SyntheticTruth]:
     """Return the scan "person-<person>-session-<session>" of one person of a population, and its truth.
@@ -97,7 +81,7 @@ def population_scan(
     expression, pose, noise and damage to the session. `seed` is that of the population; `lamps` take the
     place of the session's own.
     """
-    template = model or default_model()
+    template = default_model()
     individual = Individual.drawn(np.random.default_rng([seed, person, 11]), population.tones)
     now = np.random.default_rng([seed, person, session, 13])
     room = random_room(now, population.lamp_colors) if population.light == "room" else None

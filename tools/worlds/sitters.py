@@ -17,7 +17,7 @@ from scan2albedo.synthetic.scenes import texel_coordinates
 from scan2albedo.synthetic.sitter import BodyPart, Sitter, sit_down
 from scan2albedo.synthetic.textures import landmark_uv, smooth_noise
 from worlds.path_tracer import Gloss, Part
-from worlds.pictures import bilinear
+from worlds.pictures import bilinear, filled_outline
 
 _HINGE_MM = np.array([0.0, 15.0, -75.0])
 """The jaw turns about the axis through this point along x: just before the ears."""
@@ -178,16 +178,21 @@ def with_open_mouth(sitter: Sitter, angle_deg: float) -> Sitter:
     )
 
 
+def _inner_lips(landmarks: FloatArray) -> FloatArray:
+    """Return (5, K) the middles between both lips' inner landmarks (68, K)."""
+    return (landmarks[60:65] + landmarks[[60, 67, 66, 65, 64]]) / 2
+
+
 def _lip_line(x: FloatArray, landmarks: FloatArray) -> FloatArray:
     """Return (N,) height of the line between the closed lips at x (N,)."""
-    inner = (landmarks[60:65] + landmarks[[60, 67, 66, 65, 64]]) / 2
+    inner = _inner_lips(landmarks)
     ends = np.concatenate([landmarks[[48]], inner, landmarks[[54]]])
     return np.interp(x, ends[:, 0], ends[:, 1])
 
 
 def _with_mouth(albedo: FloatArray, uv: FloatArray, landmarks: FloatArray) -> FloatArray:
     """Return the albedo with gum and upper teeth on the strip that the open jaw draws inward."""
-    inner = (landmarks[60:65] + landmarks[[60, 67, 66, 65, 64]]) / 2
+    inner = _inner_lips(landmarks)
     u, v = uv.T
     off_mm = (v - np.interp(u, inner[:, 0], inner[:, 1])) * _CHART_MM
     inside = smoothstep((_CAVITY_MM - np.abs(off_mm)) / 0.4)
@@ -198,11 +203,7 @@ def _with_mouth(albedo: FloatArray, uv: FloatArray, landmarks: FloatArray) -> Fl
 
 def _outside(uv: FloatArray, outline: FloatArray) -> FloatArray:
     """Return (N,) distance to a filled polygon's points (K, 2), made dense by interpolation."""
-    closed = np.concatenate([outline, outline[:1]])
-    t = np.linspace(0, len(outline), 400)
-    rim = np.stack([np.interp(t, np.arange(len(closed)), closed[:, k]) for k in range(2)], 1)
-    fill = np.concatenate([outline.mean(0) + s * (rim - outline.mean(0)) for s in np.linspace(0.1, 1, 10)])
-    return cKDTree(fill).query(uv)[0]
+    return cKDTree(filled_outline(outline, 400, np.linspace(0.1, 1, 10))).query(uv)[0]
 
 
 def face_part(person: Person, sitter: Sitter, size: int) -> Part:

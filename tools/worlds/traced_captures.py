@@ -64,11 +64,9 @@ class MitsubaCapture:
     """(V,): vertices of the face, without ears, neck and back of the head."""
 
 
-def drawn_reflectance(
-    vertices: FloatArray, lips: FloatArray, seed: int, mean: Skin = SKIN
-) -> VertexReflectance:
+def drawn_reflectance(vertices: FloatArray, lips: FloatArray, mean: Skin) -> VertexReflectance:
     """Return skin with blotches, grain, red lips and a gloss that varies; all albedos are 0.9 at most."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
 
     def cloud(size_mm: float) -> FloatArray:
         grid = rng.standard_normal((24, 24, 24))
@@ -89,7 +87,6 @@ def mitsuba_capture(
     views: int = 6,
     flashes: int = 8,
     size: int = 256,
-    seed: int = 0,
     bounces: bool = False,
     skin: Skin = SKIN,
     rays: int = 16,
@@ -102,7 +99,7 @@ def mitsuba_capture(
     faces, landmarks = stage.face_area, stage.landmarks
     vertices = stage.shapes[name][: faces.max() + 1]
     vertices = vertices - (vertices.min(0) + vertices.max(0)) / 2
-    truth = drawn_reflectance(vertices, vertices[landmarks[48:]].mean(0), seed, skin)
+    truth = drawn_reflectance(vertices, vertices[landmarks[48:]].mean(0), skin)
     cameras = np.concatenate([arc(np.linspace(-55, 55, views - 1)), arc(np.zeros(1), 25)])
     lights = np.concatenate([arc(np.linspace(-65, 65, flashes - 3), 8), arc(np.array([-30.0, 0, 30]), 42)])
     lights[: flashes - 3] += [40.0, 30.0, 0.0]  # beside the cameras, not in them
@@ -117,7 +114,7 @@ def mitsuba_capture(
     view, number = np.repeat(np.arange(views), flashes), np.tile(np.arange(flashes), views)
     light = np.stack(clean)
     strength = 0.8 / float(np.percentile(light[light.max(-1) > 0.02], 99.0))
-    rng = np.random.default_rng([seed, 7])
+    rng = np.random.default_rng([0, 7])
     flash = _photograph(strength * light + ROOM, rng)
     room = _photograph(np.full((views, size, size, 3), ROOM), rng)
     options = OlatOptions(gamma=GAMMA, noise=NOISE, saturation=SATURATION)

@@ -44,8 +44,12 @@ SESSIONS = (
 )
 """Light and expression of each session; the first is the gallery's, whose lamps the last one has too."""
 SCANNER = Scanner(spacing_mm=2.0, noise_mm=0.15, spikes=8, holes=3, crumbs=3)
+_SEED = 0
+"""Of the population."""
 _PATHS = 64
 """Of a ray."""
+_PIXELS = 448
+"""Of a side of a picture."""
 _BACKDROP = 0.02
 """Albedo behind the head."""
 _CHART_MM = 200.0
@@ -161,7 +165,7 @@ def rig_of(light: str, rng: np.random.Generator) -> Rig:
     else:
         lamp = Lamp(side * rng.uniform(25, 60), rng.uniform(15, 45), 1700.0, (120.0,))
         parts = (Source(lamp, 0.8, WARM), Source(Environment("dim_room"), 0.35))
-    return Rig(light, light, parts)
+    return Rig(light, parts)
 
 
 def session_shape(
@@ -178,25 +182,27 @@ def session_shape(
 
 
 def _photographs(
-    head: Unrolled, part: Part, pods: FloatArray, used: BoolArray, rig: Rig, number: int, size: int
+    head: Unrolled, part: Part, pods: FloatArray, used: BoolArray, rig: Rig, number: int
 ) -> FloatArray:
     """Return the photographs side by side (S, K S, 3), linear, of 8 bits and with noise.
 
     Light is traced at every second pixel, relative to the albedo there, and multiplied by that of all pixels.
     """
-    seen = pictured(part.vertices, part.faces, pods, size // 2)
+    seen = pictured(part.vertices, part.faces, pods, _PIXELS // 2)
     used = used & seen.hit
     table = LightTable(Studio([part], nearest=False), *seen.before(used), _PATHS, number)
     radiance = table.under(rig)
     light = np.zeros(seen.position.shape)
     light[used] = radiance / _paint(head, part, seen)[used]
-    fine = [cv2.resize(picture, (size, size)) for picture in filled(light, used, len(pods), size // 2)]
-    seen = pictured(part.vertices, part.faces, pods, size)
+    fine = [
+        cv2.resize(picture, (_PIXELS, _PIXELS)) for picture in filled(light, used, len(pods), _PIXELS // 2)
+    ]
+    seen = pictured(part.vertices, part.faces, pods, _PIXELS)
     rng = np.random.default_rng([number, 43])
     balance = np.exp(0.03 * rng.standard_normal(3) * [1, 0, 1])
     shown = np.where(seen.hit[:, None], _paint(head, part, seen), _BACKDROP)
     picture = shown * np.stack(fine).reshape(-1, 3)
-    return row_of(stored(exposure_of(radiance) * balance * picture, rng), len(pods), size)
+    return row_of(stored(exposure_of(radiance) * balance * picture, rng), len(pods), _PIXELS)
 
 
 def _paint(head: Unrolled, part: Part, seen: Pictured) -> FloatArray:
@@ -215,12 +221,10 @@ def build_session(
     person: int,
     session: int,
     path: Path,
-    seed: int = 0,
-    size: int = 448,
 ) -> None:
-    """Write one scan as OBJ, MTL and PNG, of two pictures of `size` x `size` pixels."""
+    """Write one scan as OBJ, MTL and PNG, of two pictures of `_PIXELS` x `_PIXELS`."""
     stage, (light, expression) = head.stage, SESSIONS[session]
-    rng = np.random.default_rng([seed, person, session, 44])
+    rng = np.random.default_rng([_SEED, person, session, 44])
     vertices = session_shape(stage, someone.shape, expression, rng)
     # Today's blood: a little more or less of it here and there.
     blood = 0.03 * rng.standard_normal() + 0.03 * smooth_noise(head.grid(), (12, 8), rng)
@@ -231,14 +235,14 @@ def build_session(
     tip = nose_tip(vertices)
     pods = pods_around(tip + CENTER_FROM_NOSE_MM, 2)
     measured = measured_by(pods, vertices, stage.faces, tip, SCANNER, rng)
-    number = 1000 * (seed + 1) + 10 * person + session
-    used = used_pixels(measured, pods, size // 2)
-    texture = _photographs(head, part, pods, used, rig, number, size).astype(np.float32)
+    number = 1000 * (_SEED + 1) + 10 * person + session
+    used = used_pixels(measured, pods, _PIXELS // 2)
+    texture = _photographs(head, part, pods, used, rig, number).astype(np.float32)
     pose = random_pose(rng, 30.0)
     write_obj(assembled(measured, pods, texture, pose, SCANNER, rng, path.stem), path)
 
 
-def build_people(manifest: Path, persons: int, seed: int = 0) -> Iterator[Path]:
+def build_people(manifest: Path, persons: int) -> Iterator[Path]:
     """Write the scans that are missing, and a manifest of all beside them; yield each scan's path."""
     head, folder = Unrolled(LightStage.load()), manifest.parent
     folder.mkdir(parents=True, exist_ok=True)
@@ -248,8 +252,8 @@ def build_people(manifest: Path, persons: int, seed: int = 0) -> Iterator[Path]:
         for session, (light, expression) in enumerate(SESSIONS):
             path = folder / f"p{person:03d}_{session}_{light}.obj"
             if not path.is_file():
-                someone = someone or TracedPerson.random(head, person, seed)
-                build_session(head, someone, person, session, path, seed)
+                someone = someone or TracedPerson.random(head, person, _SEED)
+                build_session(head, someone, person, session, path)
             rows.append([f"p{person:03d}", str(session), path.name, light, expression])
             yield path
     with manifest.open("w", newline="", encoding="utf-8") as file:

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.geometry.mesh import grid_faces, join
 from scan2albedo.geometry.pinhole import look_at, pixel_directions, pixel_grid
 from scan2albedo.reflectance import CaptureRig
+from worlds.flash_captures import highlights, unit
 
 RADIUS = 90.0
 """Of the larger ball around the origin, mm."""
@@ -43,17 +45,11 @@ def first_hit(origins: FloatArray, directions: FloatArray, center: FloatArray, r
     return np.where((square > 0) & (distance > 1e-6), distance, np.inf)
 
 
-def unit(vectors: FloatArray) -> FloatArray:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-
-
 def radiance_at(points: FloatArray, normals: FloatArray, camera: FloatArray, light: FloatArray) -> FloatArray:
     """Radiance (N, 3) of points of the large ball, in shadow of both."""
     to_light, to_camera = unit(light - points), unit(camera - points)
-    n_l, n_h = (np.einsum("nc,nc->n", normals, d) for d in (to_light, unit(to_light + to_camera)))
-    gloss = sum(
-        w * (s + 2) / (8 * np.pi) * np.maximum(n_h, 0) ** s for w, s in zip(WEIGHTS, (1, 8, 64), strict=True)
-    )
+    n_l = np.einsum("nc,nc->n", normals, to_light)
+    gloss = highlights(WEIGHTS, normals, to_camera, to_light)
     lit = (n_l > 0) & ~np.isfinite(first_hit(points, to_light, BALL, BALL_RADIUS))
     return (
         EXPOSURE * lit[:, None] * (albedo_at(points) / np.pi * np.maximum(n_l, 0)[:, None] + gloss[:, None])
@@ -88,20 +84,10 @@ class Scene:
 
 def ball_mesh(rows: int, columns: int) -> tuple[FloatArray, IntArray]:
     """A closed ball of radius 1 around 0: vertices and faces."""
-    theta, phi = np.linspace(0, np.pi, rows), 2 * np.pi * np.arange(columns) / columns
-    grid = np.stack(
-        [
-            np.outer(np.sin(theta), np.sin(phi)),
-            np.outer(np.cos(theta), np.ones(columns)),
-            np.outer(np.sin(theta), np.cos(phi)),
-        ],
-        -1,
-    ).reshape(-1, 3)
-    corner = np.arange((rows - 1) * columns).reshape(rows - 1, columns)
-    right = np.roll(corner, -1, axis=1)
-    first = np.stack([corner, corner + columns, right], -1).reshape(-1, 3)
-    second = np.stack([right, corner + columns, right + columns], -1).reshape(-1, 3)
-    return grid, np.concatenate([first, second])
+    theta, phi = np.linspace(0, np.pi, rows)[:, None], 2 * np.pi * np.arange(columns) / columns
+    height = np.broadcast_to(np.cos(theta), (rows, columns))
+    grid = np.stack([np.sin(theta) * np.sin(phi), height, np.sin(theta) * np.cos(phi)], -1)
+    return grid.reshape(-1, 3), grid_faces(rows, columns, wrap=True)
 
 
 def build_scene(rows: int = 48, columns: int = 80) -> Scene:
@@ -114,14 +100,15 @@ def build_scene(rows: int = 48, columns: int = 80) -> Scene:
     rig = CaptureRig(cameras[view], lights_at[light], light)
     head_vertices, head_faces = ball_mesh(rows, columns)
     ball_vertices, ball_faces = ball_mesh(20, 32)
-    vertices = np.concatenate([RADIUS * head_vertices, BALL + BALL_RADIUS * ball_vertices])
+    parts = (RADIUS * head_vertices, head_faces), (BALL + BALL_RADIUS * ball_vertices, ball_faces)
+    vertices, faces = join(parts)
     linear = np.stack(
         [photograph(cameras[c], cameras_at[c], lights_at[k]) for c, k in zip(view, light, strict=True)]
     )
     return Scene(
         rig,
         vertices,
-        np.concatenate([head_faces, ball_faces + len(head_vertices)]),
+        faces,
         np.concatenate([head_vertices, ball_vertices]),
         np.arange(len(vertices)) < len(head_vertices),
         (linear + ROOM) ** (1 / GAMMA),

@@ -29,9 +29,11 @@ from scan2albedo.io.images import read_image_linear
 from scan2albedo.lighting.environment import texel_directions
 from scan2albedo.lighting.harmonics import project_environment
 from worlds.files import face_data
+from worlds.fits import fitted_face
 from worlds.lamps import Environment, Part, Rig, overcast, rig_named
 from worlds.light_stage import NEUTRAL, LightStage
 from worlds.path_tracer import bitmap, rough_plastic, textured_mesh
+from worlds.pictures import along, filled_outline
 
 LEVEL = 1
 """Subdivisions of the default model's surface that is fitted."""
@@ -51,7 +53,7 @@ WHITE = 0.85
 SATURATION = 0.98
 BLUR_PX = 1.0
 """Standard deviation of the lens."""
-RELIT = Rig("relit", "another light", (Part(Environment("overcast"), 1.0),))
+RELIT = Rig("relit", (Part(Environment("overcast"), 1.0),))
 _TEXTURE = (1024, 2048)
 """Texels of the albedo's chart, two tiles beside each other."""
 _NOISE = 0.006
@@ -98,11 +100,9 @@ def unknown_faces(count: int) -> list[UnknownFace]:
     """Return as many cases; of eight, three have the skin of a traced scan and one the model's mean."""
     cases = []
     for k in range(count):
-        rng = np.random.default_rng([k, 77])
         skin = TRACED[(k // 3) % 3] if k % 8 in (1, 4, 7) else f"paint-{k}"
         skin = "mean" if k % 8 == 6 else skin
-        azimuth, alpha = float(rng.uniform(-25, 25)), float(rng.uniform(0.25, 0.4))
-        cases.append(UnknownFace(SHAPES[k % 5], skin, LIGHTS[(3 * k + k // 8) % 8], azimuth, alpha))
+        cases.append(_drawn(SHAPES[k % 5], skin, LIGHTS[(3 * k + k // 8) % 8], [k, 77]))
     return cases
 
 
@@ -111,10 +111,13 @@ def faces_with_landmarks() -> list[UnknownFace]:
     cases = []
     for k, skin in enumerate(PEOPLE):
         for j, light in enumerate(PEOPLES_LIGHTS):
-            rng = np.random.default_rng([k, j, 81])
-            azimuth, alpha = float(rng.uniform(-25, 25)), float(rng.uniform(0.25, 0.4))
-            cases.append(UnknownFace(SHAPES[(k + j) % 4], skin, light, azimuth, alpha))
+            cases.append(_drawn(SHAPES[(k + j) % 4], skin, light, [k, j, 81]))
     return cases
+
+
+def _drawn(shape: str, skin: str, light: str, seed: list[int]) -> UnknownFace:
+    rng = np.random.default_rng(seed)
+    return UnknownFace(shape, skin, light, float(rng.uniform(-25, 25)), float(rng.uniform(0.25, 0.4)))
 
 
 def landmarks_of(face: UnknownFace) -> FloatArray:
@@ -160,7 +163,7 @@ def head(shape: str) -> Head:
     edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     ends, edge_of = np.unique(edges, axis=0, return_inverse=True)
     (a, b, c), (ab, bc, ca) = triangles.T, (len(coarse) + edge_of.reshape(-1, 3)).T
-    faces = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], 1).reshape(-1, 3)
+    faces = _quarters(a, b, c, ab, bc, ca)
     vertices = np.concatenate([coarse, coarse[ends].mean(1)])
     own = np.repeat(np.arange(len(coarse))[:, None], 2, axis=1)
     a, b, c = np.moveaxis(stage.corner_uv * [0.5, 1.0], 1, 0)
@@ -172,16 +175,22 @@ def head(shape: str) -> Head:
         coarse[stage.landmarks],
         np.concatenate([own, ends]),
         np.arange(len(faces)) < 4 * len(stage.face_area),
-        np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], 1).reshape(-1, 3, 2),
+        _quarters(a, b, c, ab, bc, ca),
     )
+
+
+def _quarters(*corners: NDArray) -> NDArray:
+    """Return the four parts (4 F, 3, ...) of triangles by their corners and the middles of their edges."""
+    a, b, c, ab, bc, ca = corners
+    parts = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], 1)
+    return parts.reshape(-1, 3, *a.shape[1:])
 
 
 @cache
 def fitted_vertices(shape: str) -> tuple[FloatArray, IntArray]:
     """Return vertices (V, 3) and triangles of the default model's surface as fitted to a shape."""
     model, one = s2a.AnnotatedFaceModel.default(), head(shape)
-    scan = s2a.RawScan(one.vertices, one.faces[one.on_face])
-    fitted = s2a.fit(scan, model, s2a.register(scan, model))
+    fitted = fitted_face(s2a.RawScan(one.vertices, one.faces[one.on_face]), model)
     subdivision = model.subdivision(LEVEL)
     in_model = subdivision.matrix @ fitted.control_points
     return transform_points(np.linalg.inv(np.asarray(fitted.model_from_scan)), in_model), subdivision.faces
@@ -193,7 +202,7 @@ def albedo_of(face: UnknownFace, mean: FloatArray) -> FloatArray:
     if face.skin == "mean":
         vertices, faces = fitted_vertices(face.shape)
         nearest = ClosestPointQuery(vertices, faces).query(one.vertices)
-        return np.einsum("nk,nkc->nc", nearest.barycentric, mean[faces[nearest.face]])
+        return nearest.interpolated(mean, faces)
     if face.skin.startswith("paint"):
         return painted(one, int(face.skin.split("-")[1]))
     return traced_albedo(face.skin)[one.coarse_corners].mean(1)
@@ -222,8 +231,7 @@ def painted(one: Head, seed: int) -> FloatArray:
     albedo *= 1 - rng.uniform(0.5, 1.0) * lips * (1 - _LIP)
     density = rng.uniform(0.35, 0.9)
     for brow in (marks[17:22], marks[22:27]):
-        line = np.stack([np.interp(np.linspace(0, 4, 60), np.arange(5), c) for c in brow.T], 1)
-        reach, _ = cKDTree(line).query(x)
+        reach, _ = cKDTree(along(brow, np.linspace(0, 4, 60))).query(x)
         hair = density * np.exp(-((reach / rng.uniform(3.0, 5.0)) ** 4))[:, None]
         albedo += hair * (_HAIR * rng.uniform(0.6, 2.5) - albedo)
     return np.clip(albedo, 0.01, 0.9)
@@ -233,7 +241,7 @@ def _painted_skin(one: Head, rng: np.random.Generator) -> FloatArray:
     """Return (V, 3) the logarithm of albedo before lips and brows are painted."""
     x, marks = one.vertices, one.landmarks
     mix = rng.uniform(0, len(_TONES) - 1)
-    tone = np.array([np.interp(mix, np.arange(len(_TONES)), c) for c in _TONES.T])
+    tone = along(_TONES, mix)
     log = np.log(tone) + 0.06 * rng.normal(size=3) + np.zeros((len(x), 1))
     red, brown = np.array([-0.15, -1.0, -0.8]), np.array([-0.6, -0.9, -1.1])
     for wave_mm, size in ((70.0, 0.06), (25.0, 0.05), (9.0, 0.035)):
@@ -270,11 +278,7 @@ def near(x: FloatArray, at: FloatArray, radius_mm: float) -> FloatArray:
 
 def inside(x: FloatArray, outline: FloatArray, soft_mm: float) -> FloatArray:
     """Return (N,) 1 inside an outline (K, 3) as seen from the front."""
-    turns = np.linspace(0, len(outline), 200)
-    closed = np.concatenate([outline, outline[:1]])[:, :2]
-    rim = np.stack([np.interp(turns, np.arange(len(closed)), c) for c in closed.T], 1)
-    middle = outline[:, :2].mean(0)
-    fill = np.concatenate([middle + scale * (rim - middle) for scale in np.linspace(0, 1, 12)])
+    fill = filled_outline(outline[:, :2], 200, np.linspace(0, 1, 12))
     reach, _ = cKDTree(fill).query(x[:, :2])
     return np.clip(1.3 - reach / soft_mm, 0, 1)
 
@@ -319,7 +323,7 @@ def photographed(face: UnknownFace, mean: FloatArray, folder: Path | None = None
     exposed = exposed + _NOISE * np.sqrt(np.clip(exposed, 0.01, 1)) * rng.normal(size=exposed.shape)
     image = np.round(255 * np.clip(exposed, 0, 1) ** (1 / GAMMA)).astype(np.uint8)
     found = ClosestPointQuery(one.vertices, one.faces).query(vertices)
-    truth = np.einsum("nk,nkc->nc", found.barycentric, albedo[one.faces[found.face]])
+    truth = found.interpolated(albedo, one.faces)
     truth[(found.distance > _FARTHEST_MM) | ~one.on_face[found.face]] = np.nan
     around = overcast(texel_directions((64, 128)).reshape(-1, 3)).reshape(64, 128, 3)
     light = project_environment(around)

@@ -7,7 +7,6 @@ import pytest
 from bench.judging import (
     VARIABLE,
     ScanTruth,
-    invented_outlines,
     load_flashes,
     load_image,
     received,
@@ -77,26 +76,6 @@ def test_the_score_tells_what_half_and_most_of_the_texels_err_by():
     assert found.half == pytest.approx(100 * (1 - scale))
     assert found.most == pytest.approx(100 * (1.5 * scale - 1))
     assert found.rmse == pytest.approx(100 * np.sqrt(found.mse / 100) / 0.5)
-
-
-def test_an_edge_that_the_texture_has_is_not_invented():
-    shading = np.ones((256, 256))
-    shading[:, 128:] = 0.5
-    albedo, mask = np.full((256, 256), 0.5), np.ones((256, 256), bool)
-    honest = invented_outlines(albedo * shading, shading, albedo, mask)
-    assert honest.edges == 256
-    assert honest.share == honest.mean_excess == 0
-    wrong = invented_outlines(albedo, shading, albedo / shading, mask)
-    assert wrong.share == 1
-    assert wrong.mean_excess == pytest.approx(np.log(2), rel=1e-3)
-    assert invented_outlines(albedo, np.ones_like(albedo), albedo, mask).edges == 0
-
-
-def test_outlines_beside_the_mask_do_not_count():
-    shading, mask = np.ones((256, 256)), np.ones((256, 256), bool)
-    shading[:, 128:] = 0.5
-    mask[:, 128:] = False
-    assert invented_outlines(shading, shading, np.ones_like(shading), mask).edges == 0
 
 
 def test_occlusion_and_transfer_of_a_convex_shape_are_those_of_the_open():

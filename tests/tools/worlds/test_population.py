@@ -85,19 +85,3 @@ def test_a_room_has_one_weak_lamp_and_light_of_its_own(first):
     bright = scan.texture_linear.min(-1) > 0.1
     tint = np.log(colored.texture_linear[bright] / scan.texture_linear[bright])
     assert (tint[:, 0] - tint[:, 1]).std() > 0.02  # over the surface: no tint of the whole picture
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"individuality": 0.0},
-        {"light": "sun"},
-        {"individuality": 1.5},
-        {"lamp_colors": -0.1},
-        {"light_cone_deg": 120.0},
-        {"tones": (0.5, 0.2)},
-    ],
-)
-def test_options_out_of_range_are_refused(wrong):
-    with pytest.raises(ValueError, match=next(iter(wrong))):
-        Population(**wrong)

@@ -70,8 +70,6 @@ def test_each_feature_changes_what_is_measured():
     assert len(near("no neck", below, 25)) < 5 < len(near("glasses", below, 25))
     above = brow + [0, 45, 0]
     assert near("fringe", above, 30)[:, 2].max() > near("glasses", above, 30)[:, 2].max() + 1
-    with pytest.raises(ValueError, match="unknown features"):
-        stereo_scan(0, features=("moustache",))
 
 
 def _nearest(points, others):
@@ -106,8 +104,6 @@ def test_any_head_can_be_scanned_wherever_it_is(model):
     worn, truth = stereo_scan_of(sitter.vertices + shift, sitter.faces, landmarks, 2, features=features)
     eye = landmarks[[37, 38, 40, 41]].mean(0)[None]
     assert _nearest(eye, in_model_frame(worn, truth)) > 6 > _nearest(eye, in_model_frame(plain, before))
-    with pytest.raises(ValueError, match=r"landmarks have shape \(51, 3\)"):
-        stereo_scan_of(sitter.vertices, sitter.faces, landmarks[17:])
 
 
 @pytest.mark.parametrize("scrap", SCRAPS)
@@ -118,11 +114,6 @@ def test_a_scrap_shows_no_face(scrap):
     assert len(largest) > 50
     shown = _nearest(truth.landmarks[FEATURE_LANDMARKS], in_model_frame(scan, truth)[largest]) < 8
     assert shown.mean() < 0.2
-
-
-def test_a_scrap_of_an_unknown_place_is_refused():
-    with pytest.raises(ValueError, match="unknown scrap 'knee'"):
-        stereo_scan(0, scrap="knee")
 
 
 def test_holes_that_leave_nothing_are_named():

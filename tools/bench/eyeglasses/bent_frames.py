@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from worlds.files import DATA
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from bench.eyeglasses.scenes import REAL_FRAMES
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.eyeglasses import KEY_POINT_NAMES
-from scan2albedo.geometry.mesh import vertex_components
 from scan2albedo.io import load_scan
 from scan2albedo.synthetic import GlassesShape, eyeglasses
 
@@ -18,10 +18,6 @@ _UPRIGHT = {
     "frame_giraut.stl": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
 }
 """Rotations that turn the files to x the wearer's left, y up, z to the front."""
-_RIM_ANGLES_DEG = {"rim_top": 90, "rim_inner": 200, "rim_bottom": 270, "rim_outer": 0}
-"""Of a left rim's key points around the centre of its lens, seen from the front."""
-_MIDDLE_MM = 3.0
-"""Distance from the middle up to which a vertex of the front counts to the middle of the bridge."""
 _BRIDGE_MM = 8.0
 """Half the way over which the bends of the bridge rise."""
 
@@ -39,7 +35,6 @@ class WholeFrame:
     faces: IntArray
     marks: IntArray
     rims: tuple[IntArray, IntArray]
-    round: bool = False
 
     def key_points(self, vertices: FloatArray) -> FloatArray:
         """Return (20, 3) of vertices (V, 3) that correspond to the frame's, NaN for missing ones."""
@@ -117,91 +112,28 @@ def bend_frame(frame: WholeFrame, bend: OwnBend) -> FloatArray:
     )
 
 
-def synthetic_frame(
-    name: str, shape: GlassesShape, *, round_rims: bool = False, double_bridge: bool = False
-) -> WholeFrame:
+def synthetic_frame(name: str, shape: GlassesShape, *, double_bridge: bool = False) -> WholeFrame:
     """Return a frame of the package's own maker."""
     made = eyeglasses(0, shape=shape, double_bridge=double_bridge)
     edges = [np.linalg.norm(made.vertices - p[:, None], axis=2).argmin(1) for p in made.lens_outlines]
-    return WholeFrame(
-        name, made.vertices, made.faces, made.keypoint_vertices, (edges[0], edges[1]), round_rims
-    )
+    return WholeFrame(name, made.vertices, made.faces, made.keypoint_vertices, (edges[0], edges[1]))
 
 
 def real_frame(file: str) -> WholeFrame:
-    """Return a frame of ../shared/data, upright, with key points at given angles around its lenses."""
-    scan = load_scan(DATA / file)
-    turn = _UPRIGHT[file]
-    vertices = scan.vertices @ turn.T
+    """Return one of `REAL_FRAMES`, upright."""
+    scan, known = load_scan(DATA / file), REAL_FRAMES[file]
+    vertices = scan.vertices @ _UPRIGHT[file].T
     vertices[:, 0] -= (vertices[:, 0].min() + vertices[:, 0].max()) / 2
-    marks = _bridge(vertices)
-    rims: dict[str, IntArray] = {}
-    for part, center in rims_of(scan.vertices, scan.faces, 2 if turn[2, 2] == 1 else 1).values():
-        middle = turn @ center
-        side, sign = ("left", 1) if middle[0] > 0 else ("right", -1)
-        own = np.unique(scan.faces[part])
-        offset = (vertices[own] - middle) * [sign, 1, 1]
-        angle, radius = np.rad2deg(np.arctan2(offset[:, 1], offset[:, 0])), np.hypot(*offset[:, :2].T)
-
-        def edge(degrees: float, width: float) -> int:
-            near = np.abs((angle - degrees + 180) % 360 - 180) < width  # noqa: B023
-            return int(own[near][radius[near].argmin()])  # noqa: B023
-
-        marks |= {f"{side}_{name}": edge(degrees, 6) for name, degrees in _RIM_ANGLES_DEG.items()}
-        joint = np.linalg.norm(vertices[own] - vertices[marks["bridge_bottom"]], axis=1).argmin()
-        marks[f"{side}_rim_bridge"] = edge(float(angle[joint]), 4)
-        rims[side] = np.array([edge(degrees, 5) for degrees in range(0, 360, 10)])
-        marks |= _temple(vertices, side, sign)
-    numbers = np.array([marks.get(name, -1) for name in KEY_POINT_NAMES])
-    stem = file.partition(".")[0].split("_")[-1]
-    return WholeFrame(stem, vertices, scan.faces, numbers, (rims["left"], rims["right"]), stem == "giraut")
-
-
-def rims_of(vertices: FloatArray, faces: IntArray, axis: int) -> dict[str, tuple[BoolArray, FloatArray]]:
-    """Return faces and centre of both rims: parts of lens width, or the halves of a front in one piece."""
-    if axis == 1:  # round rims, centred 33 mm off the middle
-        across = vertices[faces].mean(1)[:, 0]
-        sides = {"left": -33.0, "right": 33.0}
-        return {side: (x * across > 0, np.array([x, 0.0, 0.0])) for side, x in sides.items()}
-    part = vertex_components(len(vertices), faces)[faces[:, 0]]
-    found = {}
-    for number in np.unique(part):
-        own = part == number
-        corners = vertices[faces[own]].reshape(-1, 3)
-        if 50 < np.ptp(corners[:, 0]) < 75 and own.sum() > 1000:  # the lenses have fewer faces
-            side = "left" if corners[:, 0].mean() < 0 else "right"
-            found[side] = (own, (corners.min(0) + corners.max(0)) / 2)
-    return found
-
-
-def _bridge(vertices: FloatArray) -> dict[str, int]:
-    front = vertices[:, 2] > vertices[:, 2].max() - 0.2 * np.ptp(vertices[:, 0])
-    bridge = np.flatnonzero(front & (np.abs(vertices[:, 0]) < _MIDDLE_MM))
-    top, bottom = vertices[bridge, 1].argmax(), vertices[bridge, 1].argmin()
-    return {"bridge_top": int(bridge[top]), "bridge_bottom": int(bridge[bottom])}
-
-
-def _temple(vertices: FloatArray, side: str, sign: int) -> dict[str, int]:
-    """Return the vertices at the hinge and, where there is a temple, in the middle of slices of it."""
-    back = vertices[:, 2].max() - vertices[:, 2]
-    outer = sign * vertices[:, 0] > 0.8 * np.abs(vertices[:, 0]).max()
-    depth = back.max()
-
-    def slice_middle(way: float, width: float) -> int:
-        part = np.flatnonzero(outer & (np.abs(back - way) < width))
-        return int(part[np.linalg.norm(vertices[part] - vertices[part].mean(0), axis=1).argmin()])
-
-    if depth < 60:
-        return {f"{side}_hinge": slice_middle(0.8 * depth, 0.2 * depth)}
-    places = {"hinge": 0.1, "temple_middle": 0.45, "ear_bend": 0.72, "temple_tip": 0.99}
-    return {f"{side}_{name}": slice_middle(way * depth, 0.04 * depth) for name, way in places.items()}
+    marks = np.array([known["marks"].get(name, -1) for name in KEY_POINT_NAMES])
+    left, right = (np.array(known["rims"][side]) for side in ("left", "right"))
+    return WholeFrame(file.partition(".")[0].split("_")[-1], vertices, scan.faces, marks, (left, right))
 
 
 def frames_of_many_makers() -> list[WholeFrame]:
     """Return rectangular, round and usual synthetic frames, and the real ones where they are there."""
     frames = [
         synthetic_frame("rectangular", GlassesShape(lens_width=54, lens_height=28, squareness=6)),
-        synthetic_frame("round", GlassesShape(lens_width=44, lens_height=44, squareness=2), round_rims=True),
+        synthetic_frame("round", GlassesShape(lens_width=44, lens_height=44, squareness=2)),
         synthetic_frame("usual", GlassesShape(temple_spread=1.0)),
         synthetic_frame("tall", GlassesShape(lens_width=52, lens_height=46, squareness=2.3, bridge_width=16)),
     ]

@@ -23,11 +23,10 @@ from bench.eyeglasses.scenes import (
     khronos,
     named,
     photographed,
-    rms,
-    root_mean_squares,
     synthetic,
     without_lenses,
 )
+from bench.judging import rms
 from bench.runner import Bench, Case
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.eyeglasses import RegisteredEyeglasses, register_on_face
@@ -129,13 +128,12 @@ def of_rims(scene: Seen, found: RegisteredEyeglasses) -> dict[str, float | str]:
     }
 
 
-COLUMNS = ("vertices rms", "vertices stated", "key points rms", "key points stated")
 BENCHES = {
     "stated": Bench(
         cases,
         methods={"scan2albedo": Seen.register},
         score=stated,
-        remarks=partial(root_mean_squares, COLUMNS),
+        summaries=("rms", "mean"),
     ),
     "lenses": Bench(lens_cases, methods={"scan2albedo": Seen.register}, score=of_rims),
 }

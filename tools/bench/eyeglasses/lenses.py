@@ -11,7 +11,7 @@ from functools import cache, partial
 
 import numpy as np
 from worlds.environments import ENVIRONMENTS, reference_lights
-from worlds.files import DATA
+from worlds.light_stage import LightStage
 
 from bench.judging import picture_errors as errors
 from bench.runner import Bench, Case
@@ -35,12 +35,9 @@ QUICK_PIXELS = 48
 @cache
 def head_and_frame() -> tuple[Surface, Surface, FloatArray, FloatArray]:
     """Return a frame, a head in one matte colour, the key points (20, 3) and the middle between the eyes."""
-    with np.load(DATA / "ict_faces.npz") as faces:
-        vertices, triangles = (
-            np.asarray(faces["shape_person2"], np.float64),
-            np.asarray(faces["faces"], np.int64),
-        )
-        eyes = vertices[faces["landmarks68"][36:48]].mean(0)
+    stage = LightStage.load()
+    vertices, triangles = stage.shapes["person2"], stage.faces
+    eyes = vertices[stage.landmarks[36:48]].mean(0)
     scene = RayScene(vertices, triangles)
     glasses = eyeglasses(shape=SHAPE, bend=fit_temples(SHAPE, 0, scene, eyes))
     world = seat(glasses, scene, eyes)

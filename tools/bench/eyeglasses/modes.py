@@ -1,9 +1,9 @@
 """Canonical frames of many makers in one set, bent by curves that the package does not contain.
 
 "set": rectangular, round and usual synthetic frames and the real ones; errors in mm from the unbent frame,
-laid on it, whole and front; lens edges: largest distance from the bent one's, width, height and, of round
-rims, the deviation from round; by how much 99 % of the edges change. "parts": one frame and one bend,
-fronts laid on the true one: rms of what both sides share, and of what they do not. "wires": thin frames.
+laid on it, whole and front; lens edges: largest distance from the bent one's, and height. "parts": one
+frame and one bend, fronts laid on the true one: rms of what both sides share, and of what they do not.
+"wires": thin frames.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from bench.eyeglasses.bent_frames import (
     frames_of_many_makers,
     synthetic_frame,
 )
-from bench.eyeglasses.scenes import rms
+from bench.judging import rms
 from bench.runner import Bench, Case
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.eyeglasses import CanonicalizationOptions, CanonicalSet, canonicalize
@@ -87,22 +87,13 @@ def off(points: FloatArray, target: FloatArray) -> FloatArray:
 def of_frame(scene: Bent, found: FloatArray) -> dict[str, float]:
     frame, bent, truth = scene.frame, scene.vertices, scene.frame.vertices
     front = truth[:, 2] > truth[:, 2].max() - 25
-    sizes = [np.ptp(laid_on(found[rim], truth[rim])[:, :2], axis=0) for rim in frame.rims]
-    row = {
+    heights = [np.ptp(laid_on(found[rim], truth[rim])[:, 1]) for rim in frame.rims]
+    return {
         "whole mm": rms(off(found, truth)),
         "front mm": rms(off(found[front], truth[front])),
         "lens edge mm": float(max(off(found[rim], bent[rim]).max() for rim in frame.rims)),
-        "width": float(np.mean(sizes, axis=0)[0]),
-        "height": float(np.mean(sizes, axis=0)[1]),
+        "height": float(np.mean(heights)),
     }
-    if frame.round:
-        away = [np.linalg.norm(found[rim] - found[rim].mean(0), axis=1).std() for rim in frame.rims]
-        row["round mm"] = float(max(away))
-    edges = frame.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    after, before = (np.linalg.norm(v[edges[:, 0]] - v[edges[:, 1]], axis=1) for v in (found, bent))
-    # Those across tubes are their thickness.
-    long = before > 1e-3 * np.ptp(bent)
-    return row | {"edges %": float(100 * np.percentile(np.abs(after[long] / before[long] - 1), 99))}
 
 
 def set_cases(quick: bool) -> Iterator[Case]:

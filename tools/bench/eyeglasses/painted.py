@@ -8,23 +8,28 @@ the package.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
+from worlds.glasses_on_head import fan
 
 from bench.eyeglasses.scenes import BareFrame, own_bend
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.eyeglasses.mean_keypoints import RIMS
 from scan2albedo.face_model import default_model
 from scan2albedo.geometry.mesh import face_normals, normalized
 from scan2albedo.geometry.pinhole import camera_centers, look_at, pixel_directions, pixel_grid, project
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.synthetic.renderer import RayScene, toward
-from scan2albedo.synthetic.sitter import BodyPart, join, sit_down
+from scan2albedo.synthetic.sitter import BodyPart, Sitter, join, sit_down
 from scan2albedo.synthetic.textures import smooth_noise
 
 SIDE = 2
 """Rays a pixel, each way."""
+SIZE = 768
+"""Pixels a side."""
 COLORS = {
     "black": (0.02, 0.02, 0.025),
     "tortoise": (0.10, 0.045, 0.02),
@@ -50,14 +55,34 @@ class Pictured:
     """(C, 20, 2) without noise, NaN where the head hides a key point."""
 
 
-def pictured(
-    frame: BareFrame, seed: int, color: str = "black", glass: str = "clear", size: int = 768
-) -> Pictured:
+def pictured(frame: BareFrame, seed: int, color: str, glass: str) -> Pictured:
     """Return a person (`seed`) with a frame in three pictures; `glass` is none, clear or dark."""
     rng = np.random.default_rng([seed, *frame.name.encode()])
     sitter = sit_down(seed, expression="neutral", model=default_model())
-    skull = RayScene(sitter.vertices, sitter.faces[sitter.part != BodyPart.HAIR])
     eyes = sitter.face.landmarks[36:48].mean(0)
+    placed, points = _put_on(frame, sitter, eyes, rng)
+    target = np.array([0.0, eyes[1] - 15, eyes[2] - 40])
+    ways = [(rng.normal(yaw, 5), rng.normal(4, 5)) for yaw in (-35, 0, 35)]
+    shot = partial(look_at, target=target, focal_px=1.75 * SIZE, shape=(SIZE, SIZE))
+    cameras = np.stack([shot(target + 600 * toward(*way)) for way in ways])
+    lens = [] if glass == "none" else [_flat_lens(points[rim]) for rim in RIMS]
+    pictures, masks = [], []
+    lit = _Lit(sitter, (placed, frame.faces), lens, COLORS[color], glass, rng)
+    for camera in cameras:
+        linear, mask = lit.picture(camera, SIZE)
+        noisy = gaussian_filter(linear, (0.6, 0.6, 0)) + rng.normal(0, 0.004, linear.shape)
+        pictures.append(encode_srgb_bytes(np.clip(noisy, 0, 1)))
+        masks.append(mask)
+    head = sitter.vertices, sitter.faces[sitter.part < BodyPart.HAIR]
+    labels = _labels(points, cameras, RayScene(sitter.vertices, sitter.faces))
+    return Pictured(frame, placed, points, head, cameras, np.stack(pictures), np.stack(masks), labels)
+
+
+def _put_on(
+    frame: BareFrame, sitter: Sitter, eyes: FloatArray, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Return the vertices (V, 3) and key points (20, 3) of a frame, bent, on a sitter's nose."""
+    skull = RayScene(sitter.vertices, sitter.faces[sitter.part != BodyPart.HAIR])
     bent = own_bend(frame, rng)
     rest, marks = bent(frame.vertices), bent(frame.keypoints)
     # About where frames sit: a little below the eyes' middle, leaning, as far back as the nose lets them.
@@ -70,61 +95,40 @@ def pictured(
     placed, points = transform_points(start, rest), transform_points(start, marks)
     # Temples spread until they pass the head.
     side, hinge = np.sign(placed[:, 0]), placed[:, 2].max() - 15
-    part = np.clip((hinge - placed[:, 2]) / max(hinge - placed[:, 2].min(), 1.0), 0, 1)
-    behind = (part > 0.4) & (part * (hinge - placed[:, 2].min()) > 30)
+    length = hinge - placed[:, 2].min()
+    part = np.clip((hinge - placed[:, 2]) / max(length, 1.0), 0, 1)
+    behind = (part > 0.4) & (part * length > 30)
     away = np.column_stack([side, np.zeros((len(side), 2))])
     if behind.any():
         inner = skull.first_hit(placed[behind] + 300 * away[behind], -away[behind])
         lacking = np.where(inner.face >= 0, 300.4 - inner.distance, 0.0) / part[behind] ** 1.5
         spread = float(np.clip(lacking.max(initial=0.0), 0, 18))
         placed[:, 0] += side * spread * part**1.5
-        u = np.clip((hinge - points[:, 2]) / (hinge - placed[:, 2].min()), 0, 1)
+        u = np.clip((hinge - points[:, 2]) / length, 0, 1)
         points[:, 0] += np.sign(points[:, 0]) * spread * u**1.5
-    target = np.array([0.0, eyes[1] - 15, eyes[2] - 40])
-    shape = (size, size)
-    ways = [(rng.normal(yaw, 5), rng.normal(4, 5)) for yaw in (-35, 0, 35)]
-    cameras = np.stack(
-        [look_at(target + 600 * toward(*way), target, focal_px=1.75 * size, shape=shape) for way in ways]
-    )
-    lens = [(placed[:0], frame.faces[:0])]
-    if glass != "none":
-        lens = [_flat_lens(points, side) for side in (0, 1)]
-    pictures, masks = [], []
-    lit = _Lit(sitter, (placed, frame.faces), lens, COLORS[color], glass, rng)
-    for camera in cameras:
-        linear, mask = lit.picture(camera, size)
-        noisy = gaussian_filter(linear, (0.6, 0.6, 0)) + rng.normal(0, 0.004, linear.shape)
-        pictures.append(encode_srgb_bytes(np.clip(noisy, 0, 1)))
-        masks.append(mask)
-    head = sitter.vertices, sitter.faces[sitter.part < BodyPart.HAIR]
+    return placed, points
+
+
+def _labels(points: FloatArray, cameras: FloatArray, scene: RayScene) -> FloatArray:
+    """Return where cameras (C, 3, 4) see points (P, 3), NaN where the scene hides them: (C, P, 2)."""
     labels = np.stack([project(camera, points)[0] for camera in cameras])
-    whole = RayScene(sitter.vertices, sitter.faces)
-    for number, eye in enumerate(camera_centers(cameras)):
-        known = np.isfinite(points).all(1)
-        behind_head = np.ones(len(points), bool)
-        behind_head[known] = whole.hidden(eye, points[known], 2.0)
-        labels[number, behind_head] = np.nan
-    labels[((labels < 0) | (labels > size - 1)).any(2)] = np.nan
-    return Pictured(frame, placed, points, head, cameras, np.stack(pictures), np.stack(masks), labels)
+    known = np.isfinite(points).all(1)
+    for seen, eye in zip(labels, camera_centers(cameras), strict=True):
+        hidden = np.ones(len(points), bool)
+        hidden[known] = scene.hidden(eye, points[known], 2.0)
+        seen[hidden] = np.nan
+    labels[((labels < 0) | (labels > SIZE - 1)).any(2)] = np.nan
+    return labels
 
 
-def _flat_lens(points: FloatArray, side: int) -> tuple[FloatArray, np.ndarray]:
-    """Return a fan through a rim's key points: enough for what shines through or is dark."""
-    rim = points[[2, 3, 4, 5, 6]] if side == 0 else points[[11, 12, 13, 14, 15]]
-    dense = []
-    for k in range(len(rim)):
-        a, b, c, d = (rim[(k + j) % len(rim)] for j in (-1, 0, 1, 2))
-        for t in np.linspace(0, 1, 8, endpoint=False):
-            # Catmull and Rom's curve.
-            dense.append(
-                0.5
-                * (2 * b + (c - a) * t + (2 * a - 5 * b + 4 * c - d) * t**2 + (3 * b - a - 3 * c + d) * t**3)
-            )
-    ring = np.array(dense)
-    ring = ring.mean(0) + 0.97 * (ring - ring.mean(0))
-    numbers = 1 + np.arange(len(ring))
-    fan = np.stack([np.zeros_like(numbers), numbers, np.roll(numbers, -1)], 1)
-    return np.vstack([ring.mean(0, keepdims=True), ring]), fan
+def _flat_lens(rim: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Return a fan in Catmull and Rom's curve through a rim's key points (5, 3)."""
+    a, b, c, d = (np.roll(rim, -k, axis=0)[:, None] for k in (-1, 0, 1, 2))
+    t = np.linspace(0, 1, 8, endpoint=False)[:, None]
+    dense = 0.5 * (2 * b + (c - a) * t + (2 * a - 5 * b + 4 * c - d) * t**2 + (3 * b - a - 3 * c + d) * t**3)
+    ring = dense.reshape(-1, 3)
+    middle = ring.mean(0)
+    return fan(middle + 0.97 * (ring - middle))
 
 
 class _Lit:

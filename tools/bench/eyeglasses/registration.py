@@ -1,7 +1,7 @@
-"""Registration on synthetic wearers: errors by case, error against run time, and Adam on the same loss.
+"""Registration on synthetic wearers: errors by case, and Adam on the same loss.
 
 "wearers": three cameras, 1,024 pixels wide, at 600 mm; rms mm of the vertices that the head leaves visible,
-from the pose alone, from labels, with masks, and within budgets of evaluations; rms of what the result
+from the pose alone, from labels, and with masks; rms of what the result
 calls observed, and the deviation it states. "same_loss": labels, outlines traced once and the bend's prior
 from the unbent pose: our descent beside Adam, which stops within 1 % of our cost, with the best of four
 steps.
@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from bench.eyeglasses.scenes import rms
+from bench.judging import rms
 from bench.runner import Bench, Case, Timed
-from scan2albedo.core import Budget, Meter
+from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.eyeglasses import (
     FaceRegistrationOptions,
@@ -46,7 +46,6 @@ CASES: dict[str, dict[str, Any]] = {
     "8 key points missing": {"missing": 8},
     "hair over temples": {"hair": True},
 }
-EVALUATIONS = (1, 2, 4, 8, 12, 16, 24, 32, 48, 96)
 FULL_WEARER_PX = (1024, 1800.0)
 """Size of the pictures and focal length."""
 QUICK_WEARER_PX = (256, 450.0)
@@ -115,8 +114,6 @@ class SameLoss:
         self.objective = RegistrationObjective(given.keypoints, given.views, options)
         self.start: FrameState = starting_poses(given.keypoints, given.views, options.label_noise_px, None)[0]
         mesh = FrameMesh(SkinnedPoints(given.vertices, scene.weights), given.faces)
-        self.points, self.unit = mesh.points, given.unit
-        assert given.head is not None
         sampler = OutlineSampler(mesh, given.views, RayCaster(*given.head))
         near = self.descend(None)
         motion = self.objective.motion(near[0])
@@ -141,14 +138,6 @@ class SameLoss:
             second = 0.999 * second + 0.001 * gradient**2
             way = first / (1 - 0.9**n) / (np.sqrt(second / (1 - 0.999**n)) + 1e-12)
             state = state.moved(-step_mm * way / scale)
-
-    def adam_state(self, step_mm: float, iterations: int) -> FrameState:
-        """Return the best state of so many iterations."""
-        return min(islice(self.adam_steps(step_mm), iterations), key=lambda step: step[1])[0]
-
-    def vertices(self, state: FrameState) -> FloatArray:
-        """Return the frame (V, 3) at a state."""
-        return self.unit * self.objective.motion(state).positions(self.points)
 
 
 def ours(problem: SameLoss) -> float:
@@ -183,15 +172,11 @@ METHODS = {
     "pose": partial(register, masks=None, options=FaceRegistrationOptions(bend=False)),
     "labels": partial(register, masks=None),
 }
-BUDGETS = {
-    f"{number} evaluations": partial(register, budget=Budget(evaluations=number)) for number in EVALUATIONS
-}
 BENCHES = {
     "wearers": Bench(
         wearers,
-        methods=METHODS | BUDGETS,
+        methods=METHODS,
         score=errors,
-        slow=tuple(BUDGETS),
         warm=True,
     ),
     "same_loss": Bench(

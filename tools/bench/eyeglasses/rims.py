@@ -14,7 +14,8 @@ from functools import cache, partial
 
 import numpy as np
 
-from bench.eyeglasses.scenes import named, photographed, rms, root_mean_squares
+from bench.eyeglasses.scenes import named, photographed
+from bench.judging import rms
 from bench.runner import Bench, Case
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.eyeglasses import LensRim, find_lens_rim, refine_lens_rim
@@ -157,6 +158,6 @@ BENCHES = {
         damaged_cases,
         methods={"rays": Damaged.rim, "masks": Damaged.refined},
         score=Damaged.errors,
-        remarks=partial(root_mean_squares, ("rms mm", "stated mm")),
+        summaries=("rms", "worst"),
     ),
 }

@@ -7,25 +7,34 @@ are too wide or too narrow throughout.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 from worlds.files import DATA
+from worlds.glasses_on_head import fan
 
-from bench.runner import Row
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.eyeglasses import KEY_POINT_NAMES, bounded_biharmonic_weights
 from scan2albedo.geometry.mesh import vertex_components
 from scan2albedo.geometry.pinhole import camera_centers, look_at, pixel_directions, pixel_grid, project
 from scan2albedo.geometry.rigid import rotation_from_vector
 from scan2albedo.io import load_scan
-from scan2albedo.synthetic import GlassesShape, SyntheticEyeglasses, eyeglasses
+from scan2albedo.synthetic import GlassesShape, eyeglasses
 from scan2albedo.synthetic.renderer import RayScene
 from scan2albedo.synthetic.sitter import join
 
+REAL_FRAMES: dict[str, dict[str, Any]] = json.loads(
+    Path(__file__).with_name("real_frames.json").read_text(encoding="utf-8")
+)
+"""Of the frames of ../shared/data: key points `placed` (vertices, or mm where they lie between vertices), and
+`marks` and `rims`, vertices at the key points and around the lenses' edges at every ten degrees. The rules
+that placed them are those of commit 509f8dd5."""
 _YAWS = (-0.65, 0.0, 0.65)
 _DISTANCE_MM = 600.0
 _WAVES_PX = 8.0
@@ -64,44 +73,6 @@ class BareFrame:
         return _SOLVED[self.name]
 
 
-def hand_placed(vertices: FloatArray) -> FloatArray:
-    """Return 20 key points: vertices near places of a front's halves, and middles of temples' slices."""
-    low, high = vertices.min(0), vertices.max(0)
-    middle, width, depth = (low[0] + high[0]) / 2, (high[0] - low[0]) / 2, high[2] - low[2]
-    back = (high[2] - vertices[:, 2]) / depth
-
-    def nearest(place: FloatArray, where: BoolArray) -> FloatArray:
-        chosen = np.flatnonzero(where)
-        return np.asarray(vertices[chosen[np.linalg.norm(vertices[chosen] - place, axis=1).argmin()]])
-
-    points = {}
-    for side, sign in (("left", 1), ("right", -1)):
-        outward = sign * (vertices[:, 0] - middle) / width
-        half = (back < 0.2) & (outward > 0)
-        bottom, top = vertices[half, 1].min(), vertices[half, 1].max()
-        for name, x, y, z in (
-            ("rim_top", 0.52, 1.0, 0.0),
-            ("rim_bottom", 0.5, 0.0, 0.0),
-            ("rim_bridge", 0.14, 0.8, 0.0),
-            ("rim_inner", 0.16, 0.4, 0.0),
-            ("rim_outer", 0.93, 0.5, 0.05),
-            ("hinge", 1.0, 0.85, 0.12),
-        ):
-            place = np.array([middle + sign * x * width, bottom + y * (top - bottom), high[2] - z * depth])
-            points[f"{side}_{name}"] = nearest(place, half | (outward > 0.6))
-        for name, way in (("temple_middle", 0.45), ("ear_bend", 0.72), ("temple_tip", 1.0)):
-            part = (outward > 0.6) & (np.abs(back - way) < 0.04)
-            points[f"{side}_{name}"] = nearest(vertices[part].mean(0), part)
-    bridge = vertices[(back < 0.2) & (np.abs(vertices[:, 0] - middle) < 0.16 * width)]
-    points["bridge_top"] = bridge[bridge[:, 1].argmax()]
-    points["bridge_bottom"] = bridge[bridge[:, 1].argmin()]
-    return np.array([points[name] for name in KEY_POINT_NAMES])
-
-
-GIRAUT_DEG = {"rim_top": 90, "rim_bridge": 155, "rim_inner": 205, "rim_bottom": 270, "rim_outer": 0}
-"""Of a left rim's key points around the lens's centre, seen from the front."""
-
-
 @cache
 def khronos() -> BareFrame:
     """Return real sunglasses of loose parts, lenses among them."""
@@ -114,29 +85,18 @@ def khronos() -> BareFrame:
         # Two shells a lens, as large as a rim but of fewer faces.
         if np.ptp(corners, axis=0)[:2].min() > 40 and own[scan.faces[:, 0]].sum() < 1000:
             glass |= own[scan.faces[:, 0]]
-    return BareFrame("khronos", scan.vertices, scan.faces, glass, hand_placed(scan.vertices))
+    placed = REAL_FRAMES["sunglasses_khronos.glb"]["placed"]
+    marks = scan.vertices[[placed[name] for name in KEY_POINT_NAMES]]
+    return BareFrame("khronos", scan.vertices, scan.faces, glass, marks)
 
 
 @cache
 def giraut() -> BareFrame:
     """Return a real front without temples and lenses: round rims, 33 mm off the middle."""
     scan = load_scan(DATA / "frame_giraut.stl")
-    vertices = scan.vertices[:, [0, 2, 1]]
-    faces = scan.faces[:, ::-1]
-    marks = np.full((20, 3), np.nan)
-    index = {name: number for number, name in enumerate(KEY_POINT_NAMES)}
-    for side, sign in (("left", 1.0), ("right", -1.0)):
-        offset = vertices[:, :2] - [sign * 33.0, 0.0]
-        angle, radius = np.arctan2(offset[:, 1], sign * offset[:, 0]), np.hypot(*offset.T)
-        ring = (radius > 14) & (radius < 26) & (sign * vertices[:, 0] > 3)
-        for name, degrees in GIRAUT_DEG.items():
-            turn = np.abs(np.angle(np.exp(1j * (angle - np.deg2rad(degrees)))))
-            marks[index[f"{side}_{name}"]] = vertices[ring & (turn < 0.12)].mean(0)
-        end = sign * vertices[:, 0] > 56.0
-        marks[index[f"{side}_hinge"]] = vertices[end].mean(0)
-    bridge = vertices[np.abs(vertices[:, 0]) < 2]
-    marks[index["bridge_top"]] = bridge[bridge[:, 1].argmax()]
-    marks[index["bridge_bottom"]] = bridge[bridge[:, 1].argmin()]
+    vertices, faces = scan.vertices[:, [0, 2, 1]], scan.faces[:, ::-1]
+    placed = REAL_FRAMES["frame_giraut.stl"]["placed_mm"]
+    marks = np.array([placed.get(name, [np.nan] * 3) for name in KEY_POINT_NAMES])
     return BareFrame("giraut", vertices, faces, np.zeros(len(faces), bool), marks)
 
 
@@ -149,13 +109,6 @@ SHAPES = {
 """Measures at the ends of what opticians sell, and past them."""
 
 
-def fan(outline: FloatArray, lift_mm: float = 0.0) -> tuple[FloatArray, IntArray]:
-    """Return a lens in an outline (R, 3): triangles from its middle, which stands `lift_mm` before it."""
-    rim = 1 + np.arange(len(outline))
-    middle = outline.mean(0, keepdims=True) + [0, 0, lift_mm]
-    return np.concatenate([middle, outline]), np.stack([np.zeros_like(rim), rim, np.roll(rim, -1)], axis=1)
-
-
 @cache
 def synthetic(name: str) -> BareFrame:
     """Return one of `SHAPES` with flat lenses."""
@@ -166,19 +119,15 @@ def synthetic(name: str) -> BareFrame:
     return BareFrame(name, vertices, faces, glass, glasses.keypoints)
 
 
-def lensless(name: str, glasses: SyntheticEyeglasses) -> BareFrame:
-    """Return a frame of the package's own maker."""
-    none = np.zeros(len(glasses.faces), bool)
-    return BareFrame(name, glasses.vertices, glasses.faces, none, glasses.keypoints)
-
-
 def named(name: str, drawn: Callable[[int], GlassesShape | int] = int) -> BareFrame:
     """Return a frame without lenses: "khronos", "giraut", one of `SHAPES`, or "drawn N"."""
     if name == "giraut":
         return giraut()
     if name.startswith("drawn"):
         made = drawn(int(name.split()[1]))
-        return lensless(name, eyeglasses(made) if isinstance(made, int) else eyeglasses(shape=made))
+        glasses = eyeglasses(made) if isinstance(made, int) else eyeglasses(shape=made)
+        none = np.zeros(len(glasses.faces), bool)
+        return BareFrame(name, glasses.vertices, glasses.faces, none, glasses.keypoints)
     return without_lenses(khronos() if name == "khronos" else synthetic(name))
 
 
@@ -312,16 +261,3 @@ def _mask(
     wander *= errors.wander_px / wander.std()
     inside = distance_transform_edt(shown) - distance_transform_edt(~shown) - np.where(shown, 0.5, -0.5)
     return np.asarray(inside + wander + errors.bias_px * rng.normal() > 0)
-
-
-def rms(errors: FloatArray) -> float:
-    """Return the root mean square of lengths (N,), NaN of none."""
-    return float(np.sqrt((errors**2).mean())) if len(errors) else float("nan")
-
-
-def root_mean_squares(columns: Sequence[str], rows: Sequence[Row]) -> Iterator[str]:
-    """Yield a line for each group and method: root mean squares of columns over its rows."""
-    for group, method in dict.fromkeys((row.group, row.method) for row in rows if not row.failed):
-        own = [row.values for row in rows if (row.group, row.method) == (group, method) and not row.failed]
-        parts = [f"{name} {rms(np.array([values[name] for values in own])):.3f}" for name in columns]
-        yield f"root mean squares over {len(own)} of {group}, {method}: {', '.join(parts)}"

@@ -18,9 +18,7 @@ RETINEX_SCALES = (15 / 512, 80 / 512, 250 / 512)
 """Standard deviations of the Gaussians, in sides of the image."""
 
 
-def multi_scale_retinex(
-    image: FloatArray, mask: BoolArray, scales: tuple[float, ...] = RETINEX_SCALES
-) -> FloatArray:
+def multi_scale_retinex(image: FloatArray, mask: BoolArray) -> FloatArray:
     """Return exp of log image - log(Gaussian * image), averaged over scales: about 1, 0 outside the mask.
 
     Parameters
@@ -29,8 +27,6 @@ def multi_scale_retinex(
         Linear, white = 1.
     mask : (H, W) bool
         Pixels that count; the Gaussians know no others.
-    scales : tuple of float
-        Standard deviations in sides of the image.
 
     References
     ----------
@@ -45,7 +41,7 @@ def multi_scale_retinex(
     1.0
     """
     lit = np.maximum(image, DARKEST)
-    around = [blurred_inside(lit, mask, scale * max(mask.shape)) for scale in scales]
+    around = [blurred_inside(lit, mask, scale * max(mask.shape)) for scale in RETINEX_SCALES]
     reflectance = np.log(lit) - np.mean([np.log(np.maximum(a, DARKEST)) for a in around], axis=0)
     return np.where(mask, np.exp(reflectance), 0)
 
@@ -85,8 +81,8 @@ def blurred_inside(values: FloatArray, mask: BoolArray, deviation: float) -> Flo
     return np.asarray(blurred / np.maximum(total, 1e-9))
 
 
-def homomorphic(value: FloatArray, mask: BoolArray, sigma: float = 1 / 8) -> FloatArray:
-    """Take the low frequencies out of log V: a Gaussian of `sigma` of the image's side.
+def homomorphic(value: FloatArray, mask: BoolArray) -> FloatArray:
+    """Take the low frequencies out of log V: a Gaussian of an eighth of the image's side.
 
     References
     ----------
@@ -94,12 +90,10 @@ def homomorphic(value: FloatArray, mask: BoolArray, sigma: float = 1 / 8) -> Flo
        Proceedings of the IEEE 56(8), 1968.
     """
     log = np.log(np.maximum(value, DARKEST))
-    return np.where(mask, np.exp(log - blurred_inside(log, mask, sigma * max(mask.shape))), 0)
+    return np.where(mask, np.exp(log - blurred_inside(log, mask, max(mask.shape) / 8)), 0)
 
 
-def robust_harmonics(
-    value: FloatArray, normal: FloatArray, mask: BoolArray, iterations: int = 30
-) -> FloatArray:
+def robust_harmonics(value: FloatArray, normal: FloatArray, mask: BoolArray) -> FloatArray:
     """Divide by nine spherical harmonics of the normal, fitted with L1 (iteratively reweighted).
 
     References
@@ -107,5 +101,5 @@ def robust_harmonics(
     .. [1] R. Basri, D. Jacobs, "Lambertian Reflectance and Linear Subspaces", PAMI 25(2), 2003.
     """
     albedo = np.zeros(mask.shape)
-    albedo[mask] = value[mask] / robust_light(harmonics(normal[mask], 2), value[mask], iterations)
+    albedo[mask] = value[mask] / robust_light(harmonics(normal[mask], 2), value[mask])
     return albedo

@@ -39,14 +39,7 @@ class PeerAnswer:
     evaluations: int
 
 
-def annealed(
-    image: s2a.GeometryImage,
-    light_count: int,
-    *,
-    evaluations: int = 4000,
-    local_search: bool = False,
-    seed: int = 0,
-) -> PeerAnswer:
+def annealed(image: s2a.GeometryImage, light_count: int, *, evaluations: int) -> PeerAnswer:
     """Minimise the block residual over distant lights, Oren-Nayar and Phong by generalised annealing.
 
     Per light two angles and the logarithm of its strength; sigma, k_s and the logarithm of Phong's exponent
@@ -59,9 +52,6 @@ def annealed(
     light_count : int
     evaluations : int
         Bound on evaluations of the objective.
-    local_search : bool
-        Follow good points by L-BFGS-B, as SciPy does unless told otherwise.
-    seed : int
 
     References
     ----------
@@ -103,8 +93,8 @@ def annealed(
         bounds,
         maxiter=10**6,
         maxfun=evaluations,
-        no_local_search=not local_search,
-        rng=np.random.default_rng(seed),
+        no_local_search=True,
+        rng=np.random.default_rng(0),
     )
     lights, light, specular = shade(found.x)
     albedo = np.zeros(mask.shape)
@@ -142,12 +132,10 @@ def _blocks(mask: BoolArray) -> IntArray:
 
 def _value(image: s2a.GeometryImage) -> FloatArray:
     """Return (N,) V of the masked texels."""
-    assert image.texture_linear is not None
     return image.texture_linear[image.mask].astype(np.float64).max(1)
 
 
 SLOW_PEERS: dict[str, Callable[[s2a.GeometryImage, int], PeerAnswer]] = {
     "annealing 1000": partial(annealed, evaluations=1000),
     "annealing 4000": partial(annealed, evaluations=4000),
-    "annealing 1000 local": partial(annealed, evaluations=1000, local_search=True),
 }

@@ -68,34 +68,30 @@ def open3d_icp(model: Surface, scan: RawScan) -> FloatArray:
     return _point_to_plane(_cloud(model), _cloud(scan), centered(model, scan))
 
 
-def fpfh_ransac_icp(iterations: int) -> Peer:
-    """Return the global pipeline of Open3D's tutorial: FPFH features, RANSAC, point-to-plane ICP."""
+def fpfh_ransac_icp(model: Surface, scan: RawScan) -> FloatArray:
+    """Global pipeline of Open3D's tutorial: FPFH features, RANSAC, point-to-plane ICP."""
+    import open3d
 
-    def run(model: Surface, scan: RawScan) -> FloatArray:
-        import open3d
-
-        registration = open3d.pipelines.registration
-        source, target = _cloud(model), _cloud(scan)
-        search = open3d.geometry.KDTreeSearchParamHybrid(radius=FEATURE_RADIUS_MM, max_nn=100)
-        open3d.utility.random.seed(0)
-        start = registration.registration_ransac_based_on_feature_matching(
-            source,
-            target,
-            registration.compute_fpfh_feature(source, search),
-            registration.compute_fpfh_feature(target, search),
-            True,
-            1.5 * VOXEL_MM,
-            registration.TransformationEstimationPointToPoint(False),
-            3,
-            [
-                registration.CorrespondenceCheckerBasedOnEdgeLength(0.9),
-                registration.CorrespondenceCheckerBasedOnDistance(1.5 * VOXEL_MM),
-            ],
-            registration.RANSACConvergenceCriteria(iterations, 0.999),
-        ).transformation
-        return _point_to_plane(source, target, np.array(start))
-
-    return run
+    registration = open3d.pipelines.registration
+    source, target = _cloud(model), _cloud(scan)
+    search = open3d.geometry.KDTreeSearchParamHybrid(radius=FEATURE_RADIUS_MM, max_nn=100)
+    open3d.utility.random.seed(0)
+    start = registration.registration_ransac_based_on_feature_matching(
+        source,
+        target,
+        registration.compute_fpfh_feature(source, search),
+        registration.compute_fpfh_feature(target, search),
+        True,
+        1.5 * VOXEL_MM,
+        registration.TransformationEstimationPointToPoint(False),
+        3,
+        [
+            registration.CorrespondenceCheckerBasedOnEdgeLength(0.9),
+            registration.CorrespondenceCheckerBasedOnDistance(1.5 * VOXEL_MM),
+        ],
+        registration.RANSACConvergenceCriteria(100_000, 0.999),
+    ).transformation
+    return _point_to_plane(source, target, np.array(start))
 
 
 def small_gicp_icp(model: Surface, scan: RawScan) -> FloatArray:
@@ -113,23 +109,8 @@ def small_gicp_icp(model: Surface, scan: RawScan) -> FloatArray:
     return np.array(result.T_target_source)
 
 
-def trimesh_mesh_other(model: Surface, scan: RawScan) -> FloatArray:
-    """Principal axes in every sign, then ICP."""
-    import trimesh
-
-    pose, _ = trimesh.registration.mesh_other(
-        trimesh.Trimesh(model.vertices, model.faces, process=False),
-        trimesh.Trimesh(scan.vertices, scan.faces, process=False),
-        samples=500,
-        reflection=False,
-        seed=0,
-    )
-    return np.asarray(pose)
-
-
 PEERS: dict[str, Peer] = {
     "Open3D ICP from centroids": open3d_icp,
-    "Open3D FPFH+RANSAC+ICP": fpfh_ransac_icp(100_000),
+    "Open3D FPFH+RANSAC+ICP": fpfh_ransac_icp,
     "small_gicp from centroids": small_gicp_icp,
-    "trimesh mesh_other": trimesh_mesh_other,
 }
