@@ -7,7 +7,7 @@ from scipy.sparse import csr_matrix, identity
 from scipy.sparse.linalg import splu
 
 from scan2albedo.albedo.node_field import FAINT
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 
 _HOLD = 1e-4
 """Weight by which a copy keeps its own level: felt from 100 texels on, where gradients add up to drift."""
@@ -72,7 +72,7 @@ def resynthesize(
     return result
 
 
-def continued_smoothly(albedo: NDArray, gaps: BoolArray, known: BoolArray) -> NDArray[np.float32]:
+def continued_smoothly(albedo: NDArray, gaps: BoolArray, known: BoolArray) -> Float32Array:
     """Return an albedo (H, W, 3) whose logarithm goes on from `known` into `gaps` by Laplace's equation."""
     floor = max(FAINT * float(albedo.mean()), float(np.finfo(np.float32).tiny))
     field = np.log(np.maximum(albedo.astype(np.float64), floor))

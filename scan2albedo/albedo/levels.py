@@ -11,7 +11,7 @@ from scipy.ndimage import distance_transform_edt, map_coordinates, uniform_filte
 
 from scan2albedo.albedo.noise import WINDOW
 from scan2albedo.albedo.options import MINIMAL_TEXELS, SATURATION_LINEAR
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, RealArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.errors import LightingError
 from scan2albedo.geometry.mesh import lengths, normalized
@@ -66,7 +66,7 @@ class Level:
         return np.stack(found).astype(np.int32), total
 
 
-def brightest_around(texture_linear: NDArray[np.float32], usable: BoolArray) -> FloatArray:
+def brightest_around(texture_linear: Float32Array, usable: BoolArray) -> FloatArray:
     """Return (H, W) the channel that is the brightest on average around each texel: V, but for its noise."""
     chosen = uniform_filter(usable[..., None] * texture_linear, (WINDOW, WINDOW, 1)).argmax(-1)
     return np.take_along_axis(texture_linear, chosen[..., None], -1)[..., 0].astype(np.float64)
@@ -103,7 +103,7 @@ def build_level(
     image: GeometryImage,
     usable: BoolArray,
     size: int,
-    values: NDArray[np.floating] | None = None,
+    values: RealArray | None = None,
     toward: FloatArray | None = None,
 ) -> Level:
     """Average the face's usable texels of V, or of `values` (H, W), into cells, `size` along its side.

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from scan2albedo.albedo.uncertainty import LightUncertainty
 from scan2albedo.core import Trace
-from scan2albedo.core.arrays import on_grid
+from scan2albedo.core.arrays import Float32Array, on_grid
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.core.plan import Plan
@@ -22,20 +22,20 @@ from scan2albedo.lighting.shadow_map import ShadowMap
 class AlbedoEstimate:
     """Result of `estimate_albedo`; images are zero outside the mask."""
 
-    albedo_linear: NDArray[np.float32]
+    albedo_linear: Float32Array
     """(H, W, 3): up to one global scale, which no image determines: ambient light is 1."""
     lights: tuple[PointLight, ...]
     """Lamps, strongest first; empty where soft light explains the image, and for spherical harmonics."""
     parameters: dict[str, object]
     """ambient (1), brdf, sigma_rad or minnaert_exponent, specular_strength, specular_exponent,
     light_distance_mm (None for distant lights); for spherical harmonics sh_coefficients (9 rows of 3)."""
-    shading: NDArray[np.float32]
+    shading: Float32Array
     """(H, W, 3): I of each channel (lamps, soft and bounced light), which divided the texture."""
-    specular: NDArray[np.float32]
+    specular: Float32Array
     """(H, W): mean I_s, which was subtracted from the texture in the lamps' colours."""
-    shadow: NDArray[np.float32]
+    shadow: Float32Array
     """(H, W): visibility in [0, 1], the smallest over the lights."""
-    confidence: NDArray[np.float32]
+    confidence: Float32Array
     """(H, W): in [0, 1], how much of the texel's albedo is its own measurement."""
     plan: Plan
     """What ran and what was left out, and why."""
@@ -59,17 +59,17 @@ class AlbedoEstimate:
     """Of the shadow rays."""
     uncertainty: LightUncertainty | None = None
     """How sure the light is; None for spherical harmonics, the paper's search, and where the budget ended."""
-    albedo_deviation: NDArray[np.float32] | None = None
+    albedo_deviation: Float32Array | None = None
     """(H, W): relative standard deviation of the albedo that follows from it, best scale removed."""
     environment: EnvironmentLight | None = None
     """The soft light; None is the constant white ambient light of 1."""
-    expected_error: NDArray[np.float32] | None = None
+    expected_error: Float32Array | None = None
     """(H, W): relative error of the albedo that two texels in three stay below, best scale removed; 1 where
     nothing was measured (`uncertainty.expected_error`)."""
 
     def relit(
         self, lights: Sequence[PointLight], environment: EnvironmentLight | None = None
-    ) -> NDArray[np.float32]:
+    ) -> Float32Array:
         """Return (H, W, 3) the linear texture under other lights in their colours, with shadows.
 
         T = A (I_a + I_d) + I_s with the estimated reflectance, highlights in the colours of their lamps.

@@ -4,14 +4,13 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy.ndimage import binary_opening, binary_propagation
 
 from scan2albedo.albedo.inpainting import RADIUS, resynthesize, surroundings
 from scan2albedo.albedo.node_field import FAINT
 from scan2albedo.albedo.options import MINIMAL_TEXELS, SATURATION_LINEAR, EstimateOptions
 from scan2albedo.albedo.texel_light import HALF_STEP
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.plan import PlanStep
 
@@ -20,12 +19,12 @@ _LARGEST_HIGHLIGHT = 0.25
 
 
 def inpainted(
-    albedo_linear: NDArray[np.float32],
+    albedo_linear: Float32Array,
     image: GeometryImage,
     usable: BoolArray,
     options: EstimateOptions,
     seed: int,
-) -> tuple[NDArray[np.float32], PlanStep]:
+) -> tuple[Float32Array, PlanStep]:
     """Return the albedo (H, W, 3) with saturated texels rebuilt, or as it is, and the plan's row.
 
     Of the texels that the input clipped, those with a channel left follow from it (`restore_channels`); the

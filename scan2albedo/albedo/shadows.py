@@ -5,7 +5,6 @@ from itertools import product
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
 from scan2albedo.albedo.levels import Level
@@ -13,14 +12,14 @@ from scan2albedo.albedo.light_parameters import LightModel
 from scan2albedo.albedo.node_field import TINY
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import Float32Array, FloatArray, IntArray
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.plan import PlanStep
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment_light import SKY
 from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable
 
-Visibility = NDArray[np.float32]
+Visibility = Float32Array
 
 OUTLINE_BLURS = 4 / 256, 0.5 / 256
 """How far a traced outline may lie beside the real one (standard deviations, parts of the chart's side): of a

@@ -16,7 +16,7 @@ from scan2albedo.albedo.node_field import TINY, deviation_of_light
 from scan2albedo.albedo.posterior import FREEDOM, Point
 from scan2albedo.albedo.prior import SPREADS
 from scan2albedo.albedo.soft_terms import DARKEST
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray
 from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.lighting.environment_light import open_shading, open_transfer
 from scan2albedo.lighting.harmonics import harmonics
@@ -149,7 +149,7 @@ class _Expected:
 
 def _seen_shadows(
     known: _Expected, mask: BoolArray, visible: NDArray, facing: NDArray, lamps: FloatArray, soft: FloatArray
-) -> NDArray[np.float32]:
+) -> Float32Array:
     """Return (L, N) the part of each lamp that reaches each texel, as far as is known.
 
     Its prior is the traced shadow, blurred by what the surface may err by: none, all or, beside an outline,

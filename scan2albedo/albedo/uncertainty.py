@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scan2albedo.albedo.posterior import NOISE, TEMPER, Point
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray
 from scan2albedo.core.lights import PointLight
 
 _NOT_SKIN = 0.2
@@ -65,7 +65,7 @@ class LightUncertainty:
 
 def expected_error(
     noise: FloatArray, deviation: FloatArray | None, mask: BoolArray, skin: NDArray | None = None
-) -> NDArray[np.float32]:
+) -> Float32Array:
     """Return (H, W) the relative error that two texels in three stay below, in [0, 1]; 0 outside the mask.
 
     `noise` (H, W) is the relative standard deviation of the noise that is left, 1 where nothing was measured,

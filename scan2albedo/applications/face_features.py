@@ -4,13 +4,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, grey_opening, label, map_coordinates, maximum_filter, zoom
 from skimage.morphology import disk
 
 from scan2albedo.albedo.inpainting import continued_smoothly
 from scan2albedo.applications.processed_face import ProcessedFace
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, RealArray
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.face_model.appearance import CLASSES
 from scan2albedo.geometry.rasterization import area_mean
@@ -255,7 +254,7 @@ def local_contrast(albedo: FloatArray, mask: BoolArray) -> FloatArray:
     return np.asarray(rest / max(float(np.std(rest[mask])), 1e-6))
 
 
-def blurred_inside(field: NDArray[np.floating], mask: BoolArray, sigma: float) -> FloatArray:
+def blurred_inside(field: RealArray, mask: BoolArray, sigma: float) -> FloatArray:
     """Return the Gaussian means of a field (H, W) or (H, W, C) over the texels of `mask` (H, W) alone."""
     inside = mask.reshape(*mask.shape, *[1] * (field.ndim - 2)).astype(np.float64)
     parts = [gaussian_filter(part, sigma, mode="mirror", axes=(0, 1)) for part in (field * inside, inside)]

@@ -6,7 +6,6 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, maximum_filter
 from scipy.special import expit
 from skimage.filters.rank import median
@@ -23,7 +22,7 @@ from scan2albedo.applications.light_beyond_face import (
     SurfaceLight,
 )
 from scan2albedo.core.arguments import require_type
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, smoothstep
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, smoothstep
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import ApplicationError
@@ -59,10 +58,10 @@ class UnlitScan:
 
     scan: RawScan
     """With its own vertices, faces and coordinates; its texture, or vertex colours, are unlit."""
-    confidence: NDArray[np.float32]
+    confidence: Float32Array
     """(H, W) of the texture, or (V,): how surely the light was taken off: 1 on the face, 0 where it was left
     in, `OUTSIDE_CONFIDENCE` beyond the face."""
-    hair: NDArray[np.float32] | None = None
+    hair: Float32Array | None = None
     """(H, W), or (V,): how surely hair, beard or brows; None where there are none."""
     lit: RawScan | None = None
     """The scan as it came: the colours of `hair` with its light."""
@@ -164,9 +163,9 @@ class LightRemoval:
 class _Unlit:
     """Colours (..., 3) without their light, how surely it is off, and how surely (...,) they are hair."""
 
-    color_linear: NDArray[np.float32]
-    confidence: NDArray[np.float32]
-    hair: NDArray[np.float32]
+    color_linear: Float32Array
+    confidence: Float32Array
+    hair: Float32Array
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,10 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, on_grid
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, on_grid
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.errors import ApplicationError
@@ -106,7 +106,7 @@ class ProcessedFace:
     """For messages and files."""
     image: GeometryImage
     """Position, normal, mask, region, and the texture where there is one."""
-    albedo_linear: NDArray[np.float32]
+    albedo_linear: Float32Array
     """(H, W, 3): zero outside the mask; known up to one global scale."""
     reflectance: Reflectance
     """How the skin reflects, its highlight in the albedo's unit."""
@@ -126,7 +126,7 @@ class ProcessedFace:
     """The soft light of the scan; None is a white ambient light of 1."""
     has_albedo: bool = True
     """False for a shape alone: the albedo is then an even grey."""
-    expected_error: NDArray[np.float32] | None = None
+    expected_error: Float32Array | None = None
     """(H, W): relative error of the albedo, see `AlbedoEstimate`; None where it is not known."""
     landmarks: FloatArray | None = None
     """(68, 3): iBUG-68 order; None where they are not known."""

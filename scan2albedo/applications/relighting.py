@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter
 
 from scan2albedo.applications.eyes import WET_EXPONENT, WET_REFLECTANCE
@@ -15,7 +15,7 @@ from scan2albedo.applications.eyes_and_mouth import eyes_and_mouth
 from scan2albedo.applications.face_features import AROUND, feature_texels, without_gaps
 from scan2albedo.applications.processed_face import NO_MODEL, ProcessedFace
 from scan2albedo.core.arguments import require_linear, require_type
-from scan2albedo.core.arrays import FloatArray, on_grid
+from scan2albedo.core.arrays import Float32Array, FloatArray, on_grid
 from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.mesh import join, lengths, normalized, vertex_normals
@@ -65,10 +65,10 @@ class RelitFace:
     face: ProcessedFace
     light: SceneLight
     """`face`, `light`: what is lit, with its gloss and without gaps, and by what."""
-    texture_linear: NDArray[np.float32]
+    texture_linear: Float32Array
     """(H, W, 3): albedo times `diffuse`, plus `specular`; 0 outside the mask, not clipped."""
-    diffuse: NDArray[np.float32]
-    specular: NDArray[np.float32]
+    diffuse: Float32Array
+    specular: Float32Array
     """`diffuse`, `specular`: (H, W, 3)."""
     notes: tuple[str, ...] = ()
     """What was assumed or filled, for people."""

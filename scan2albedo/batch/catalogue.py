@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from scan2albedo.batch.manifest import BatchManifest
 from scan2albedo.batch.records import CATALOGUE, FILES, FIXED, METRICS, STAGES, BatchScanRecord, path_column
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray
 from scan2albedo.errors import BatchError, needs_extra, one_line
 from scan2albedo.geometry.rasterization import area_mean
 from scan2albedo.io.atomic import atomic_path
@@ -89,9 +90,7 @@ def load_catalogue(out: str | Path) -> pyarrow.Table:
         raise BatchError(f"{path}: is no whole catalogue ({error}); `batch --resume` redoes it") from error
 
 
-def load_albedos(
-    out: str | Path, size: int | None = None
-) -> tuple[list[str], NDArray[np.float32], NDArray[np.bool_]]:
+def load_albedos(out: str | Path, size: int | None = None) -> tuple[list[str], Float32Array, BoolArray]:
     """Return the albedos of all scans of a batch that are done and have one.
 
     Raises BatchError when there is no such batch, no albedo, scans of several models or sizes, or a file is
@@ -127,8 +126,8 @@ def load_albedos(
             f"{folder}: scans of several models ({', '.join(models)}), whose texels do not correspond; "
             "process them in a batch each"
         )
-    albedos: list[NDArray[np.float32]] = []
-    masks: list[NDArray[np.bool_]] = []
+    albedos: list[Float32Array] = []
+    masks: list[BoolArray] = []
     for row in wanted:
         path = str(row["path_albedo_exr"])
         file = folder / path
@@ -162,7 +161,7 @@ def load_albedos(
     return [row["name"] for row in wanted], np.stack(albedos), np.stack(masks)
 
 
-def _resized(values: NDArray[Any], size: int) -> NDArray[np.float64]:
+def _resized(values: NDArray, size: int) -> FloatArray:
     if size <= len(values):
         return area_mean(values, (size, size))
     from skimage.transform import resize

@@ -6,7 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 BoolArray = NDArray[np.bool_]
+ByteArray = NDArray[np.uint8]
 FloatArray = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+RealArray = NDArray[np.floating]
 IntArray = NDArray[np.int64]
 
 
@@ -18,7 +21,7 @@ def checked_array(
     *,
     kind: type = float,
     finite: type[Exception] | None = None,
-) -> NDArray[Any]:
+) -> NDArray:
     """Return values of a shape, where letters stand for any number; an `error` that names them for others.
 
     It may begin with any axes, `...`. Numbers become float64; of the `kind` bool or int no others are taken.

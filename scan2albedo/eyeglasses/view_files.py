@@ -130,7 +130,7 @@ def read_cameras(path: str | Path) -> tuple[Camera, ...]:
     return tuple(entry.camera(MM_PER_UNIT[content.unit]) for entry in content.cameras)
 
 
-def write_masks(folder: str | Path, masks: Sequence[NDArray[np.generic]], cameras: Sequence[Camera]) -> None:
+def write_masks(folder: str | Path, masks: Sequence[NDArray], cameras: Sequence[Camera]) -> None:
     """Write masks (H, W), one a camera, nonzero where glasses are, as ``folder / "<camera>.png"``.
 
     Raises ValueError when masks do not fit the cameras, OutputError when the folder cannot be written.

@@ -11,10 +11,9 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, IntArray
 from scan2albedo.errors import ModelError
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints
 from scan2albedo.geometry.mesh import normalized
@@ -83,7 +82,7 @@ class AnnotatedSurface:
     control_vertices: FloatArray
     control_faces: IntArray
     uv: FloatArray
-    region: NDArray[np.uint8]
+    region: ByteArray
     regions: Mapping[str, Region]
     landmark_points: SurfacePoints | None = None
     template_points: SurfacePoints | None = None
@@ -250,7 +249,7 @@ class FittedSurface:
     """(F, 3)."""
     uv: FloatArray
     """(V, 2): chart coordinates of `vertices`."""
-    region: NDArray[np.uint8]
+    region: ByteArray
     """(F,): region index of each face."""
     residual_mm: FloatArray
     """(V,): distance of each vertex to the scan; NaN where the scan has no surface near (hole, outside)."""

@@ -17,11 +17,10 @@ from functools import cache
 from importlib.resources import files
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.ndimage import map_coordinates, median_filter, uniform_filter
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, ByteArray, Float32Array, FloatArray, RealArray
 from scan2albedo.geometry.rasterization import area_mean
 
 CLASSES = ("unseen", "skin", "brow", "eye", "lip", "nostril", "beard", "hair", "cloth")
@@ -67,7 +66,7 @@ _SMOOTH_MM = 0.05
 _HAIR_AND_CLOTH = np.array([[0, 0.8, -0.6], [0, -1, 0]]) / 30
 """By how much log odds of hair, and of cloth, grow in a mm along x, y and z of the model's frame: a guess."""
 
-Image = NDArray[np.float32]
+Image = Float32Array
 
 
 @dataclass(frozen=True)
@@ -89,7 +88,7 @@ class AppearanceModel:
             share, mean, covariance = (arrays[n].astype(float) for n in ("share", "mean", "covariance"))
             return cls(share, mean, covariance, float(arrays["shaded"]))
 
-    def at_places(self, place: NDArray[np.floating]) -> FloatArray:
+    def at_places(self, place: RealArray) -> FloatArray:
         """Return the shares (C, ...) of the classes at places (..., 2), before they sum to one."""
         spot = (np.moveaxis(place, -1, 0) * len(self.share[0])) - 0.5
         return np.maximum([map_coordinates(one, spot, order=1, mode="nearest") for one in self.share], 1e-6)
@@ -112,7 +111,7 @@ class Appearance:
 
     skin: Image
     """How surely skin, 0 to 1; 0 where the surface was not seen."""
-    labels: NDArray[np.uint8]
+    labels: ByteArray
     """The likeliest of `CLASSES`."""
     log_odds: float
     """Of a texture that belongs to the places where it lies on a face, against one that does not; 0 where
@@ -123,10 +122,10 @@ def appearance(
     position: FloatArray,
     normal: FloatArray,
     seen: BoolArray,
-    texture_linear: NDArray[np.float32] | None = None,
+    texture_linear: Float32Array | None = None,
     *,
-    place: NDArray[np.floating] | None = None,
-    share: NDArray[np.floating] | None = None,
+    place: RealArray | None = None,
+    share: RealArray | None = None,
     residual_mm: FloatArray | None = None,
     model: AppearanceModel | None = None,
 ) -> Appearance:
@@ -289,7 +288,7 @@ def features_of(
     return colors, np.log((grain + _FAINT) / (1.3 * np.clip(own, _FAINT, 0.06) + _FAINT))
 
 
-def light_basis(normal: NDArray[np.floating]) -> FloatArray:
+def light_basis(normal: RealArray) -> FloatArray:
     """Return (..., 9) the constant, linear and quadratic functions of normals (..., 3)."""
     x, y, z = np.moveaxis(np.asarray(normal, np.float64), -1, 0)
     return np.stack([np.ones_like(x), x, y, z, x * y, y * z, x * z, x * x - y * y, 3 * z * z - 1], axis=-1)
@@ -401,7 +400,7 @@ class _Grid:
         shape = tuple(-(-texels // factor) for texels in seen.shape)
         return cls(seen, _resized(seen.astype(np.float32), shape), side * factor)
 
-    def mean(self, field: NDArray[np.floating]) -> Image:
+    def mean(self, field: RealArray) -> Image:
         """Return the means over the seen texels of each coarse one; 0 where there is none."""
         flat = field.ndim == 2
         kept = np.where(self.seen if flat else self.seen[..., None], field, 0).astype(np.float32)
@@ -429,7 +428,7 @@ def odd_side(texels: float) -> int:
     return max(3, 2 * round((texels - 1) / 2) + 1)
 
 
-def local_mean(field: NDArray[np.floating], weight: Image, side: int) -> FloatArray:
+def local_mean(field: RealArray, weight: Image, side: int) -> FloatArray:
     """Return the weighted mean of `field` (H, W) over squares of `side` texels; 0 without any weight."""
     sums, total = (uniform_filter(f, side, mode="constant") for f in (field * weight, weight))
     return np.asarray(sums / np.maximum(total, np.float32(1e-6 / side**2)))

@@ -131,7 +131,7 @@ class NearestSurface:
         self._near_start, self._near = neighbour_lists(len(self._vertices), self._faces)
 
     @property
-    def arrays(self) -> tuple[NDArray[np.generic], ...]:
+    def arrays(self) -> tuple[NDArray, ...]:
         """Return the kernels' arguments: vertices (V, 3), faces (F, 3), ring, ring_start, near, near_start.
 
         The faces around vertex v are ring[ring_start[v] : ring_start[v + 1]], its neighbours

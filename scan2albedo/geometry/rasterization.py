@@ -2,13 +2,12 @@
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, RealArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.geometry.rigid import transform_points
 
@@ -17,11 +16,11 @@ from scan2albedo.geometry.rigid import transform_points
 class Raster:
     """`face` (H, W) int64 with -1 where nothing covers; `barycentric` (H, W, 3) float64, zeros there."""
 
-    face: NDArray[np.int64]
-    barycentric: NDArray[np.float64]
+    face: IntArray
+    barycentric: FloatArray
 
     @property
-    def covered(self) -> NDArray[np.bool_]:
+    def covered(self) -> BoolArray:
         """(H, W) True where a face covers the pixel centre."""
         return self.face >= 0
 
@@ -37,7 +36,7 @@ def rasterize_uv(uv: ArrayLike, faces: ArrayLike, size: int | tuple[int, int]) -
     return rasterize(pixels, np.zeros(len(pixels)), faces, (height, width))
 
 
-def pixels_from_uv(uv: ArrayLike, shape: tuple[int, int]) -> NDArray[np.float64]:
+def pixels_from_uv(uv: ArrayLike, shape: tuple[int, int]) -> FloatArray:
     """Return (N, 2) pixel coordinates (column, row), pixel centres at integers, of texture coordinates."""
     coordinates = np.asarray(uv, float)
     return np.stack([coordinates[:, 0] * shape[1] - 0.5, (1 - coordinates[:, 1]) * shape[0] - 0.5], 1)
@@ -103,7 +102,7 @@ def _rasterize(pixels, depth, faces, nearest, owner, weights):  # type: ignore[n
                         weights[row, column, 2] = wc
 
 
-def interpolate(raster: Raster, faces: IntArray, values: NDArray[np.floating]) -> FloatArray:
+def interpolate(raster: Raster, faces: IntArray, values: RealArray) -> FloatArray:
     """Return per-vertex `values` (V, ...) interpolated over the raster (H, W, ...), zeros outside."""
     result = np.zeros(raster.face.shape + values.shape[1:])
     inside = raster.covered
@@ -112,7 +111,7 @@ def interpolate(raster: Raster, faces: IntArray, values: NDArray[np.floating]) -
     return result
 
 
-def bilinear(image: NDArray[np.floating], pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+def bilinear(image: RealArray, pixels: FloatArray) -> FloatArray:
     """Return (N, C) of an image (H, W, C) at pixels (N, 2), column and row; its edges continue outside."""
     (rows, columns), (column, row) = image.shape[:2], pixels.T
     column, row = np.clip(column, 0, columns - 1), np.clip(row, 0, rows - 1)
@@ -138,7 +137,7 @@ def polyline_distance(points: FloatArray, line: FloatArray) -> FloatArray:
     return nearest
 
 
-def bilinear_slopes(image: NDArray[np.floating], pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+def bilinear_slopes(image: RealArray, pixels: FloatArray) -> FloatArray:
     """Return the derivatives (N, C, 2) of `bilinear` by column and row, beyond an edge those at it."""
     last = np.array(image.shape[1::-1]) - 1
     place = np.clip(pixels, 0, last)
@@ -149,7 +148,7 @@ def bilinear_slopes(image: NDArray[np.floating], pixels: NDArray[np.float64]) ->
     return np.asarray(np.stack([(1 - y) * (b - a) + y * (d - c), (1 - x) * (c - a) + x * (d - b)], 2))
 
 
-def filled_from_nearest(image: NDArray[Any], mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+def filled_from_nearest(image: NDArray, mask: BoolArray) -> FloatArray:
     """Return an image (H, W, ...) whose pixels outside of `mask` have the value of the nearest one inside.
 
     Interpolation and averages at the mask's border then mix in no empty pixel.
@@ -183,14 +182,14 @@ def area_mean(values: ArrayLike, shape: tuple[int, int]) -> FloatArray:
     return np.asarray(result / (size[0] * size[1] / (shape[0] * shape[1])))
 
 
-def filled_smoothly(values: NDArray[Any], known: BoolArray) -> NDArray[Any]:
+def filled_smoothly(values: NDArray, known: BoolArray) -> NDArray:
     """Return an image (H, W, C) as `fill_smoothly` leaves it; `values` stay."""
     filled = values.copy()
     fill_smoothly(filled, known)
     return filled
 
 
-def fill_smoothly(values: NDArray[Any], known: BoolArray) -> None:
+def fill_smoothly(values: NDArray, known: BoolArray) -> None:
     """Set the pixels of an image (H, W, C) outside of `known` (H, W) to means of what lies around them.
 
     Each is taken, by bilinear interpolation, from the finest of images of half the size that knows something

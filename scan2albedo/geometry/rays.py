@@ -6,9 +6,9 @@ from concurrent.futures import ThreadPoolExecutor
 from threading import Lock
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import BoolArray, checked_mesh
+from scan2albedo.core.arrays import BoolArray, Float32Array, checked_mesh
 from scan2albedo.geometry.mesh import RayHits
 
 _CHUNK = 8192
@@ -45,7 +45,7 @@ class RayCaster:
         """Longest side of the mesh's bounding box, in the mesh's unit."""
         return self._scale
 
-    def to_local(self, points: ArrayLike) -> NDArray[np.float32]:
+    def to_local(self, points: ArrayLike) -> Float32Array:
         """Return (N, 3) float32: points centred and scaled as embree sees them, for `occluded`."""
         return ((np.asarray(points, np.float64) - self._center) * (1 / self._scale)).astype(np.float32)
 

@@ -6,12 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.mesh import face_areas
 
-Matrix = NDArray[np.float64]
+Matrix = FloatArray
 
 
 def transform_points(target_from_source: ArrayLike, points: ArrayLike) -> Matrix:
@@ -150,7 +151,7 @@ def procrustes(
     return compose(factor * rotation, y_mean - factor * rotation @ x_mean)
 
 
-def in_principal_frame(vertices: Matrix, faces: NDArray[np.int64]) -> tuple[Matrix, Matrix]:
+def in_principal_frame(vertices: Matrix, faces: IntArray) -> tuple[Matrix, Matrix]:
     """Return the vertices (V, 3) in the surface's principal axes, and the rigid (4, 4) transform there.
 
     Origin at the surface's centroid, axes along the eigenvectors of its second moments (longest first) and

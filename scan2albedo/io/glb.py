@@ -11,7 +11,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array, checked_mesh
+from scan2albedo.core.arrays import (
+    BoolArray,
+    ByteArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    checked_array,
+    checked_mesh,
+)
 from scan2albedo.geometry.mesh import vertex_normals, without_unreferenced
 from scan2albedo.io.atomic import write_bytes
 from scan2albedo.io.images import encode_image
@@ -49,7 +57,7 @@ class GlbFile:
         self.images.append({**entries, "bufferView": self.add_bytes(png), "mimeType": "image/png"})
         return {"index": len(self.images) - 1}
 
-    def add_array(self, array: NDArray[Any], target: int | None = None, *, bounds: bool = False) -> int:
+    def add_array(self, array: NDArray, target: int | None = None, *, bounds: bool = False) -> int:
         """Append an array, one element a row, floats in 32 bits, and return the number of its accessor."""
         stored = array.astype("<f4") if array.dtype.kind == "f" else array
         little = np.ascontiguousarray(stored, stored.dtype.newbyteorder("<"))
@@ -70,7 +78,7 @@ class GlbFile:
         material: dict[str, Any],
         vertices_mm: FloatArray,
         faces: IntArray,
-        attributes: Mapping[str, NDArray[Any]] | None = None,
+        attributes: Mapping[str, NDArray] | None = None,
         *,
         uv: FloatArray | None = None,
         normals: FloatArray | None = None,
@@ -162,11 +170,11 @@ def write_glb(
     vertices: ArrayLike,
     faces: ArrayLike,
     uv: ArrayLike | None = None,
-    texture_srgb: NDArray[np.uint8] | None = None,
+    texture_srgb: ByteArray | None = None,
     *,
     emissive: bool = False,
     parts: Sequence["GlbPart"] = (),
-    take: Mapping[str, NDArray[np.float64]] | None = None,
+    take: Mapping[str, FloatArray] | None = None,
 ) -> None:
     """Write a mesh with its base colour, atomically.
 
@@ -309,7 +317,7 @@ def write_skinned_glb(
         raise ValueError("weights must not be negative, sum to 1, and be 0 for missing key points")
     known = np.flatnonzero(there)
     bound = _bound(shares[:, known], influences)
-    file, attributes = GlbFile(), dict[str, NDArray[Any]]()
+    file, attributes = GlbFile(), dict[str, NDArray]()
     kind = "u1" if len(known) <= 256 else "u2"
     for n, start in enumerate(range(0, bound.joint.shape[1], 4)):
         attributes[f"JOINTS_{n}"] = bound.joint[:, start : start + 4].astype(kind)
@@ -358,7 +366,7 @@ class _Bound:
     """The joints (V, 4 n) that move each vertex, heaviest first, and their weights, whose sum is 1."""
 
     joint: IntArray
-    weight: NDArray[np.float32]
+    weight: Float32Array
     cut: float
     """The greatest part of a vertex's weight that was left out."""
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import Float32Array, FloatArray
 from scan2albedo.core.raw_scan import require_valid_indices
 from scan2albedo.errors import MissingDependencyError, ScanError, errors_of, one_line
 from scan2albedo.io import limits
@@ -129,7 +129,7 @@ class GltfFile:
         number: int | None = entry.get("extensions", {}).get("EXT_texture_webp", entry).get("source")
         return number
 
-    def colors(self) -> dict[int | None, NDArray[np.float32]]:
+    def colors(self) -> dict[int | None, Float32Array]:
         """Return the pictures (H, W, 3 or 4) of base colours that can be read, linear, by their numbers.
 
         Each picture is judged by its header, and these together, before it is decoded.
@@ -138,7 +138,7 @@ class GltfFile:
 
         name = self.path.name
         total = 0
-        found, wanted = dict[int | None, NDArray[np.float32]](), set[int | None]()
+        found, wanted = dict[int | None, Float32Array](), set[int | None]()
         wanted.update(self.color_number(material) for material in self.tree.get("materials", ()))
         for number, entry in enumerate(self.tree.get("images", ())):
             data: bytes | memoryview = b""
@@ -155,7 +155,7 @@ class GltfFile:
                     found[number] = decode_picture(np.asarray(image.convert("RGBA"), np.uint8))
         return found
 
-    def decoded(self, primitive: dict[str, Any]) -> dict[str, NDArray[Any]]:
+    def decoded(self, primitive: dict[str, Any]) -> dict[str, NDArray]:
         """Return the arrays of a primitive that Draco compressed, by their names and as "indices"."""
         if (packed := primitive.get("extensions", {}).get(_DRACO)) is None:
             return {}
@@ -167,7 +167,7 @@ class GltfFile:
         stored = {attribute["unique_id"]: attribute["data"] for attribute in mesh.attributes}
         return {"indices": mesh.faces, **{name: stored[k] for name, k in packed["attributes"].items()}}
 
-    def array(self, number: int) -> NDArray[Any]:
+    def array(self, number: int) -> NDArray:
         """Return (count, components) what an accessor holds; zeros where it has no bytes."""
         accessor = self.tree["accessors"][number]
         shape = accessor["count"], _COMPONENTS[accessor["type"]]
@@ -179,7 +179,7 @@ class GltfFile:
             found[at] = self._stored({**accessor, "byteOffset": 0, "count": few["count"], **few["values"]})
         return found
 
-    def _stored(self, accessor: dict[str, Any]) -> NDArray[Any]:
+    def _stored(self, accessor: dict[str, Any]) -> NDArray:
         dtype, width = np.dtype(_DTYPES[accessor["componentType"]]), _COMPONENTS[accessor["type"]]
         view = self.tree["bufferViews"][accessor["bufferView"]]
         start, data = accessor.get("byteOffset", 0), self.view(accessor["bufferView"])
@@ -287,7 +287,7 @@ def _joined(file: GltfFile) -> ParsedMesh:
 
 
 def _material(
-    file: GltfFile, number: int | None, pictures: dict[int | None, NDArray[np.float32]]
+    file: GltfFile, number: int | None, pictures: dict[int | None, Float32Array]
 ) -> tuple[Material, str]:
     """Return a material, white where a primitive has none, and a note where its texture is lost."""
     entry = {"pbrMetallicRoughness": {}} if number is None else file.tree["materials"][number]

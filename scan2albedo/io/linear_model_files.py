@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.io import loadmat
 from scipy.io.matlab import MatReadError
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import Float32Array, FloatArray, IntArray, RealArray
 from scan2albedo.errors import ModelError, ScanError, needs_extra, one_line
 from scan2albedo.geometry.rigid import rotation_from_vector
 from scan2albedo.io import limits
@@ -56,7 +55,7 @@ class LinearFaceModel:
     name: str
     sha256: str
     mean: FloatArray
-    basis: NDArray[np.floating]
+    basis: RealArray
     shapes: int
     faces: IntArray
     uv: FloatArray | None = None
@@ -262,7 +261,7 @@ def eos_arrays(data: bytes) -> Values:
     columns and column-major float32; then uint64 count and int32 triples of vertices.
     """
     begin = 4
-    matrices = list[NDArray[np.float32]]()
+    matrices = list[Float32Array]()
     while not matrices or len(matrices[-1]) == len(matrices[0]):
         rows, columns = np.frombuffer(data, "<i4", 2, begin).tolist()
         if min(rows, columns) < 1 or len(matrices) > 3:

@@ -4,7 +4,6 @@ import math
 import zipfile
 from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.lib.npyio import NpzFile
@@ -16,12 +15,10 @@ from scan2albedo.io import limits
 from scan2albedo.io.atomic import atomic_path
 from scan2albedo.io.records import Content, parse_record
 
-Arrays = dict[str, NDArray[Any]]
+Arrays = dict[str, NDArray]
 
 
-def write_npz(
-    path: str | Path, arrays: Mapping[str, NDArray[Any]], *, what: str, compression: int = 0
-) -> None:
+def write_npz(path: str | Path, arrays: Mapping[str, NDArray], *, what: str, compression: int = 0) -> None:
     """Write arrays, by name, as an .npz file, whole or not at all; same content, same bytes.
 
     Messages call the content `what`, such as "reflectance model". `compression` is the level of zlib, 0 for
@@ -89,7 +86,7 @@ def read_npz(
 
 
 def write_npz_record(
-    path: str | Path, header: BaseModel, arrays: Mapping[str, NDArray[Any]], *, what: str
+    path: str | Path, header: BaseModel, arrays: Mapping[str, NDArray], *, what: str
 ) -> None:
     """Write arrays with a record beside them, uncompressed; see `write_npz`."""
     write_npz(path, {"header": np.array(header.model_dump_json()), **arrays}, what=what)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import IntArray
+from scan2albedo.core.arrays import ByteArray, Float32Array, IntArray
 from scan2albedo.errors import ScanError
 from scan2albedo.geometry.operators import vertex_average
 from scan2albedo.io import limits, parsed_mesh
@@ -48,7 +48,7 @@ class _ListColumn(NamedTuple):
     """A list property: how many entries each row has (N,), and all of them, row after row."""
 
     counts: IntArray
-    items: NDArray[Any]
+    items: NDArray
 
 
 @dataclass
@@ -60,7 +60,7 @@ class Element:
     properties: list[tuple[str, np.dtype[Any], np.dtype[Any] | None]] = field(default_factory=list)
 
 
-Columns = dict[str, "NDArray[Any] | _ListColumn"]
+Columns = dict[str, "NDArray | _ListColumn"]
 
 
 def read_ply(path: Path, folder: ScanFolder) -> ParsedMesh:
@@ -173,7 +173,7 @@ def mesh_of_columns(
     return ParsedMesh(vertices, faces, uv, material, materials, vertex_color_linear=colors, notes=notes)
 
 
-def _colors(columns: dict[str, NDArray[Any]]) -> NDArray[np.float32] | None:
+def _colors(columns: dict[str, NDArray]) -> Float32Array | None:
     """Return the linear colours (N, 3) of rows, or with alpha (N, 4); None where they have none."""
     names = next((names for names in _COLOR_NAMES if all(name in columns for name in names)), None)
     if names is None or not len(columns[names[0]]):
@@ -238,7 +238,7 @@ def _cut_short(path: Path, element: Element) -> ScanError:
     return damaged(path, f"it declares {element.count} {element.name} rows, but ends before that")
 
 
-def _binary_rows(path: Path, body: NDArray[np.uint8], element: Element, order: str) -> tuple[Columns, int]:
+def _binary_rows(path: Path, body: ByteArray, element: Element, order: str) -> tuple[Columns, int]:
     """Return (columns, bytes of all rows); ScanError where the body ends before."""
     types = [(name, item_type.newbyteorder(order)) for name, item_type, _ in element.properties]  # type: ignore[arg-type]
     if all(count_type is None for _, _, count_type in element.properties):

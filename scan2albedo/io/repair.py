@@ -34,7 +34,7 @@ def require_usable(mesh: ParsedMesh, name: str) -> None:
             )
 
 
-def first_equal_row(rows: NDArray[np.generic]) -> IntArray:
+def first_equal_row(rows: NDArray) -> IntArray:
     """Return (N,) the index of the first row equal to each row of (N, K) numbers.
 
     >>> first_equal_row(np.array([[1.0, 2], [3, 4], [1, 2]])).tolist()

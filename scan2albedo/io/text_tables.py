@@ -4,9 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import ByteArray, FloatArray, IntArray
 from scan2albedo.io import limits
 
 # Numbers, since `ord` takes long to compile.
@@ -25,7 +24,7 @@ def _is_blank(byte):  # type: ignore[no-untyped-def]
     return byte == 32 or byte == 9 or byte == 13 or byte == 11 or byte == 12
 
 
-def line_ranges(text: NDArray[np.uint8]) -> tuple[IntArray, IntArray]:
+def line_ranges(text: ByteArray) -> tuple[IntArray, IntArray]:
     """Return (start (L,), end (L,)) of each line of `text` (N,), newline excluded."""
     breaks = np.flatnonzero(text == 10)
     return np.concatenate([[0], breaks + 1]), np.concatenate([breaks, [text.size]])
@@ -239,7 +238,7 @@ class NumberTable(NamedTuple):
 class NumberLines(NamedTuple):
     """Lines of a text and how many words each has."""
 
-    text: NDArray[np.uint8]
+    text: ByteArray
     starts: IntArray
     ends: IntArray
     counts: IntArray

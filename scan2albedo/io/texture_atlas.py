@@ -4,14 +4,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from scan2albedo.core.raw_scan import TextureTile
 from scan2albedo.io import limits
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh
 
-Image = NDArray[np.float32]
+Image = Float32Array
 
 GUTTER = 2
 """Texels repeated around each tile, so that interpolation at its edge meets its own colour."""
@@ -164,8 +163,8 @@ _LOOKS = np.array([*np.ones((1, 3)) / 3, *np.eye(3), *(1 - np.eye(3)) / 2])
 
 
 def seen_colors(
-    colors: NDArray[np.float32], faces: IntArray, uv: FloatArray | None = None
-) -> tuple[NDArray[np.float32], BoolArray | None]:
+    colors: Float32Array, faces: IntArray, uv: FloatArray | None = None
+) -> tuple[Float32Array, BoolArray | None]:
     """Return colours without alpha, and which of them some picture showed; None where that is all.
 
     They are those of a texture (H, W, 3 or 4) with coordinates `uv` (F, 3, 2) in [0, 1], or of vertices

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.tangents import split_at_seams, tangent_mesh
 from scan2albedo.io.atomic import write_bytes, write_text
@@ -27,7 +27,7 @@ class MeshPicture:
 
     name: str
     png: bytes
-    faces: NDArray[np.bool_]
+    faces: BoolArray
     normal_name: str = ""
     normal_png: bytes | None = None
     surface_png: bytes | None = None
@@ -47,7 +47,7 @@ class TexturedMesh:
     faces: IntArray
     uv: FloatArray | None = None
     pictures: tuple[MeshPicture, ...] = ()
-    vertex_color_linear: NDArray[np.float32] | None = None
+    vertex_color_linear: Float32Array | None = None
     rest: FloatArray | None = None
     targets: Mapping[str, FloatArray] = field(default_factory=dict)
     weights: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -102,7 +102,7 @@ def write_textured_glb(path: str | Path, mesh: TexturedMesh) -> None:
     for name, chosen in _materials(mesh):
         picture = next((p for p in mesh.pictures if Path(p.name).stem == name), None)
         material = plain_material(name, (1.0, 1.0, 1.0, 1.0))
-        attributes: dict[str, NDArray[Any]] = {}
+        attributes: dict[str, NDArray] = {}
         uv: FloatArray | None = None
         if picture is not None:
             _add_pictures(file, material, picture)
@@ -148,7 +148,7 @@ def _add_pictures(file: GlbFile, material: dict[str, Any], picture: MeshPicture)
         material["extensions"] = {"KHR_materials_specular": {"specularTexture": texture}}
 
 
-def _materials(mesh: TexturedMesh) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+def _materials(mesh: TexturedMesh) -> Iterator[tuple[str, BoolArray]]:
     """Yield names of materials and the faces (F,) that have each; the rest last."""
     rest = np.ones(len(mesh.faces), bool)
     for picture in mesh.pictures:

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import FloatArray, checked_array
+from scan2albedo.core.arrays import Float32Array, FloatArray, checked_array
 from scan2albedo.core.lights import PointLight
 from scan2albedo.geometry.rigid import dot
 
@@ -233,8 +233,8 @@ class LitPoints(NamedTuple):
 
     position: FloatArray
     normal: FloatArray
-    visible: NDArray[np.float32]
-    visible_slope: NDArray[np.float32]
+    visible: Float32Array
+    visible_slope: Float32Array
     view: FloatArray
     specular_scale: FloatArray
 

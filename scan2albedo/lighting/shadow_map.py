@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import ByteArray, Float32Array, FloatArray
 from scan2albedo.geometry.rays import RayCaster
 
 _OFFSETS = (1.5e-4, 5e-3)
@@ -32,7 +32,7 @@ class ShadowMap:
     normal: FloatArray
     offset_mm: float = 0.2
     open_above: FloatArray | None = None
-    _origin: NDArray[np.float32] = field(init=False, repr=False)
+    _origin: Float32Array = field(init=False, repr=False)
     _above: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -45,7 +45,7 @@ class ShadowMap:
         object.__setattr__(self, "_origin", origin)
         object.__setattr__(self, "_above", known)
 
-    def visible(self, direction: ArrayLike, distance_mm: float = math.inf) -> NDArray[np.uint8]:
+    def visible(self, direction: ArrayLike, distance_mm: float = math.inf) -> ByteArray:
         """Return (N,) uint8, 1 where a light reaches the point.
 
         `direction` (3,) is unit, from the origin toward the light; `distance_mm` is inf for a distant light.
@@ -148,14 +148,14 @@ class VisibilityTable:
     """Visibility (D, N) uint8 of distant lights from `directions` (D, 3)."""
 
     directions: FloatArray
-    visibility: NDArray[np.uint8]
+    visibility: ByteArray
 
     def highest_hidden(self, normal: FloatArray) -> FloatArray:
         """Return (N,) the largest cosine to `normal` (N, 3) of a hidden direction, 0 where none is."""
         hidden = np.where(self.visibility.T == 0, normal @ self.directions.T, 0.0)
         return np.asarray(hidden.max(1, initial=0.0))
 
-    def nearest(self, direction: ArrayLike) -> NDArray[np.uint8]:
+    def nearest(self, direction: ArrayLike) -> ByteArray:
         """Return (N,) the visibility of the tabulated direction closest to `direction`."""
         return self.visibility[int(np.argmax(self.directions @ np.asarray(direction, np.float64)))]
 

@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.core import PlanStep
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import ByteArray, Float32Array, FloatArray
 from scan2albedo.core.landmarks import COUNT, PlacedLandmarks
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import MissingDependencyError, needs_extra
@@ -122,7 +121,7 @@ def detected_landmarks(scan: RawScan, model_from_scan: FloatArray) -> PlacedLand
     return PlacedLandmarks(points, sigma_mm) if enough.any() else None
 
 
-def _exposed(linear: NDArray[np.float32]) -> FloatArray:
+def _exposed(linear: Float32Array) -> FloatArray:
     """Return sRGB colours (..., 3), the brightest 3 % of them white."""
     white = float(np.percentile(linear.max(-1), 97)) or 1.0
     return np.asarray(linear_to_srgb(np.clip(linear / white, 0, 1)))
@@ -138,7 +137,7 @@ def _detector() -> Iterator[Any]:
         base_options=BaseOptions(model_asset_path=str(_network_file())), running_mode=vision.RunningMode.IMAGE
     )
 
-    def detect(picture: NDArray[np.uint8]) -> FloatArray | None:
+    def detect(picture: ByteArray) -> FloatArray | None:
         image = mediapipe.Image(image_format=mediapipe.ImageFormat.SRGB, data=np.ascontiguousarray(picture))
         faces = landmarker.detect(image).face_landmarks
         if not faces:

@@ -6,7 +6,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.albedo import AlbedoEstimate
 from scan2albedo.applications.engine_maps import engine_maps
@@ -15,7 +14,7 @@ from scan2albedo.applications.files import load_result
 from scan2albedo.applications.light_removal import LightRemoval, UnlitScan, usual_light
 from scan2albedo.applications.template_baking import TemplateTexture, template_texture, tile_numbers
 from scan2albedo.core import PlanStep, RawScan
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, RealArray
 from scan2albedo.face_model.annotation import AnnotatedSurface
 from scan2albedo.fitting import FittedFace
 from scan2albedo.io.texture_atlas import in_first_period
@@ -191,7 +190,7 @@ def _texture_row(name: str, reason: str, texture: TemplateTexture) -> PlanStep:
     return PlanStep(name, True, reason, evidence)
 
 
-def _hair_row(stage: str, hair: NDArray[np.floating] | None) -> PlanStep:
+def _hair_row(stage: str, hair: RealArray | None) -> PlanStep:
     if hair is None:
         return PlanStep(stage, False, "no hair, beard or brows are found: nothing is kept apart")
     reason = "hair, beard and brows as they were lit are kept apart"

@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from scan2albedo.core import Plan, PlanStep, ProgressCallback, RawScan
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray
 from scan2albedo.core.first_run import compiled_beside
 from scan2albedo.core.raw_scan import is_folder_name
 from scan2albedo.errors import FitError, RegistrationError, Scan2AlbedoError, one_line
@@ -66,7 +65,7 @@ class SequenceResult(ProcessResult):
         assert self.fitted is not None
         return self.fitted.model.subdivision(self.fitted.levels).matrix @ self.control_points[frame]
 
-    def write_more(self, folder: Path, texture_srgb: NDArray[np.uint8] | None) -> None:
+    def write_more(self, folder: Path, texture_srgb: ByteArray | None) -> None:
         """Write sequence.glb and frames.npz."""
         fitted, control = self.fitted, self.control_points
         assert fitted is not None

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 from scipy.ndimage import distance_transform_edt, minimum_filter, uniform_filter
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, RealArray
 from scan2albedo.errors import RecognitionError, needs_extra
 from scan2albedo.geometry.rasterization import area_mean, filled_from_nearest
 
@@ -100,7 +100,7 @@ class Templates:
     coefficients: NDArray[np.complex64]
     """(N, O, h, w): of O orientations, of one component after the other; 0 outside the mask. Components are
     the luminance of the albedo, or x, y and z of the normals."""
-    mask: NDArray[np.bool_]
+    mask: BoolArray
     """(N, h, w)."""
     names: tuple[str, ...]
     """(N,): of the persons; several templates may bear one name."""
@@ -110,7 +110,7 @@ class Templates:
     """Of the images, where it is known; templates of different charts are not compared."""
     kind: Kind = "albedo"
     """Of what they are."""
-    weight: NDArray[np.float32] = None  # type: ignore[assignment]
+    weight: Float32Array = None  # type: ignore[assignment]
     """(N, h, w): how certain the coefficients are, 0 to 1, above 0 inside the mask; 1 there when omitted."""
 
     def __post_init__(self) -> None:
@@ -156,10 +156,10 @@ class Templates:
 
 
 def albedo_templates(
-    images: Sequence[ArrayLike] | NDArray[np.floating],
+    images: Sequence[ArrayLike] | RealArray,
     names: Sequence[str],
     *,
-    masks: Sequence[ArrayLike | None] | NDArray[Any] | None = None,
+    masks: Sequence[ArrayLike | None] | NDArray | None = None,
     options: TemplateOptions = TemplateOptions(),
 ) -> Templates:
     """Return the templates of albedos, in about 2 ms an image of 128 pixels.
@@ -190,10 +190,10 @@ def albedo_templates(
 
 
 def shape_templates(
-    normals: Sequence[ArrayLike] | NDArray[np.floating],
+    normals: Sequence[ArrayLike] | RealArray,
     names: Sequence[str],
     *,
-    masks: Sequence[ArrayLike | None] | NDArray[Any] | None = None,
+    masks: Sequence[ArrayLike | None] | NDArray | None = None,
     options: TemplateOptions = TemplateOptions(),
 ) -> Templates:
     """Return the templates of surfaces by their normals; `unit_mean` does not apply.
@@ -232,9 +232,9 @@ def certainty(albedo: ArrayLike, expected_error: ArrayLike, mask: BoolArray) -> 
 
 def _templates(
     kind: Kind,
-    images: Sequence[ArrayLike] | NDArray[np.floating],
+    images: Sequence[ArrayLike] | RealArray,
     names: Sequence[str],
-    masks: Sequence[ArrayLike | None] | NDArray[Any] | None,
+    masks: Sequence[ArrayLike | None] | NDArray | None,
     options: TemplateOptions,
 ) -> Templates:
     if len(images) != len(names) or (masks is not None and len(masks) != len(images)):
@@ -243,7 +243,7 @@ def _templates(
     if len(images) == 0:
         raise RecognitionError("no image was given; templates need one or more")
     coefficients: list[NDArray[np.complex64]] = []
-    weights: list[NDArray[np.float32]] = []
+    weights: list[Float32Array] = []
     for k, image in enumerate(images):
         what = f"image {k} ({names[k]})"
         bands, weight = kind_coefficients(kind, image, None if masks is None else masks[k], options, what)
@@ -260,7 +260,7 @@ def _templates(
 
 def kind_coefficients(
     kind: Kind, image: ArrayLike, mask: ArrayLike | None, options: TemplateOptions, what: str
-) -> tuple[NDArray[np.complex64], NDArray[np.float32]]:
+) -> tuple[NDArray[np.complex64], Float32Array]:
     """Return coefficients (O, h, w) and weights (h, w) of an image, or of normals (H, W, 3)."""
     if kind != "shape":
         parts = [image_coefficients(image, mask, options, what)]
@@ -275,7 +275,7 @@ def kind_coefficients(
 
 def image_coefficients(
     image: ArrayLike, mask: ArrayLike | None, options: TemplateOptions, what: str
-) -> tuple[NDArray[np.complex128], NDArray[np.float32]]:
+) -> tuple[NDArray[np.complex128], Float32Array]:
     """Return coefficients (O, h, w), 0 outside their mask, and weights (h, w) of one image named `what`."""
     pixels = np.asarray(image, np.float64)
     if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] != 3) or pixels.size == 0:

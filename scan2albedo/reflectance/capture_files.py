@@ -70,7 +70,7 @@ class PhotographFiles:
     path: Path
     content: FacePhotographFile
     """`path`, `content`: of the file, in its own unit."""
-    image: NDArray[np.generic]
+    image: NDArray
     """(H, W, 3) uint8, uint16 or float32: values."""
     mask: BoolArray | None
     """(H, W)."""

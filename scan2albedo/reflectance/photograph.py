@@ -1,7 +1,6 @@
 """`ImageObservation`: colours of one image at the vertices of a face; how to get it from a photograph."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -162,7 +161,7 @@ class ImageObservation:
 
 
 def observe_photograph(
-    image: NDArray[Any],
+    image: NDArray,
     camera: ArrayLike,
     vertices: ArrayLike,
     faces: ArrayLike,

@@ -1,7 +1,6 @@
 """How much a posed scan looks like a face: its depth image, and the relief that scan and model share."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -138,7 +137,7 @@ class FaceImage:
         )
         whole = both / float(np.sqrt(of_scan * of_model))
 
-        def window(values: NDArray[Any]) -> FloatArray:
+        def window(values: NDArray) -> FloatArray:
             return gaussian_filter(values.astype(np.float64), _WINDOW_PIXELS)
 
         # Flat windows correlate by chance; a slope of 0.1 must be there before they count.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import ByteArray, Float32Array, FloatArray, IntArray, RealArray
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.pinhole import project
 from scan2albedo.geometry.rasterization import Raster, interpolate, pixels_from_uv, rasterize
@@ -24,16 +24,16 @@ PORTRAIT_MARGIN = 1.12
 class Picture:
     """What a camera sees."""
 
-    linear: NDArray[np.float32]
+    linear: Float32Array
     """(H, W, 3): colour before a black background."""
-    alpha: NDArray[np.float32]
+    alpha: Float32Array
     """(H, W): the part of each pixel that the face covers."""
 
     def auto_exposure(self) -> float:
         """Return the factor that keeps the brightest parts just below white."""
         return auto_exposure(self.linear[self.alpha > 0])
 
-    def srgb(self, exposure: float | None = None) -> NDArray[np.uint8]:
+    def srgb(self, exposure: float | None = None) -> ByteArray:
         """Return (H, W, 3) sRGB bytes of `exposure` times the picture, by itself when None, on white.
 
         ValueError for an exposure that is not finite and above 0.
@@ -86,7 +86,7 @@ class SeenSamples:
         pairs = [(getattr(self, name), getattr(others, name)) for name in ("index", "corners", "weight")]
         return SeenSamples(self.shape, self.side, *map(np.concatenate, pairs))
 
-    def interpolated(self, values: NDArray[np.floating]) -> FloatArray:
+    def interpolated(self, values: RealArray) -> FloatArray:
         """Return (N, ...) values (V, ...) of the vertices at the points seen."""
         return np.asarray(np.einsum("nk,nk...->n...", self.weight, values[self.corners]))
 
@@ -185,11 +185,11 @@ def render_mesh(
     faces: ArrayLike,
     *,
     vertex_color_srgb: ArrayLike | None = None,
-    texture_srgb: tuple[ArrayLike, NDArray[np.uint8]] | None = None,
+    texture_srgb: tuple[ArrayLike, ByteArray] | None = None,
     view: View | None = None,
     size: int = 512,
     shaded: bool = True,
-) -> NDArray[np.uint8]:
+) -> ByteArray:
     """Render a mesh orthographically as (size, size, 3) uint8 sRGB before white.
 
     `vertices` (V, 3): +x to the right, +y up, +z to the viewer. `vertex_color_srgb` (V, 3) is within [0, 1],

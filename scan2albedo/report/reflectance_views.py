@@ -1,9 +1,8 @@
 """Pictures of reflectances: albedo, weights of the lobes, which of them is identified, and faces relit."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, IntArray
 from scan2albedo.geometry.mesh import face_cross_products, normalized
 from scan2albedo.geometry.operators import filled_over_mesh
 from scan2albedo.geometry.pinhole import camera_centers
@@ -51,7 +50,7 @@ def reflectance_panels(mesh: MeshReflectance, fit: ReflectanceFit | None = None)
     return panels
 
 
-def face_picture(mesh: MeshReflectance, color: FloatArray) -> NDArray[np.uint8]:
+def face_picture(mesh: MeshReflectance, color: FloatArray) -> ByteArray:
     """Return the mesh seen from +z in sRGB colours (V, 3), without shading."""
     view = View.around(mesh.vertices)
     return render_mesh(mesh.vertices, mesh.faces, vertex_color_srgb=color, view=view, size=360, shaded=False)

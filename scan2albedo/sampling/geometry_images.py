@@ -3,13 +3,12 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.special import logsumexp
 
 from scan2albedo.core import PlanStep
 from scan2albedo.core.arguments import described, require_type
-from scan2albedo.core.arrays import on_grid
+from scan2albedo.core.arrays import ByteArray, Float32Array, on_grid
 from scan2albedo.core.geometry_image import GeometryImage, check_size
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import GeometryImageError
@@ -194,7 +193,7 @@ def without_covers(fitted: FittedSurface, scan: RawScan) -> RawScan:
     return scan.without_faces(covered)
 
 
-def _annotation(fitted: FittedSurface, region: NDArray[np.uint8], attribute: str) -> NDArray[np.float32]:
+def _annotation(fitted: FittedSurface, region: ByteArray, attribute: str) -> Float32Array:
     return fitted.model.region_values(attribute)[region].astype(np.float32)
 
 

@@ -5,9 +5,8 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, on_grid
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, on_grid
 from scan2albedo.core.geometry_image import NO_CAMERA
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.geometry import mesh
@@ -94,7 +93,7 @@ class Samples:
     texture, `pixel` (N, 2) is where they lie in it.
     """
 
-    color_linear: NDArray[np.float32]
+    color_linear: Float32Array
     seen: BoolArray
     face: IntArray
     pictured: BoolArray
@@ -152,7 +151,7 @@ def sample_colors(
 
 def _photograph(
     scan: RawScan, near: IntArray, hits: ClosestHits, steps: FloatArray
-) -> tuple[NDArray[np.float32], BoolArray, BoolArray, FloatArray]:
+) -> tuple[Float32Array, BoolArray, BoolArray, FloatArray]:
     """Average bilinear samples over each texel's footprint in the photograph; hits among faces `near`.
 
     Also return whether its centre is in the photograph, which wraps around only by whole periods for a
@@ -258,7 +257,7 @@ def texel_steps(vertices: FloatArray, uv: FloatArray, faces: IntArray, shape: tu
 
 def moved_colors(
     scan: RawScan, seen: BoolArray, points: FloatArray, normals: FloatArray
-) -> dict[str, NDArray[np.float32]]:
+) -> dict[str, Float32Array]:
     """Return the colours (H, W, 3) at the texels `seen` (H, W), by what may have been done to the texture.
 
     Of those texels are `points` and `normals` (N, 3), mm in the scan's frame.

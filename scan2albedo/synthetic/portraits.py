@@ -19,9 +19,9 @@ _LEAST_GAIN = 0.1
 class FlashCapture(GlossyFace):
     """J = views x flashes pairs of pictures of a `GlossyFace`, in the frame of the face, mm."""
 
-    flash: NDArray[np.generic]
+    flash: NDArray
     """(J, S, S, 3) uint8, uint16 or float32: values with a flash in the room's light; flashes run fastest."""
-    room: NDArray[np.generic]
+    room: NDArray
     """(J, S, S, 3): in the room's light alone, one picture a view, repeated."""
     skin: BoolArray
     """(J, S, S): pixels that show the face, and not hair."""
@@ -143,7 +143,7 @@ def flash_capture(
 class FacePhotograph(GlossyFace):
     """A picture of a `GlossyFace`; frame: the face model's, mm."""
 
-    image: NDArray[np.generic]
+    image: NDArray
     """(S, S, 3) uint8, uint16 or float32: the picture as stored."""
     skin: BoolArray
     """(S, S): pixels that show the face, and not hair."""

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import FloatArray, IntArray, on_grid
+from scan2albedo.core.arrays import Float32Array, FloatArray, IntArray, on_grid
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.lights import PointLight
 from scan2albedo.core.raw_scan import RawScan
@@ -184,7 +183,7 @@ def flash_pictures(
     noise: float = 0.004,
     colors: FloatArray | None = None,
     ambient: AmbientLight | None = None,
-) -> tuple[NDArray[np.float32], float]:
+) -> tuple[Float32Array, float]:
     """Return both pods' pictures side by side (size, 2 size, 3), linear from 8 bits, and their exposure.
 
     The exposure keeps the face's brightest pixel just below white; clothes may clip, and have no highlight.
@@ -232,7 +231,7 @@ class SyntheticTruth:
     """(4, 4): true pose: maps scan points into the model's frame."""
     image: GeometryImage
     """True position and normal of each texel of the model's chart (model's frame, mm)."""
-    albedo_linear: NDArray[np.float32]
+    albedo_linear: Float32Array
     """(H, W, 3): true albedo on the model's chart; zeros outside ``image.mask``."""
     landmarks: FloatArray
     """(68, 3): true landmarks in the model's frame, mm."""
@@ -317,7 +316,7 @@ def scan_of(
 def assembled(
     measured: RangeMesh,
     pods: FloatArray,
-    texture: NDArray[np.float32],
+    texture: Float32Array,
     scan_from_model: FloatArray,
     scanner: Scanner,
     rng: np.random.Generator,

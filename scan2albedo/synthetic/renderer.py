@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, RealArray
 from scan2albedo.core.lights import PointLight
 from scan2albedo.errors import import_open3d
 from scan2albedo.geometry.mesh import RayHits, normalized
@@ -186,7 +186,7 @@ def auto_exposure(radiance_linear: ArrayLike) -> float:
 
 def photograph(
     radiance_linear: ArrayLike, *, exposure: float, noise: float, bits: int | None, rng: np.random.Generator
-) -> NDArray[np.float32]:
+) -> Float32Array:
     """Return the linear picture decoded from what the camera stored of radiance of any shape.
 
     The sensor sees `exposure` times the radiance, 1 being white, with Gaussian noise of standard deviation
@@ -255,7 +255,7 @@ class Portrait:
         white = float(np.quantile(brightest, 1 - self.saturated_part)) if len(brightest) else 0.0
         return 1 / white if white > 0 else 1.0
 
-    def stored(self, linear: NDArray[np.floating], rng: np.random.Generator) -> NDArray[np.generic]:
+    def stored(self, linear: RealArray, rng: np.random.Generator) -> NDArray:
         """Return the values that the camera stores of light (H, W, 3), white = 1, with its noise."""
         values = linear ** np.float32(1 / self.gamma)
         values += np.float32(self.noise) * rng.standard_normal(values.shape, dtype=np.float32)

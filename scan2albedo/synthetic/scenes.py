@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, on_grid
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, on_grid
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.lights import PointLight
 from scan2albedo.face_model import AnnotatedSurface, default_model
@@ -29,7 +28,7 @@ class SyntheticScene:
 
     image: GeometryImage
     """With texture, ready for `estimate_albedo`."""
-    albedo_linear: NDArray[np.float32]
+    albedo_linear: Float32Array
     """(H, W, 3): the truth; zeros outside the mask."""
     lights: tuple[PointLight, ...]
     """Relative to ambient = 1."""

@@ -4,12 +4,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import ByteArray, FloatArray, IntArray
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model import AnnotatedSurface, Region
 from scan2albedo.face_model.annotation import FILLED_REGION, LANDMARK_LEVELS, REST_REGION, surface_frames
@@ -165,7 +164,7 @@ def _chart(
     return parametrize_disc(*mesh), note
 
 
-def _regions(given: DenseTemplate, faces: IntArray) -> tuple[NDArray[np.uint8], dict[str, Region]]:
+def _regions(given: DenseTemplate, faces: IntArray) -> tuple[ByteArray, dict[str, Region]]:
     """Return the region (T,) of each template vertex, and the regions by name."""
     name, named, count = given.name, dict(given.regions or {}), len(given.vertices)
     if taken := sorted({REST_REGION, FILLED_REGION} & set(named)):

@@ -160,7 +160,7 @@ def insert_lenses(
     made = _View(scene, placed, colors, matrix, region).pixels(window, options.supersampling)
     image, without = empty.copy(), empty.copy()
     unknown, seen = np.zeros((height, width), bool), np.full((height, width), -1, np.int8)
-    wholes: tuple[NDArray[Any], ...] = (image, without, unknown, seen)
+    wholes: tuple[NDArray, ...] = (image, without, unknown, seen)
     for whole, values in zip(wholes, (made.shaded, made.bare, made.unknown, made.lens), strict=True):
         whole[window] = values.reshape(whole[window].shape)
     for lens in placed:

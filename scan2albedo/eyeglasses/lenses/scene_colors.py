@@ -7,11 +7,11 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, IntArray
 from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens
 from scan2albedo.eyeglasses.lenses.scenes import LensScene, SceneRays, radiance_at
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, pixel_grid, project
@@ -86,7 +86,7 @@ class _PixelShadows(ShadowMap):
     def _alone(self) -> ShadowMap:
         return self._some(self._stages[0][0])
 
-    def visible(self, direction: ArrayLike, distance_mm: float = math.inf) -> NDArray[np.uint8]:
+    def visible(self, direction: ArrayLike, distance_mm: float = math.inf) -> ByteArray:
         """Return (N,) uint8, 1 where a light reaches the point."""
         lit = np.zeros(len(self.position), np.uint8)
         lit[self._stages[0][0]] = self._alone.visible(direction, distance_mm)

@@ -107,7 +107,7 @@ class RegistrationInputs:
     weights: FloatArray | None
     views: tuple[ObservedView, ...]
     masks: tuple[BoolArray | None, ...]
-    pictures: tuple[NDArray[Any] | None, ...]
+    pictures: tuple[NDArray | None, ...]
     head: tuple[FloatArray, IntArray] | None
     start: FloatArray | None
     unit: float
@@ -197,7 +197,7 @@ def checked_inputs(
 class _CheckedView(NamedTuple):
     observed: ObservedView
     mask: BoolArray | None
-    picture: NDArray[Any] | None
+    picture: NDArray | None
 
 
 def _checked_view(

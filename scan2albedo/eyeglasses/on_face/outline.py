@@ -2,7 +2,7 @@
 
 import warnings
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from scipy.cluster.vq import kmeans2, vq
 from scipy.ndimage import binary_dilation, distance_transform_edt
 from scipy.special import expit, logsumexp
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, RealArray
 from scan2albedo.eyeglasses.mean_keypoints import BEHIND
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
 from scan2albedo.geometry.mesh import normalized
@@ -36,7 +36,7 @@ class MaskDistance:
     The `field` (h, w) is that of a window around the mask, whose first pixel is `corner` (column, row).
     """
 
-    field: NDArray[np.float32]
+    field: Float32Array
     corner: tuple[int, int]
 
     @classmethod
@@ -170,7 +170,7 @@ def trace_outline(seen: SeenSamples) -> tuple[IntArray, FloatArray]:
     return which[some], normalized(outward[some].astype(np.float64))
 
 
-def grouped_colors(picture: NDArray[Any], around: FloatArray) -> IntArray:
+def grouped_colors(picture: NDArray, around: FloatArray) -> IntArray:
     """Return (H, W) groups of the colours of a picture (H, W, 3), made for those near pixels (N, 2).
 
     k-means in the picture's own values, 24 means: frame, skin, eyes and hair, each in light and in shadow.
@@ -220,7 +220,7 @@ def search_colors(
     side, ways = np.arange(-_SIDE_PX, _SIDE_PX + 1.0), np.arange(-farthest, farthest + 1.0)
     along = np.arange(ways[0] + side[0], ways[-1] + side[-1] + 1)
 
-    def across(image: NDArray[np.floating], where: FloatArray) -> FloatArray:
+    def across(image: RealArray, where: FloatArray) -> FloatArray:
         places = pixels[:, None] + where[:, None] * outward[:, None]
         return bilinear(image[..., None], places.reshape(-1, 2)).reshape(len(pixels), -1)
 

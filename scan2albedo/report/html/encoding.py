@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace
 from scan2albedo.applications.relighting import RelightOptions, as_lit
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, RealArray
 from scan2albedo.core.geometry_image import GeometryImage, wound_like
 from scan2albedo.errors import Scan2AlbedoError, one_line
 from scan2albedo.geometry.rasterization import area_mean, filled_from_nearest
@@ -97,7 +97,7 @@ def thinned_chart(image: GeometryImage, most: int = 60_000) -> FaceMesh:
 
 
 def texture_entry(
-    linear: NDArray[np.floating],
+    linear: RealArray,
     mask: BoolArray,
     size: int,
     *,
@@ -114,7 +114,7 @@ def texture_entry(
 
 
 def patch_entry(
-    linear: NDArray[np.floating], under: NDArray[np.floating], mask: BoolArray, size: int, factor: float
+    linear: RealArray, under: RealArray, mask: BoolArray, size: int, factor: float
 ) -> dict[str, Any]:
     """Return a texture (H, W, 3) as what is to be drawn over that of `under`, clear where the two agree."""
     over, below = (_pixels(texture, mask, size, factor) for texture in (linear, under))
@@ -122,7 +122,7 @@ def patch_entry(
     return picture_entry(np.concatenate([over, np.full_like(over[..., :1], 255)], -1) * differs, None)
 
 
-def _pixels(linear: NDArray[np.floating], mask: BoolArray, size: int, factor: float) -> NDArray[np.uint8]:
+def _pixels(linear: RealArray, mask: BoolArray, size: int, factor: float) -> ByteArray:
     return encode_srgb_bytes(np.clip(factor * _fitted(filled_from_nearest(linear, mask), size), 0, 1))
 
 
@@ -133,7 +133,7 @@ def gray_entry(values: FloatArray, mask: BoolArray, size: int) -> dict[str, Any]
     return {"scale": scale, **picture_entry(np.round(255 * np.clip(parts, 0, 1)).astype(np.uint8), None)}
 
 
-def picture_entry(pixels: NDArray[np.uint8], quality: int | None) -> dict[str, Any]:
+def picture_entry(pixels: ByteArray, quality: int | None) -> dict[str, Any]:
     """Return 8-bit pixels as PNG, or as JPEG of a quality with full colour, in base64."""
     from PIL import Image
 
