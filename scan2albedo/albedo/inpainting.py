@@ -7,7 +7,7 @@ from scipy.sparse import csr_matrix, identity
 from scipy.sparse.linalg import splu
 
 from scan2albedo.albedo.node_field import FAINT
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, finite_rows
 
 _HOLD = 1e-4
 """Weight by which a copy keeps its own level: felt from 100 texels on, where gradients add up to drift."""
@@ -43,7 +43,7 @@ def resynthesize(
     if not target.any() or not origin.any():
         return albedo
     known = origin if context is None else origin | (context & ~target)
-    if bad := int((~np.isfinite(albedo[known]).all(1)).sum()):
+    if bad := int((~finite_rows(albedo[known])).sum()):
         raise ValueError(f"{bad} of {int(known.sum())} texels to copy from or compare with are not finite")
     radius = max(4, round(RADIUS * max(target.shape)))
     window = surroundings(target, radius)

@@ -165,7 +165,7 @@ def cell_means(level: Level, values: FloatArray, mask: BoolArray) -> FloatArray:
     row, column = np.nonzero(mask)
     number, cell = row // level.factor * across + column // level.factor, level.cell @ (across, 1)
     sums, count = np.bincount(number, values), np.bincount(number)
-    return np.asarray(sums[cell] / count[cell])
+    return sums[cell] / count[cell]
 
 
 def cell_field(level: Level, values: FloatArray, mask: BoolArray) -> FloatArray:
@@ -181,7 +181,7 @@ def _nearest_cells(level: Level, mask: BoolArray) -> IntArray:
     number = np.full(tuple(-(-side // level.factor) for side in mask.shape), -1)
     number[row, column] = np.arange(len(row))
     nearest = distance_transform_edt(number < 0, return_distances=False, return_indices=True)
-    return np.asarray(number[tuple(nearest)])
+    return number[tuple(nearest)]
 
 
 def along_surface(level: Level, values: FloatArray, image: GeometryImage) -> FloatArray:

@@ -198,4 +198,4 @@ class _Ratio:
         fields = solved(posterior_factor(p.nodes, self.weight, self.precision), onto)
         self.u = fields[:, -1]
         self.weight = robust_weights(rows[:, -1] - p.nodes @ self.u, self.variance, p.repeats)
-        return np.asarray(rows.T @ weighted - onto.T @ fields)
+        return rows.T @ weighted - onto.T @ fields

@@ -123,7 +123,7 @@ def robust_weights(
     Errors of a sign that is `frequent` (N,) have the tails of one degree of freedom, Cauchy's.
     """
     square = error**2 / variance * np.where(frequent, FREEDOM, 1.0)
-    return np.asarray((FREEDOM + 1) / (FREEDOM + square) / (variance * repeats))
+    return (FREEDOM + 1) / (FREEDOM + square) / (variance * repeats)
 
 
 class Point:
@@ -186,7 +186,7 @@ class Point:
     def left_of_highlight(self) -> FloatArray:
         """Return (N,) V without the highlight, which leaves some of it."""
         value = np.exp(self.problem.value)
-        return np.asarray(np.maximum(value - self.specular, DARKEST * value))
+        return np.maximum(value - self.specular, DARKEST * value)
 
     def bounced(self) -> FloatArray:
         """Return (N,) the light that the surface throws onto itself."""
@@ -273,7 +273,7 @@ class Point:
         covariance = self.covariance()[:-EXTRA, :-EXTRA]
         variance = node_field.cell_variances(p.nodes.indptr, p.nodes.indices, p.nodes.data, nodes)
         variance += ((slopes @ covariance) * slopes).sum(1)
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+        return np.sqrt(np.maximum(variance, 0.0))
 
     def albedo_nodes(self) -> tuple[float, FloatArray]:
         """Return a level and (M,) the nodes' log albedo beside the mean pattern, given this light.

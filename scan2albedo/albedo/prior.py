@@ -148,7 +148,7 @@ class AlbedoPrior:
         modes, spread = (field[channel].reshape(-1, NODES**2) for field in (self.modes, self.spread))
         centres = (np.indices((NODES, NODES)).reshape(2, -1).T + 0.5) / NODES
         stationary = spread.T @ spread * np.exp(-cdist(centres, centres) / self.length)
-        return np.asarray(self.shrinkage * modes.T @ modes + (1 - self.shrinkage) * stationary)
+        return self.shrinkage * modes.T @ modes + (1 - self.shrinkage) * stationary
 
     def mean_at(self, places: ArrayLike) -> FloatArray:
         """Return (N, 3), the mean at places (N, 2): row and column on the chart, both from 0 to 1."""

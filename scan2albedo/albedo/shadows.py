@@ -94,7 +94,7 @@ class Horizon:
     def at(self, texels: FloatArray | IntArray) -> FloatArray:
         """Return (N,) the cosines at `texels` (N, 2); infinite beyond the cells."""
         cells = np.minimum(texels // self._factor, np.array(self._above.shape) - 1).astype(np.int64)
-        return np.asarray(self._above[tuple(cells.T)])
+        return self._above[tuple(cells.T)]
 
 
 class ShadowLattice:
@@ -119,7 +119,7 @@ class ShadowLattice:
 
     def nearest(self, coordinates: FloatArray) -> FloatArray:
         """Return the node's coordinates (..., 2) nearest to those of directions: its rays serve alone."""
-        return np.asarray(np.round(coordinates / self._least_step) * self._least_step)
+        return np.round(coordinates / self._least_step) * self._least_step
 
     def visibility(
         self, model: LightModel, x: FloatArray, blur: float = 0.0

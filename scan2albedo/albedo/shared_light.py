@@ -142,7 +142,7 @@ class SharedLight:
         variance = node_field.cell_variances(
             self.nodes.indptr, self.nodes.indices, self.nodes.data, covariance
         )
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+        return np.sqrt(np.maximum(variance, 0.0))
 
 
 def shared_lights(

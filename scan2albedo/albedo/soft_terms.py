@@ -27,7 +27,7 @@ class SoftTerms:
 
     def ambient(self, fill: float) -> FloatArray:
         """Return (N,) E0."""
-        return np.asarray(fill + (1 - fill) * self.transfer[:, 0])
+        return fill + (1 - fill) * self.transfer[:, 0]
 
     def add(self, model: LightModel, x: FloatArray, light: FloatArray, slopes: FloatArray) -> None:
         """Turn `light` (N,), lamps under constant ambient light of 1, into I; `slopes` (N, P) follow."""

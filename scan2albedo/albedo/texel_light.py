@@ -144,7 +144,7 @@ class _Expected:
         """Return (N,) the mean of parts 0 to 1, by what each leaves, `dark` of its variance, and a prior."""
         fits = -0.5 * self.usable * (np.stack(left) ** 2).sum(2) / (SPREADS[0] ** 2 + dark)
         chance = np.exp(np.maximum(fits - fits.max(0), -6.0)) * prior
-        return np.asarray(self.parts @ chance / chance.sum(0))
+        return self.parts @ chance / chance.sum(0)
 
 
 def _seen_shadows(
@@ -161,7 +161,7 @@ def _seen_shadows(
     def blurred(values: FloatArray) -> FloatArray:
         field = np.zeros(mask.shape)
         field[mask] = values
-        return np.asarray(gaussian_filter(field, known.point.problem.blur * max(mask.shape))[mask])
+        return gaussian_filter(field, known.point.problem.blur * max(mask.shape))[mask]
 
     whole, seen = blurred(np.ones(len(soft))), visible.astype(np.float64)
     priors = [np.clip(blurred(v) / whole, _LEAST, 1 - _LEAST) for v in np.where(away, 1.0, visible)]

@@ -163,7 +163,7 @@ def refined_expression(rest: FaceMesh, moved: FloatArray, model: AnnotatedSurfac
     skin = ~model.in_region(MOUTH_REGION)[subdivision.parent]
     scan = RawScan(subdivision.matrix @ as_fitted, rest.faces[skin], name="the face with the expression")
     fitted = fit(scan, start, np.eye(4), options=REFIT)
-    return np.asarray(rest.vertices + subdivision.matrix @ (fitted.control_points - at_rest))
+    return rest.vertices + subdivision.matrix @ (fitted.control_points - at_rest)
 
 
 def personal_model(

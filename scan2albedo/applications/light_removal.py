@@ -198,7 +198,7 @@ class _ScanLight:
         """Return it at points of triangles (N, 3) of these places."""
 
         def mixed(values: FloatArray) -> FloatArray:
-            return np.asarray(np.einsum("nk,nk...->n...", barycentric, values[vertices]))
+            return np.einsum("nk,nk...->n...", barycentric, values[vertices])
 
         beyond = self.beyond.interpolated(mixed)
         return replace(self, uv=mixed(self.uv), share=mixed(self.share), beyond=beyond)

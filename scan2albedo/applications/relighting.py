@@ -152,7 +152,7 @@ class RelitFace:
         strength = WET_REFLECTANCE * WET_EXPONENT / 2 * self.face.level() / 0.5
         wet = Reflectance("lambert", 0.0, strength, WET_EXPONENT)
         diffuse, specular = shade(shadows, self.light, wet, toward)
-        return np.asarray(albedo * diffuse + specular)
+        return albedo * diffuse + specular
 
     def write_glb(self, path: str | Path, *, exposure: float | None = None) -> None:
         """Write the face, with eyes and mouth, as a GLB that shines by itself, so no viewer lights it again.

@@ -107,7 +107,7 @@ def continued_skin(
 def trusted(face: ProcessedFace, model: AnnotatedSurface | None = None) -> BoolArray:
     """Return (H, W) texels that were seen, but for those close to others and for hair at the sides."""
     near = maximum_filter(face.mask & ~face.image.seen, 2 * _MARGIN + 1, mode="constant")
-    return np.asarray(face.mask & ~near & ~face_features.dark_sides(face, model))
+    return face.mask & ~near & ~face_features.dark_sides(face, model)
 
 
 def continued(

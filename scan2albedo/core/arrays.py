@@ -64,6 +64,11 @@ def checked_mesh(
     return xyz, whole
 
 
+def finite_rows(values: RealArray) -> BoolArray:
+    """Return (...) where all C numbers of values (..., C) are finite."""
+    return np.asarray(np.isfinite(values).all(-1))
+
+
 def smoothstep(x: ArrayLike) -> FloatArray:
     """Return 3 x^2 - 2 x^3 of x clipped to [0, 1]."""
     t = np.clip(np.asarray(x, float), 0, 1)

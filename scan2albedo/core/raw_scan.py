@@ -73,7 +73,7 @@ class TextureTile:
     def holds(self, uv: FloatArray, shape: tuple[int, int]) -> BoolArray:
         """Return (F,) which faces, by their corners' coordinates (F, 3, 2), lie on it in a texture (H, W)."""
         across, down = self.own_uv(uv.mean(1), shape).T
-        return np.asarray((across >= 0) & (across <= 1) & (down >= 0) & (down <= 1))
+        return (across >= 0) & (across <= 1) & (down >= 0) & (down <= 1)
 
     def own_uv(self, uv: FloatArray, shape: tuple[int, int]) -> FloatArray:
         """Return coordinates of the texture (H, W) as those of this picture alone."""

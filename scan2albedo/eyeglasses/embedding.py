@@ -182,7 +182,7 @@ def _divided_handles(
 def _distances(places: FloatArray, metric: str) -> FloatArray:
     apart = squareform(pdist(places, metric))
     np.fill_diagonal(apart, np.inf)
-    return np.asarray(apart)
+    return apart
 
 
 def _origin(low: FloatArray, spacing: float) -> FloatArray:

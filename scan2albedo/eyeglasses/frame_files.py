@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from pydantic import AfterValidator, Field, WithJsonSchema, model_validator
 
 from scan2albedo.core import Plan
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, finite_rows
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import keypoints as places
 from scan2albedo.eyeglasses.canonicalization import CanonicalEyeglasses
@@ -147,7 +147,7 @@ def exchanged_key_points(points: FloatArray) -> list[str]:
     first, then the next. It counts where the way from one to the other is opposite to the typical one and
     half as long or more; of all left and right ones, where the residual halves.
     """
-    known = np.asarray(np.isfinite(points).all(1))
+    known = finite_rows(points)
     # Fewer place no frame.
     if known.sum() < 6:
         return []
@@ -158,7 +158,7 @@ def exchanged_key_points(points: FloatArray) -> list[str]:
         pairs += [(number[f"{side}_{a}"], number[f"{side}_{b}"]) for a, b in _SAME_SIDE]
 
     def laid(current: FloatArray) -> tuple[FloatArray, float]:
-        seen = np.isfinite(current).all(1)
+        seen = finite_rows(current)
         placed = transform_points(procrustes(typical[seen], current[seen], scale=True), typical)
         return placed, float(np.nansum((placed - current) ** 2))
 

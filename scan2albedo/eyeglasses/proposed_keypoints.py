@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from skimage.measure import find_contours
 from skimage.morphology import convex_hull_image
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, finite_rows
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, checked_mesh, typical_key_points
 from scan2albedo.geometry import rigid
@@ -219,7 +219,7 @@ class _Seen:
             apart = np.ptp(sizes.get(name.partition("_")[2], [0]), axis=0)
             k = KEY_POINT_NAMES.index(name)
             points[k], deviation[k] = place, np.hypot(sd, np.linalg.norm(apart) / 2)
-        if (known := np.isfinite(points).all(1)).sum() < 6:
+        if (known := finite_rows(points)).sum() < 6:
             return points, deviation, -np.inf
         typical = typical_key_points()[known]
         laid = rigid.transform_points(rigid.procrustes(points[known], typical, scale=True), points[known])
@@ -405,7 +405,7 @@ def propose_keypoints(mesh: Any) -> ProposedKeyPoints:
     none = np.exp(min(HARDLY_A_FRAME - most, 50.0))
     deviation = np.sqrt(deviation**2 + (share @ apart + none * 60**2) / (share.sum() + none))
     points = frame.middle + frame.unit * points
-    known = np.isfinite(points).all(1)
+    known = finite_rows(points)
     worn = rigid.procrustes(points[known], typical_key_points()[known], scale=True)
     log_mm = float(np.log(np.linalg.norm(worn[0, :3])))
     units = {"inch": 25.4, **MM_PER_UNIT}

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core.arrays import FloatArray, IntArray, checked_array
+from scan2albedo.core.arrays import FloatArray, IntArray, checked_array, finite_rows
 from scan2albedo.eyeglasses.keypoints import SKELETON
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import procrustes
@@ -41,7 +41,7 @@ def skin(vertices: ArrayLike, weights: ArrayLike, transforms: ArrayLike) -> Floa
     xyz = checked_array(vertices, ("V", 3), "vertices", finite=ValueError)
     shares = checked_array(weights, (len(xyz), len(maps)), "weights", finite=ValueError)
     blended = (shares @ maps[:, :3].reshape(-1, 12)).reshape(-1, 3, 4)
-    return np.asarray(np.einsum("vij,vj->vi", blended[:, :, :3], xyz) + blended[:, :, 3])
+    return np.einsum("vij,vj->vi", blended[:, :, :3], xyz) + blended[:, :, 3]
 
 
 def translations(source: FloatArray, target: FloatArray) -> FloatArray:
@@ -61,7 +61,7 @@ def turned_translations(source: FloatArray, target: FloatArray) -> FloatArray:
     a and b the bones' unit directions before and after: by sweeps from the best rotation of all points, then
     by Newton's steps to where `turn_conditions` are symmetric. Bones with NaN do not count.
     """
-    bones, known = known_bones(source + target), np.isfinite(source + target).all(1)
+    bones, known = known_bones(source + target), finite_rows(source + target)
     k, j = bones.T
     before, after = (normalized(points[j] - points[k]) for points in (source, target))
     own = np.zeros((len(source), 3, 3))
@@ -116,7 +116,7 @@ def turn_conditions(
 
 
 def _prior(k: IntArray) -> FloatArray:
-    return np.asarray(PRIOR / np.bincount(k)[k])
+    return PRIOR / np.bincount(k)[k]
 
 
 def _spin(matrices: FloatArray) -> FloatArray:

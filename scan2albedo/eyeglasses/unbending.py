@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray, finite_rows
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR
 from scan2albedo.eyeglasses.mean_keypoints import FRONT, RIMS, SIDES, align_key_points, is_posable
 from scan2albedo.eyeglasses.skinning import turned_translations
@@ -68,7 +68,7 @@ def front_halves(
     reflection = _reflection(points)
     if reflection is None:
         return None
-    rim = RIMS[0][np.asarray(np.isfinite(points + points[MIRROR]).all(1))[RIMS[0]]]
+    rim = RIMS[0][finite_rows(points + points[MIRROR])[RIMS[0]]]
     source, target = transform_points(reflection, points[MIRROR[rim]]), points[rim]
     if not is_posable(target):
         return FrontHalves(reflection, np.eye(4), np.nan)
@@ -122,7 +122,7 @@ def unbent_transforms(points: FloatArray, halves: FrontHalves | None) -> FloatAr
     # Temples run in the mean direction of both sides; one whose counterpart is not known stays.
     reflect, bent = halves.reflection[:3, :3], targets.copy()
     for temple in _TEMPLES:
-        for a, b in itertools.pairwise(temple[np.isfinite(bent[temple]).all(1)]):
+        for a, b in itertools.pairwise(temple[finite_rows(bent[temple])]):
             bone, other = bent[b] - bent[a], reflect @ (bent[MIRROR[b]] - bent[MIRROR[a]])
             if np.isfinite(other).all():
                 bone = np.linalg.norm(bone) * normalized(normalized(bone) + normalized(other))
@@ -135,7 +135,7 @@ def unbent_transforms(points: FloatArray, halves: FrontHalves | None) -> FloatAr
     for side, rim, temple in zip(sides, RIMS, _TEMPLES, strict=True):
         result[rim] = result[temple[0]] = side
     # Key points that the frame lacks weigh nothing; NaN times nothing would still be NaN.
-    result[~np.isfinite(points).all(1)] = rigid
+    result[~finite_rows(points)] = rigid
     return result
 
 
@@ -152,7 +152,7 @@ def common_bend(points_mm: FloatArray, reflection: FloatArray) -> str:
     side = np.sign(np.nansum(out[RIMS[0]]) + np.nansum(out[_TEMPLES[0]]))
     top, _, inner, bottom, outer = even[RIMS[0]]
     wrap = float(np.rad2deg(np.arcsin(side * normalized(np.cross(outer - inner, top - bottom)) @ across)))
-    said, temple = [], _TEMPLES[0][np.isfinite(even[_TEMPLES[0]]).all(1)]
+    said, temple = [], _TEMPLES[0][finite_rows(even[_TEMPLES[0]])]
     if np.isfinite(wrap):
         spread, bend = f"+- {deviation[0]:.1f}", f"so the bend is {wrap - usual[0]:+.1f}"
         designs = f"of designs {usual[0]:.1f} {spread}, {bend} {spread} degrees"
@@ -186,7 +186,7 @@ def symmetric_key_points(points: FloatArray, reflection: FloatArray | None = Non
 def _reflection(points: FloatArray) -> FloatArray | None:
     """Return the (4, 4) that mirrors key points (20, 3); None where too few have a counterpart."""
     image = (points * [-1.0, 1.0, 1.0])[MIRROR]
-    both = np.isfinite(image).all(1) & np.isfinite(points).all(1)
+    both = finite_rows(image) & finite_rows(points)
     if not is_posable(points[both]):
         return None
     return procrustes(image[both], points[both]) @ np.diag([-1.0, 1, 1, 1])

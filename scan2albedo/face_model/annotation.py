@@ -236,7 +236,7 @@ class AnnotatedSurface:
         """Return (F_C,) which control faces lie in the region `name`; none where there is no such region."""
         if name not in self.regions:
             return np.zeros(len(self.control_faces), bool)
-        return np.asarray(self.region == self.regions[name].index)
+        return self.region == self.regions[name].index
 
 
 @dataclass(frozen=True)

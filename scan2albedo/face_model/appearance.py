@@ -102,7 +102,7 @@ class AppearanceModel:
         found = -(np.linalg.slogdet(spread)[1][:, None] + width) / 2
         found[0] += np.log1p(-self.shaded)
         found[0] = np.logaddexp(found[0], found[-1] + np.log(self.shaded))
-        return np.asarray(found[:-1])
+        return found[:-1]
 
 
 @dataclass(frozen=True)
@@ -263,7 +263,7 @@ def _fitting(log_prior: FloatArray, likelihood: FloatArray, hue: float, independ
     here = np.logaddexp.reduce(log_prior + likelihood)
     # Places weigh three times as much as the colours' own evidence, by right and wrong textures.
     told = np.array([3 * (here - anywhere), likelihood[0] - anywhere, here]).sum(1)
-    return np.asarray(independent * told + (hue, np.log(_HIDDEN), 0.0))
+    return independent * told + (hue, np.log(_HIDDEN), 0.0)
 
 
 def features_of(
@@ -411,7 +411,7 @@ class _Grid:
 
 def _square(off: FloatArray, covariance: FloatArray) -> FloatArray:
     """Return the squared Mahalanobis distance of `off` (..., K)."""
-    return np.asarray(np.einsum("...i,ij,...j->...", off, np.linalg.inv(covariance), off))
+    return np.einsum("...i,ij,...j->...", off, np.linalg.inv(covariance), off)
 
 
 def _resized(field: Image, shape: tuple[int, ...]) -> Image:
@@ -431,4 +431,4 @@ def odd_side(texels: float) -> int:
 def local_mean(field: RealArray, weight: Image, side: int) -> FloatArray:
     """Return the weighted mean of `field` (H, W) over squares of `side` texels; 0 without any weight."""
     sums, total = (uniform_filter(f, side, mode="constant") for f in (field * weight, weight))
-    return np.asarray(sums / np.maximum(total, np.float32(1e-6 / side**2)))
+    return sums / np.maximum(total, np.float32(1e-6 / side**2))

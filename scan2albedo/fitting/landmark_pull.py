@@ -150,7 +150,7 @@ class LandmarkPull:
         The displacement u has the least sum |B u - d|^2 / sigma^2 + int m |u|^2 + D |laplacian u|^2.
         """
         solve, spread = self._smoother(model, control_points)
-        return np.asarray(control_points + solve(spread @ self.offsets(control_points)))
+        return control_points + solve(spread @ self.offsets(control_points))
 
     def held(self, control_points: FloatArray, scan: ScanSurface) -> LandmarkPull:
         """Return the pull that holds landmarks where they are now along the scan, but lays them onto it."""
@@ -162,7 +162,7 @@ class LandmarkPull:
 
     def force(self, control_points: FloatArray) -> FloatArray:
         """Return (C, 3) forces on control points toward the targets."""
-        return np.asarray(self.matrix.T @ (self._springs[:, None] * self.offsets(control_points)))
+        return self.matrix.T @ (self._springs[:, None] * self.offsets(control_points))
 
     def with_springs(self, product: Springs) -> Springs:
         """Return x -> H x with the stiffness of these springs added."""

@@ -280,7 +280,7 @@ def corner_moves(model: AnnotatedSurface, control_points: FloatArray) -> FloatAr
     share = np.minimum(np.abs(across) / half_width, 1) * np.exp(-0.5 * (beside / 15) ** 2)
     share = share * np.exp(-0.5 * (above / 14) ** 2)
     toward = normalized(landmarks[[0, 16]] - corners)
-    return np.asarray((share * [across < 0, across > 0]).T[:, None] * toward.T)
+    return (share * [across < 0, across > 0]).T[:, None] * toward.T
 
 
 def mouth_distances(

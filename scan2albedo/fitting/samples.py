@@ -58,7 +58,7 @@ class SurfaceSamples:
 
     def normals(self, points: FloatArray) -> FloatArray:
         """Return (N, 3) unit normals of the sampled surface at positions (N, 3)."""
-        return np.asarray(surface_normals(points, self.faces)[0])
+        return surface_normals(points, self.faces)[0]
 
     def relief(self, points: FloatArray) -> FloatArray:
         """Return (N,) 1 - cosine, limited, between each normal and the mean of those within 15 mm."""
@@ -69,7 +69,7 @@ class SurfaceSamples:
         # The matrix leaves out distances of zero: each sample itself.
         around = sparse.coo_matrix((self.area[near.col], (near.row, near.col)), shape).tocsr()
         mean = normalized(around @ normals + self.area[:, None] * normals)
-        return np.asarray(_LEAST_RELIEF + np.minimum(1 - np.einsum("ij,ij->i", normals, mean), _MOST_RELIEF))
+        return _LEAST_RELIEF + np.minimum(1 - np.einsum("ij,ij->i", normals, mean), _MOST_RELIEF)
 
     def product(self, stiffness: FloatArray) -> Callable[[FloatArray], FloatArray]:
         """Return x -> S^T H S x for displacements x (C, 3), H the stiffness (N, 6) at the samples."""

@@ -61,7 +61,7 @@ class FoldFinder:
 
     def _cosine(self, vertices: FloatArray) -> FloatArray:
         normals = surface_normals(vertices, self._faces)[1]
-        return np.asarray(np.einsum("ij,ij->i", normals[self._pairs[:, 0]], normals[self._pairs[:, 1]]))
+        return np.einsum("ij,ij->i", normals[self._pairs[:, 0]], normals[self._pairs[:, 1]])
 
 
 @dataclass(frozen=True)

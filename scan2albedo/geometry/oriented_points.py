@@ -144,4 +144,4 @@ class SurfaceNoise:
 def above_neighbours(vertices: FloatArray, begins: IntArray, neighbours: IntArray) -> FloatArray:
     """Return (V, 3) offsets of the vertices from the mean of their neighbours (`neighbour_lists`)."""
     around = csr_array((np.ones(len(neighbours)), neighbours, begins), shape=(len(vertices),) * 2)
-    return np.asarray(vertices - around @ vertices / np.maximum(np.diff(begins), 1)[:, None])
+    return vertices - around @ vertices / np.maximum(np.diff(begins), 1)[:, None]

@@ -120,7 +120,7 @@ def bilinear(image: RealArray, pixels: FloatArray) -> FloatArray:
     across, down = (column - left)[:, None], (row - top)[:, None]
     upper = (1 - across) * image[top, left] + across * image[top, right]
     lower = (1 - across) * image[below, left] + across * image[below, right]
-    return np.asarray((1 - down) * upper + down * lower)
+    return (1 - down) * upper + down * lower
 
 
 def polyline_distance(points: FloatArray, line: FloatArray) -> FloatArray:
@@ -145,7 +145,7 @@ def bilinear_slopes(image: RealArray, pixels: FloatArray) -> FloatArray:
     (x, y), (column, row) = (place - corner).T[..., None], corner.T
     a, b = image[row, column], image[row, column + 1]
     c, d = image[row + 1, column], image[row + 1, column + 1]
-    return np.asarray(np.stack([(1 - y) * (b - a) + y * (d - c), (1 - x) * (c - a) + x * (d - b)], 2))
+    return np.stack([(1 - y) * (b - a) + y * (d - c), (1 - x) * (c - a) + x * (d - b)], 2)
 
 
 def filled_from_nearest(image: NDArray, mask: BoolArray) -> FloatArray:
@@ -179,7 +179,7 @@ def area_mean(values: ArrayLike, shape: tuple[int, int]) -> FloatArray:
         whole = np.minimum(edges.astype(np.int64), size[axis] - 1)
         part = (edges - whole).reshape(-1, *[1] * (lines.ndim - 1))
         result = np.moveaxis(np.diff(sums[whole] + part * lines[whole], axis=0), 0, axis)
-    return np.asarray(result / (size[0] * size[1] / (shape[0] * shape[1])))
+    return result / (size[0] * size[1] / (shape[0] * shape[1]))
 
 
 def filled_smoothly(values: NDArray, known: BoolArray) -> NDArray:

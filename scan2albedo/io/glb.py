@@ -19,6 +19,7 @@ from scan2albedo.core.arrays import (
     IntArray,
     checked_array,
     checked_mesh,
+    finite_rows,
 )
 from scan2albedo.geometry.mesh import vertex_normals, without_unreferenced
 from scan2albedo.io.atomic import write_bytes
@@ -312,7 +313,7 @@ def write_skinned_glb(
         raise ValueError("there must be faces")
     if influences is not None and influences < 1:
         raise ValueError(f"influences must be 1 or more, or None, got {influences}")
-    there = np.isfinite(joints).all(1)
+    there = finite_rows(joints)
     if shares.min() < 0 or shares[:, ~there].any() or np.abs(shares.sum(1) - 1).max() > 1e-6:
         raise ValueError("weights must not be negative, sum to 1, and be 0 for missing key points")
     known = np.flatnonzero(there)

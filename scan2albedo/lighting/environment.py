@@ -147,7 +147,7 @@ def map_directions(polar_rad: ArrayLike, azimuth_rad: ArrayLike) -> FloatArray:
 def texel_solid_angles(rows: int, columns: int) -> FloatArray:
     """Return (H,) solid angles of a map's texels in each row."""
     edges = np.cos(np.arange(rows + 1) * np.pi / rows)
-    return np.asarray((edges[:-1] - edges[1:]) * 2 * np.pi / columns)
+    return (edges[:-1] - edges[1:]) * 2 * np.pi / columns
 
 
 def environment_weights(environment_linear: ArrayLike, directions: ArrayLike) -> FloatArray:
@@ -180,7 +180,7 @@ def environment_weights(environment_linear: ArrayLike, directions: ArrayLike) ->
     # Texels are gathered before their colour enters, so that weights stay exactly linear in the map.
     entries = np.repeat(texel_solid_angles(rows, columns), columns), (nearest.ravel(), texel.ravel())
     shares = sparse.coo_matrix(entries, shape=(tree.n, height * width)).tocsr()
-    return np.asarray(shares @ image.reshape(-1, 3))
+    return shares @ image.reshape(-1, 3)
 
 
 def checked_map(environment_linear: ArrayLike, *, several: bool = False) -> FloatArray:

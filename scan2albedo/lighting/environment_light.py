@@ -37,7 +37,7 @@ def open_transfer(normal: FloatArray) -> FloatArray:
     [1.0, 0.0, 1.155]
     """
     values = harmonics(normal, 2)
-    return np.asarray(values / values[:, :1] * _COSINE_LOBE)
+    return values / values[:, :1] * _COSINE_LOBE
 
 
 def open_shading(environment: EnvironmentLight) -> FloatArray:
@@ -70,7 +70,7 @@ def shadowed_transfer(shadows: ShadowMap, sky: VisibilityTable | None = None) ->
     whole, part = cosine @ weighted, (cosine * sky.visibility.T) @ weighted
     # The first harmonic is constant, so its coefficient gives the visible share.
     share = part[:, :1] / np.maximum(whole[:, :1], np.finfo(float).tiny)
-    return np.asarray(part + share * (free - whole))
+    return part + share * (free - whole)
 
 
 def environment_light_on(

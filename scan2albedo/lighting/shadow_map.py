@@ -153,7 +153,7 @@ class VisibilityTable:
     def highest_hidden(self, normal: FloatArray) -> FloatArray:
         """Return (N,) the largest cosine to `normal` (N, 3) of a hidden direction, 0 where none is."""
         hidden = np.where(self.visibility.T == 0, normal @ self.directions.T, 0.0)
-        return np.asarray(hidden.max(1, initial=0.0))
+        return hidden.max(1, initial=0.0)
 
     def nearest(self, direction: ArrayLike) -> ByteArray:
         """Return (N,) the visibility of the tabulated direction closest to `direction`."""

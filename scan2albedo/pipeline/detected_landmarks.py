@@ -124,7 +124,7 @@ def detected_landmarks(scan: RawScan, model_from_scan: FloatArray) -> PlacedLand
 def _exposed(linear: Float32Array) -> FloatArray:
     """Return sRGB colours (..., 3), the brightest 3 % of them white."""
     white = float(np.percentile(linear.max(-1), 97)) or 1.0
-    return np.asarray(linear_to_srgb(np.clip(linear / white, 0, 1)))
+    return linear_to_srgb(np.clip(linear / white, 0, 1))
 
 
 @contextmanager

@@ -49,7 +49,7 @@ class Identification:
     @property
     def genuine(self) -> BoolArray:
         """(P, G): whether the probe shows the person."""
-        return np.asarray(np.array(self.probe_names, object)[:, None] == np.array(self.persons, object))
+        return np.array(self.probe_names, object)[:, None] == np.array(self.persons, object)
 
     def rate(self, rank: int = 1) -> float:
         """Return the share of probes of known persons whose person is among the first `rank`."""

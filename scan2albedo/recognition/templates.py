@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 from scipy.ndimage import distance_transform_edt, minimum_filter, uniform_filter
 
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, RealArray
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, RealArray, finite_rows
 from scan2albedo.errors import RecognitionError, needs_extra
 from scan2albedo.geometry.rasterization import area_mean, filled_from_nearest
 
@@ -291,7 +291,7 @@ def image_coefficients(
         raise NothingToCompareError(
             f"{what} is masked everywhere; leave it out, or give a mask with valid pixels"
         )
-    finite = np.isfinite(pixels) if pixels.ndim == 2 else np.isfinite(pixels).all(axis=2)
+    finite = np.isfinite(pixels) if pixels.ndim == 2 else finite_rows(pixels)
     if bad := int((valid & ~finite).sum()):
         raise RecognitionError(
             f"{what}: {bad} of {valid.sum()} pixels in its mask are not finite; take them out of the mask"
@@ -355,12 +355,12 @@ def without_holes(mask: BoolArray, radius: float) -> BoolArray:
         return mask
     grown = distance_transform_edt(~np.pad(mask, reach + 1)) <= reach
     inside = slice(reach + 1, -reach - 1)
-    return np.asarray(distance_transform_edt(grown)[inside, inside] > reach)
+    return distance_transform_edt(grown)[inside, inside] > reach
 
 
 def supported_mask(mask: BoolArray) -> BoolArray:
     """Return (ceil(H / 4), ceil(W / 4)) where all pixels up to `STEP` / 2 beside a coefficient count."""
-    return np.asarray(minimum_filter(mask, size=STEP + 1, mode="nearest")[::STEP, ::STEP])
+    return minimum_filter(mask, size=STEP + 1, mode="nearest")[::STEP, ::STEP]
 
 
 def coarsest_bands(image: FloatArray) -> NDArray[np.complex128]:

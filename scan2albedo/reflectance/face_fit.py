@@ -268,7 +268,7 @@ def skin_hue(received: FloatArray) -> FloatArray:
     off = cast - np.outer(warm, [1, 0, -1])
     # Two numbers of the three are free.
     odds = softmax(np.log(often / variance) - (off**2).sum(1) / (2 * variance))
-    return np.asarray(np.exp(odds * PEOPLE_DIFFER**2 / variance @ off))
+    return np.exp(odds * PEOPLE_DIFFER**2 / variance @ off)
 
 
 _BANDS = {4.0: 0.05, 8.0: 0.02, 16.0: 0.01, 32.0: 0.01}
@@ -353,7 +353,7 @@ class ShadingDivided:
     def left_over(self, field: FloatArray | float = 0.0) -> FloatArray:
         """Return the logarithm (V, 3) of the observed over the predicted light with details (V, 3)."""
         share = self.highlight_share
-        return np.asarray(self.log_whole - np.log(share + (1 - share) * np.exp(field)))
+        return self.log_whole - np.log(share + (1 - share) * np.exp(field))
 
     def by_shift(self, vertices: FloatArray, faces: IntArray) -> FloatArray:
         """Return (V, 3, 3) as `by_tilt`, by a shift of positions (V, 3) of one unit along each axis."""
@@ -364,7 +364,7 @@ class ShadingDivided:
         change, length = (values[ends[0]] - values[ends[1]] for values in (self.log_received, vertices))
         steep = at @ (2 * change[:, :, None] * change[:, None, :]).reshape(-1, 9)
         square = np.where(self.usable, np.maximum(at @ (length**2).sum(1), _TINY), np.inf)
-        return np.asarray((steep / square[:, None]).reshape(-1, 3, 3))
+        return (steep / square[:, None]).reshape(-1, 3, 3)
 
 
 def detail_field(

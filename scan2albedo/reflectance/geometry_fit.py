@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
-from scan2albedo.core.arrays import FloatArray, IntArray, checked_array
+from scan2albedo.core.arrays import FloatArray, IntArray, checked_array, finite_rows
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import edges_with_faces, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, pixel_directions, project
@@ -119,13 +119,13 @@ def refine_geometry(
     """
     matrix = normalized_cameras(np.asarray(camera, np.float64)[None])[0]
     landmarks = checked_array(landmarks_px, (LANDMARKS, 2), "landmarks_px").copy()
-    landmarks[~np.isfinite(landmarks).all(1)] = np.nan
+    landmarks[~finite_rows(landmarks)] = np.nan
     count = shape_model.identity_components
     identity = checked_coefficients(initial_identity, (count,), "initial_identity")
     count = shape_model.expression_components
     expression = checked_coefficients(initial_expression, (count,), "initial_expression")
     coefficients = np.concatenate([identity, expression])
-    seen = np.flatnonzero(np.isfinite(landmarks).all(1))
+    seen = np.flatnonzero(finite_rows(landmarks))
     pose = _initial_pose(initial_scene_from_model, matrix, landmarks[seen], seen, shape_model, coefficients)
     meter = Meter("reflectance.geometry", "objective", Budget.of(budget), on_progress)
     state = GeometryPoint(shape_model, pose, coefficients, meter)
@@ -341,4 +341,4 @@ def pose_from_landmarks(camera: FloatArray, points_mm: FloatArray, pixels: Float
     if not np.isfinite(least):
         raise ReflectanceError("no pose puts the landmarks before the camera; check landmarks and camera")
     to_scene = compose(np.eye(3), camera_centers(camera[None])[0])
-    return np.asarray(to_scene @ best @ compose(np.eye(3), -center))
+    return to_scene @ best @ compose(np.eye(3), -center)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array, finite_rows
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.operators import cross_matrices, vertex_normal_jacobian
@@ -47,7 +47,7 @@ class SmoothImage:
         image = checked_array(image_linear, ("H", "W", 3), "image_linear")
         if min(image.shape[:2]) < 2:
             raise ValueError(f"image_linear is {image.shape}, expected H and W of 2 or more")
-        self.valid = np.asarray(np.isfinite(image).all(2))
+        self.valid = finite_rows(image)
         if mask is not None:
             self.valid &= checked_array(mask, self.valid.shape, "mask", kind=bool)
         if not self.valid.any():
@@ -72,7 +72,7 @@ class SmoothImage:
     def gradient(self, pixels: FloatArray) -> FloatArray:
         """Return the derivatives (N, 3, 2) of `look_up` by column and row; 0 beyond the border."""
         inside = (pixels > 0) & (pixels < np.array(self.valid.shape)[::-1] - 1)
-        return np.asarray(bilinear_slopes(self._image, pixels) * inside[:, None, :])
+        return bilinear_slopes(self._image, pixels) * inside[:, None, :]
 
 
 @dataclass(frozen=True)
@@ -168,7 +168,7 @@ class PhotometricTerm:
         return LocalTerm(jacobian, (weight * off).ravel(), weight.ravel())
 
     def _sight(self, vertices: FloatArray) -> FloatArray:
-        return np.asarray(camera_centers(self.camera[None])[0] - vertices[self.used])
+        return camera_centers(self.camera[None])[0] - vertices[self.used]
 
 
 def photometric_term(

@@ -31,12 +31,12 @@ class LinearModel:
     @property
     def deviation(self) -> FloatArray:
         """(N,): standard deviation of the samples along each direction, which is its length."""
-        return np.asarray(np.linalg.norm(self.basis.reshape(self.components, self.mean.size), axis=1))
+        return np.linalg.norm(self.basis.reshape(self.components, self.mean.size), axis=1)
 
     def at(self, coefficients: ArrayLike, name: str = "coefficients") -> FloatArray:
         """Return the values (...) of coefficients (N,); `checked_coefficients` says what it raises."""
         b = checked_coefficients(coefficients, (self.components,), name)
-        return np.asarray(self.mean + np.tensordot(b, self.basis, 1))
+        return self.mean + np.tensordot(b, self.basis, 1)
 
     def check(self, what: str, shape: tuple[int, ...]) -> None:
         """Raise `ReflectanceError` when mean or basis do not fit the mean's `shape`, or are not finite."""

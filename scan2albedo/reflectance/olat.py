@@ -162,7 +162,7 @@ def picture_values(picture: NDArray, name: str, saturation: float) -> FloatArray
     """Return values (H, W, 3), white = 1, of floats or of integers of 8 or 16 bits."""
     array = np.asarray(picture)
     if array.dtype in (np.uint8, np.uint16):
-        return np.asarray(array / float(np.iinfo(array.dtype).max))
+        return array / float(np.iinfo(array.dtype).max)
     if not np.issubdtype(array.dtype, np.floating):
         raise ReflectanceError(f"{name} is {array.dtype}, expected floats with white = 1, uint8 or uint16")
     values = array.astype(np.float64)

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array, checked_mesh
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array, checked_mesh, finite_rows
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import edges_with_faces, face_cross_products, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, project
@@ -107,7 +107,7 @@ class VertexVisibility:
         rows = np.flatnonzero(result)
         n_v = n_v[rows]
         pixels, depth = project(camera, self._vertices[rows])
-        good = np.asarray(np.isfinite(pixels).all(1))
+        good = finite_rows(pixels)
         pixels = np.where(good[:, None], pixels, 0.0)
         pixel_mm = depth / math.sqrt(abs(float(np.linalg.det(camera[:, :3]))))
         # A step in depth above 3 mm, and above what the slope of the surface against the picture plane

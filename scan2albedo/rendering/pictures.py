@@ -88,7 +88,7 @@ class SeenSamples:
 
     def interpolated(self, values: RealArray) -> FloatArray:
         """Return (N, ...) values (V, ...) of the vertices at the points seen."""
-        return np.asarray(np.einsum("nk,nk...->n...", self.weight, values[self.corners]))
+        return np.einsum("nk,nk...->n...", self.weight, values[self.corners])
 
     def raised(
         self, vertices: FloatArray, normals: FloatArray, share: float = 1.0, *, outward: bool = False
@@ -108,14 +108,14 @@ class SeenSamples:
         if outward:
             below = np.maximum(below, 0.0)
         toward_planes = np.einsum("nk,nk,nkc->nc", self.weight, below, normals[self.corners])
-        return np.asarray(flat + share * toward_planes)
+        return flat + share * toward_planes
 
     def picture(self, values: FloatArray) -> FloatArray:
         """Return (H, W, C) the means over each pixel's samples of values (N, C), 0 where nothing is seen."""
         (height, width), side = self.shape, self.side
         made = np.zeros((height * side * width * side, values.shape[1]))
         made[self.index] = values
-        return np.asarray(made.reshape(height, side, width, side, -1).mean((1, 3)))
+        return made.reshape(height, side, width, side, -1).mean((1, 3))
 
 
 def seen_samples(
@@ -163,11 +163,11 @@ class View:
     def rotation(self) -> FloatArray:
         """(3, 3): its rows point right, up and toward the viewer."""
         nod = rotation_from_vector([np.deg2rad(-self.pitch_deg), 0, 0])
-        return np.asarray(nod @ rotation_from_vector([0, np.deg2rad(self.yaw_deg), 0]))
+        return nod @ rotation_from_vector([0, np.deg2rad(self.yaw_deg), 0])
 
     def project(self, vertices: ArrayLike) -> FloatArray:
         """Return (V, 3) coordinates relative to the centre: right, up, toward the viewer."""
-        return np.asarray((np.asarray(vertices, float) - np.asarray(self.center_mm)) @ self.rotation.T)
+        return (np.asarray(vertices, float) - np.asarray(self.center_mm)) @ self.rotation.T
 
     def pixels(self, vertices: ArrayLike, size: int) -> FloatArray:
         """Return the places (V, 2), column and row, of vertices in a picture of `size` pixels a side."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import affine_transform, binary_dilation
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, finite_rows
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.eyeglasses import Camera, RegisteredEyeglasses
 from scan2albedo.eyeglasses.canonicalization import CanonicalEyeglasses
@@ -53,7 +53,7 @@ def glasses_panels(frames: Sequence[tuple[str, FloatArray, CanonicalEyeglasses]]
     views = [View.around(np.concatenate(before), pitch_deg=pitch) for pitch in (0.0, _ABOVE_DEG)]
     panels = []
     for (name, _, canonical), placed, distance in zip(drawn, before, moved, strict=True):
-        dots = canonical.keypoints[np.isfinite(canonical.keypoints).all(1)]
+        dots = canonical.keypoints[finite_rows(canonical.keypoints)]
         # Each column of the weights has a hue, mixed by weight.
         hues = colormaps["tab20"](np.arange(canonical.weights.shape[1]) % 20)[:, :3]
         heat = heat_colors(distance, 0, max(most, 1e-9), "viridis")
@@ -115,7 +115,7 @@ def _view_panel(frame: RegisteredEyeglasses, number: int, view: SeenView, head: 
     if given_mask is not None:
         outlined.append(np.argwhere(given_mask)[:, ::-1].astype(np.float64))
     points, limit = np.concatenate(outlined), np.array([width, height]) - 0.5
-    points = points[np.isfinite(points).all(1)]
+    points = points[finite_rows(points)]
     if len(points) == 0:
         points = np.array([[-0.5, -0.5], limit])
     room = _MARGIN * np.array([width, height])

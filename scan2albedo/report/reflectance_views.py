@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, IntArray, finite_rows
 from scan2albedo.geometry.mesh import face_cross_products, normalized
 from scan2albedo.geometry.operators import filled_over_mesh
 from scan2albedo.geometry.pinhole import camera_centers
@@ -114,7 +114,7 @@ def draw_in_camera(
 ) -> tuple[FloatArray, BoolArray]:
     """Return colours (V, 3) as a camera (3, 4) sees them (H, W, 3), and where they are all known (H, W)."""
     seen = seen_samples(vertices, faces, camera, shape)
-    known = seen.interpolated(np.isfinite(color).all(1).astype(float)) > 1 - 1e-9
+    known = seen.interpolated(finite_rows(color).astype(float)) > 1 - 1e-9
     colors = np.where(known[:, None], seen.interpolated(np.nan_to_num(color)), 0.0)
     made = seen.picture(np.column_stack([colors, known]))
     return made[..., :3], made[..., 3] > 0

@@ -240,7 +240,7 @@ def _distances(camera: FloatArray, points: FloatArray, places: FloatArray) -> Fl
     """Return how far from `places` (..., 2) a camera (3, 4) projects points (..., 3)."""
     image = points @ camera[:, :3].T + camera[:, 3]
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(np.linalg.norm(image[..., :2] / image[..., 2:] - places, axis=-1))
+        return np.linalg.norm(image[..., :2] / image[..., 2:] - places, axis=-1)
 
 
 def texel_steps(vertices: FloatArray, uv: FloatArray, faces: IntArray, shape: tuple[int, int]) -> FloatArray:

@@ -86,7 +86,7 @@ class GlassesShape:
 
     def depth(self, x: FloatArray) -> FloatArray:
         """Return z of the front at `x`."""
-        return np.asarray(-(x**2) / (2 * self.wrap_radius))
+        return -(x**2) / (2 * self.wrap_radius)
 
 
 def rim_curve(shape: GlassesShape) -> tuple[FloatArray, FloatArray]:

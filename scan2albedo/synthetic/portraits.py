@@ -51,7 +51,7 @@ class FlashCapture(GlossyFace):
     def cameras(self) -> FloatArray:
         """(J, 3, 4) projection matrices of the pictures."""
         poses = np.concatenate([self.head_rotations, self.head_translations[..., None]], axis=2)
-        return np.asarray((self.intrinsics @ poses)[self.view])
+        return (self.intrinsics @ poses)[self.view]
 
     def __len__(self) -> int:
         return len(self.flash)

@@ -29,7 +29,7 @@ def smooth_noise(uv: ArrayLike, cells: tuple[float, float], rng: np.random.Gener
     lattice = rng.normal(size=tuple(max(4, int(np.ceil(c))) for c in cells))
     coordinates = np.stack([xy[:, 0] * cells[0], xy[:, 1] * cells[1]])
     # Between lattice points a cubic spline through white noise keeps 0.866 of its standard deviation.
-    return np.asarray(map_coordinates(lattice, coordinates, order=3, mode="grid-wrap") / 0.866)
+    return map_coordinates(lattice, coordinates, order=3, mode="grid-wrap") / 0.866
 
 
 def wood(uv: ArrayLike, rng: np.random.Generator, *, grain: float = 1.0) -> FloatArray:
@@ -190,7 +190,7 @@ def _near(uv: FloatArray, points: FloatArray, margin: float) -> BoolArray:
 
 def _distance(uv: FloatArray, line: FloatArray) -> FloatArray:
     """Return (N,) distance to a polyline's points (K, 2), inf from 0.04 on."""
-    return np.asarray(cKDTree(line).query(uv, distance_upper_bound=0.04)[0])
+    return cKDTree(line).query(uv, distance_upper_bound=0.04)[0]
 
 
 def _signed_distance(uv: FloatArray, outline: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import ByteArray, FloatArray, IntArray
+from scan2albedo.core.arrays import ByteArray, FloatArray, IntArray, finite_rows
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model import AnnotatedSurface, Region
 from scan2albedo.face_model.annotation import FILLED_REGION, LANDMARK_LEVELS, REST_REGION, surface_frames
@@ -206,7 +206,7 @@ def _landmarks(
         # Points in the template's own unit and frame: the nearest cleaned vertices.
         points, cleaned = landmarks.astype(float), vertices[source]
         if not np.isfinite(points).all():
-            wrong = int(np.flatnonzero(~np.isfinite(points).all(1))[0])
+            wrong = int(np.flatnonzero(~finite_rows(points))[0])
             raise ModelError(f"{name}: landmark {wrong} is NaN or infinite; give its point, or no landmarks")
         distance, nearest = cKDTree(cleaned).query(points)
         distance /= float(np.ptp(cleaned, axis=0).max() / np.ptp(disc.vertices[source], axis=0).max())

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, finite_rows
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.mean_keypoints import FRONT
 from scan2albedo.eyeglasses.skinning import known_bones, turn_conditions, turned_translations
@@ -75,7 +75,7 @@ class FrameMotion:
 
     def __init__(self, keypoints: FloatArray, state: FrameState) -> None:
         self.keypoints, self.state = keypoints, state
-        self.known: BoolArray = np.asarray(np.isfinite(keypoints).all(1))
+        self.known: BoolArray = finite_rows(keypoints)
         self.center = keypoints[self.known].mean(0)
 
     @cached_property
@@ -104,7 +104,7 @@ class FrameMotion:
     def positions(self, points: SkinnedPoints) -> FloatArray:
         """Return (N, 3) in the world."""
         blended = (points.weights @ self.transforms[:, :3].reshape(-1, 12)).reshape(-1, 3, 4)
-        return np.asarray(np.einsum("nij,nj->ni", blended[:, :, :3], points.rest) + blended[:, :, 3])
+        return np.einsum("nij,nj->ni", blended[:, :, :3], points.rest) + blended[:, :, 3]
 
     def rows(
         self, points: SkinnedPoints, positions: FloatArray, slopes: FloatArray, *, rigid: bool = False

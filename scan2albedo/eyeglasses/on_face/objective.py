@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray, finite_rows
 from scan2albedo.eyeglasses.mean_keypoints import FRONT
 from scan2albedo.eyeglasses.on_face import frame_motion as moving
 from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions
@@ -123,7 +123,7 @@ class RegistrationObjective:
         self.keypoints, self.views, self.options = keypoints, views, options
         self._cameras = np.stack([view.camera for view in views])
         self._labels = np.stack([view.labels for view in views])
-        self._labelled = np.isfinite(self._labels).all(2) & np.isfinite(keypoints).all(1)
+        self._labelled = finite_rows(self._labels) & finite_rows(keypoints)
 
     def motion(self, state: moving.FrameState) -> moving.FrameMotion:
         """Return the frame's motion at a state."""

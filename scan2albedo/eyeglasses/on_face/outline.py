@@ -10,7 +10,7 @@ from scipy.cluster.vq import kmeans2, vq
 from scipy.ndimage import binary_dilation, distance_transform_edt
 from scipy.special import expit, logsumexp
 
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, RealArray
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, RealArray, finite_rows
 from scan2albedo.eyeglasses.mean_keypoints import BEHIND
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
 from scan2albedo.geometry.mesh import normalized
@@ -176,7 +176,7 @@ def grouped_colors(picture: NDArray, around: FloatArray) -> IntArray:
     k-means in the picture's own values, 24 means: frame, skin, eyes and hair, each in light and in shadow.
     """
     height, width = picture.shape[:2]
-    inside = np.isfinite(around).all(1)
+    inside = finite_rows(around)
     if not inside.any():
         return np.zeros((height, width), np.int64)
     box = [around[inside].min(0), around[inside].max(0)]
@@ -200,7 +200,7 @@ def color_odds(colors: IntArray, frame: BoolArray, part: BoolArray | None = None
     near = binary_dilation(frame if part is None else part, iterations=2 * _SIDE_PX) & ~frame
     counts = [1.0 + np.bincount(colors[where], minlength=colors.max() + 1) for where in (frame, near)]
     inside, outside = (np.log(count / count.sum()) for count in counts)
-    return np.asarray((inside - outside)[colors])
+    return (inside - outside)[colors]
 
 
 def search_colors(

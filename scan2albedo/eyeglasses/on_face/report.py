@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from scipy.special import erfinv, log_ndtr
 
 from scan2albedo.core import Meter, Plan, PlanStep
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, finite_rows
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
 from scan2albedo.eyeglasses.on_face.inputs import (
@@ -198,7 +198,7 @@ def _certainty(
     root = _root(weighted.linearize(motion.state, samples, rigid=not shown.bend).matrix)
     # Pictures from one place leave more open than the matrix says.
     inflation = 1.0
-    used = [view for view in given.views if view.outlined or np.isfinite(view.labels).all(1).any()]
+    used = [view for view in given.views if view.outlined or finite_rows(view.labels).any()]
     if used:
         centers = camera_centers(np.stack([view.camera for view in used]))
         away = np.linalg.norm(motion.positions(motion.marks)[given.known].mean(0) - centers[0])
@@ -308,7 +308,7 @@ def _root(matrix: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh(matrix / scale[:, None] / scale)
     # Open directions stay finite.
     values = np.maximum(values, values.max() / _ANYWHERE_MM**2)
-    return np.asarray(vectors / np.sqrt(values) / scale[:, None])
+    return vectors / np.sqrt(values) / scale[:, None]
 
 
 def depth_open(given: RegistrationInputs, motion: FrameMotion, at: Linearization) -> float:

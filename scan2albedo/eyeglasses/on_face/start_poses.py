@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from scipy.special import xlogy
 
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array, finite_rows
 from scan2albedo.errors import EyeglassesError, needs_extra
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR
 from scan2albedo.eyeglasses.mean_keypoints import BEHIND, is_posable, own_axes
@@ -149,7 +149,7 @@ def _color_gain(
             count[k] = np.maximum(irfft2(spectrum * mask, size)[way[:, 1], way[:, 0]], 0.0)
 
     def entropy(n: FloatArray) -> FloatArray:
-        return np.asarray((xlogy(n, n).sum(1) - xlogy(n.sum(1), n.sum(1))).sum(0))
+        return (xlogy(n, n).sum(1) - xlogy(n.sum(1), n.sum(1))).sum(0)
 
     # A cell is several pixels wide, whose colours are alike over the rim's width.
     return VOTE * (entropy(counts) - entropy(counts.sum(0)[None]))
@@ -165,7 +165,7 @@ def starting_poses(
     poses = [] if given is None else [given]
     labels, cameras = np.stack([v.labels for v in views]), np.stack([v.camera for v in views])
     placed = triangulate(labels, cameras, noise_px=noise_px)
-    good = np.isfinite(placed.points).all(1) & np.isfinite(keypoints).all(1) & (placed.inliers.sum(0) >= 2)
+    good = finite_rows(placed.points) & finite_rows(keypoints) & (placed.inliers.sum(0) >= 2)
     if good.sum() >= 3:
         world, rest = placed.points[good], keypoints[good]
         away = (np.linalg.norm(points - np.median(points, axis=0), axis=1) for points in (world, rest))
@@ -179,7 +179,7 @@ def starting_poses(
             poses.append(procrustes(rest, world))
     poses += [pose for view in views if (pose := _from_one_view(keypoints, view, noise_px)) is not None]
     if not poses:
-        labelled = [int(np.isfinite(view.labels).all(1).sum()) for view in views]
+        labelled = [int(finite_rows(view.labels).sum()) for view in views]
         remedy = "label 4 or more in one view, 3 or more in two, or give a start"
         if max(labelled) >= 4:
             remedy = "they contradict one another or the cameras; check labels and cameras, or give a start"
@@ -197,7 +197,7 @@ def states_of(poses: Sequence[FloatArray], keypoints: FloatArray) -> list[FrameS
 
 def _from_one_view(keypoints: FloatArray, view: ObservedView, noise_px: float) -> FloatArray | None:
     """Return the pose that most labels of one view agree with, by RANSAC; None for fewer than four."""
-    seen = np.isfinite(view.labels).all(1) & np.isfinite(keypoints).all(1)
+    seen = finite_rows(view.labels) & finite_rows(keypoints)
     if seen.sum() < 4:
         return None
     with needs_extra("opencv"):
@@ -291,7 +291,7 @@ def triangulate(labels_2d: ArrayLike, cameras: ArrayLike, *, noise_px: float = 2
     points = np.full((labels.shape[1], 3), np.nan)
     errors = np.full(labels.shape[:2], np.nan)
     for k in range(len(points)):
-        seen = np.flatnonzero(np.isfinite(labels[:, k]).all(1))
+        seen = np.flatnonzero(finite_rows(labels[:, k]))
         if len(seen) < 2:
             continue
         own, cams = labels[seen, k], matrices[seen]

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from scan2albedo import eyeglasses
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, finite_rows
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import Camera, LensMaterial, read_cameras, write_keypoints
@@ -120,7 +120,7 @@ def read_frame(
     placed = keypoints is not None or (marks_file.is_file() and not fill)
     if placed:
         marks, marks_unit = read_keypoints_with_unit(marks_file)
-    own = np.isfinite(marks).all(1)
+    own = finite_rows(marks)
     deviations: dict[str, float] = {}
     told: list[str] = []
     usual = WIDTHS_MM if widths_mm is None else widths_mm
@@ -134,7 +134,7 @@ def read_frame(
         scale, how = MM_PER_UNIT.get(unit, 0.0), f"{unit}, as given"
         if marks_mm and not scale:
             # The unit in which the key points lie on the mesh: units are factors of ten apart.
-            known = marks[np.isfinite(marks).all(1)] * marks_mm
+            known = marks[finite_rows(marks)] * marks_mm
             query = ClosestPointQuery(parsed.vertices, parsed.faces).query
             away = {u: mm * float(np.median(query(known / mm).distance)) for u, mm in MM_PER_UNIT.items()}
             found = min(away, key=lambda u: away[u])
@@ -231,7 +231,7 @@ def read_registration(
         with errors_of(f"labels {labels}", EyeglassesError):
             pixels = listed.of_cameras([camera.name for camera in views])
     for camera, marks in zip(views, pixels, strict=True):
-        given, limit = marks[np.isfinite(marks).all(1)], np.array(camera.shape[::-1]) - 0.5
+        given, limit = marks[finite_rows(marks)], np.array(camera.shape[::-1]) - 0.5
         outside = int(((given < -0.5) | (given > limit)).any(1).sum())
         if len(given) == 0:
             notes.append(f"no label in the view of {camera.name!r}")

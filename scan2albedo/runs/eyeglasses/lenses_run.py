@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from scan2albedo import eyeglasses
+from scan2albedo.core.arrays import finite_rows
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import Camera, LensPictureOptions, Surface
@@ -168,7 +169,7 @@ def render_lenses(
         if image is not None and image.shape != (*camera.shape, 3):
             raise ValueError(f"picture of {camera.name!r} is {image.shape}, expected {(*camera.shape, 3)}")
     marks = checked_keypoints("keypoints", keypoints)
-    known = marks[np.isfinite(marks).all(1)]
+    known = marks[finite_rows(marks)]
     if len(known):
         query = ClosestPointQuery(np.asarray(head.vertices), np.asarray(head.faces))
         hits = query.query(known)
