@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from scan2albedo.albedo.noise import WINDOW, ChannelNoise, channel_noise, window_mean
 from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.compiled import compiled
 
 _SCALES = (3, 5)
 """Sides, in texels, of the neighbourhoods toward whose means a noisy texel is drawn."""
@@ -109,7 +109,7 @@ def _filtered(field: FloatArray, weight: FloatArray, noise: FloatArray) -> Float
     return np.stack([result + finer, own + finer_share, variance + finer_share * noise_here])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _means_of_alike(field, weight, guide, reach, window):  # type: ignore[no-untyped-def]
     """Return weighted means (H, W) over windows, and the part of white noise's variance that they have.
 

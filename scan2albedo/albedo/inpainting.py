@@ -1,13 +1,13 @@
 """Exemplar synthesis of texels whose colour a highlight has wiped out, and fields rebuilt from gradients."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix, identity
 from scipy.sparse.linalg import splu
 
 from scan2albedo.albedo.node_field import FAINT
 from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, finite_rows
+from scan2albedo.core.compiled import compiled
 
 _HOLD = 1e-4
 """Weight by which a copy keeps its own level: felt from 100 texels on, where gradients add up to drift."""
@@ -105,7 +105,7 @@ def _order(target: BoolArray, known: BoolArray) -> IntArray:
     return np.concatenate(layers)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _fill(field, order, origin, context, offsets, places, jumps, precision, rng):  # type: ignore[no-untyped-def]
     """Return `field` with the texels of `order` filled one after another, and where they came from.
 

@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.ndimage import distance_transform_edt, map_coordinates, uniform_filter
@@ -12,6 +11,7 @@ from scipy.ndimage import distance_transform_edt, map_coordinates, uniform_filte
 from scan2albedo.albedo.noise import WINDOW
 from scan2albedo.albedo.options import MINIMAL_TEXELS, SATURATION_LINEAR
 from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, RealArray
+from scan2albedo.core.compiled import compiled
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.errors import LightingError
 from scan2albedo.geometry.mesh import lengths, normalized
@@ -145,7 +145,7 @@ def build_level(
     return Level(*seen, cell, center, texels, factor)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _closest(index, texels, mean):  # type: ignore[no-untyped-def]
     """Return (N, 3) of the `texels` (T, 3) with each `index` (T,) the one closest to `mean` (N, 3)."""
     found, least = np.empty(mean.shape), np.full(len(mean), np.inf)
@@ -197,7 +197,7 @@ def along_surface(level: Level, values: FloatArray, image: GeometryImage) -> Flo
     return found
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _from_four_cells(at, texels, factor, number, cells, values, smallest, found):  # type: ignore[no-untyped-def]
     """Fill `found` (P, C) at the texels `at` (P, 2); `texels` (P, 6) and `cells` (N, 6) are keys."""
     squares, chosen = np.empty(4), np.empty(4, np.int64)

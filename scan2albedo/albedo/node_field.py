@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from scipy import sparse
 from scipy.linalg import LinAlgError, eigh, solve_triangular
 from scipy.linalg.blas import dtrsv
@@ -12,6 +11,7 @@ from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.prior import NODES, AlbedoPrior
 from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.compiled import compiled
 
 UNMODELLED = 0.06
 """Standard deviation of light that no part stands for, as a part of the median light."""
@@ -126,7 +126,7 @@ def inverse(factor: FloatArray) -> FloatArray:
     return np.tril(low) + np.tril(low, -1).T
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def cell_variances(start, node, share, matrix):  # type: ignore[no-untyped-def]
     """Return (N,) s_n^T matrix s_n of the rows s_n of a sparse matrix (N, M): its indptr, indices, data."""
     found = np.zeros(len(start) - 1)
@@ -137,7 +137,7 @@ def cell_variances(start, node, share, matrix):  # type: ignore[no-untyped-def]
     return found
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _add_cells(start, node, share, weight, matrix):  # type: ignore[no-untyped-def]
     """Add w_n s_n s_n^T of cells n to the lower half of `matrix` (M, M); s_n are rows of a sparse matrix."""
     for n in range(len(weight)):

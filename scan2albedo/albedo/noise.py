@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy.optimize import nnls
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.compiled import compiled
 from scan2albedo.io.color import linear_to_srgb, srgb_to_linear
 
 WINDOW = 25
@@ -125,7 +125,7 @@ def window_mean(field: FloatArray, weight: FloatArray, window: int) -> FloatArra
     return np.where(mass > 1e-9, sums[..., :-1] / np.maximum(mass, 1e-9), 0.0).reshape(field.shape)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _window_sums(values, radius):  # type: ignore[no-untyped-def]
     """Return the sums of `values` (H, W, C) over windows: what enters is added, what leaves is taken off."""
     rows, columns, channels = values.shape

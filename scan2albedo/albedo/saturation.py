@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-from numba import njit
 from scipy.ndimage import binary_opening, binary_propagation
 
 from scan2albedo.albedo.inpainting import RADIUS, resynthesize, surroundings
@@ -11,6 +10,7 @@ from scan2albedo.albedo.node_field import FAINT
 from scan2albedo.albedo.options import MINIMAL_TEXELS, SATURATION_LINEAR, EstimateOptions
 from scan2albedo.albedo.texel_light import HALF_STEP
 from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray
+from scan2albedo.core.compiled import compiled
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.plan import PlanStep
 
@@ -115,7 +115,7 @@ def all_channels(image: BoolArray) -> BoolArray:
     return image[..., 0] & image[..., 1] & image[..., 2]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _predict(field, texels, lost, source, radius, pooled, ridge):  # type: ignore[no-untyped-def]
     """Return (T, 3) the regression's value of every channel at `texels` (T, 2)."""
     height, width = source.shape

@@ -4,7 +4,6 @@ import math
 from itertools import product
 
 import numpy as np
-from numba import njit
 from scipy.ndimage import maximum_filter
 
 from scan2albedo.albedo.levels import Level
@@ -13,6 +12,7 @@ from scan2albedo.albedo.node_field import TINY
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import Float32Array, FloatArray, IntArray
+from scan2albedo.core.compiled import compiled
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.plan import PlanStep
 from scan2albedo.geometry.rays import RayCaster
@@ -181,7 +181,7 @@ class ShadowLattice:
         return self._known[*key, blur]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _add_node(node, weight, by_x, by_y, visible, slopes):  # type: ignore[no-untyped-def]
     """Add a node (N,) to what is blended of a lamp: `visible` (N,), and `slopes` (2, N) by the direction."""
     for n in range(len(node)):

@@ -12,6 +12,11 @@ Float32Array = NDArray[np.float32]
 RealArray = NDArray[np.floating]
 IntArray = NDArray[np.int64]
 
+EPSILON = np.finfo(float).eps
+"""Relative rounding error of float64."""
+SMALLEST = np.finfo(float).tiny
+"""Smallest number that float64 holds at full precision: keeps quotients finite."""
+
 
 def checked_array(
     values: ArrayLike,

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist, squareform
 
 from scan2albedo.core import Plan, PlanStep
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import SMALLEST, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.lattice import Lattice, enclosed_cells, join_parts, surface_cells, unique_cells
 from scan2albedo.geometry.closest_points import ClosestPointQuery
@@ -173,7 +173,7 @@ def _divided_handles(
     for number, group in enumerate(map(sorted, groups)):
         handle[group] = number
         square = ((vertices[:, None] - handles[group]) ** 2).sum(2)
-        nearness = square.min(1, keepdims=True) / np.maximum(square, np.finfo(float).tiny)
+        nearness = square.min(1, keepdims=True) / np.maximum(square, SMALLEST)
         nearness[square == 0] = 1.0
         shares[:, group] = nearness / nearness.sum(1, keepdims=True)
     return handle, shares

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import FloatArray, finite_rows
+from scan2albedo.core.arrays import EPSILON, FloatArray, finite_rows
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR, SKELETON, typical_key_points
 from scan2albedo.geometry.rigid import procrustes, transform_points
@@ -83,7 +83,7 @@ def mean_key_points(keypoints: Sequence[FloatArray], meter: Meter) -> tuple[Floa
         both = finite_rows(mean)
         change = float(np.abs((new - transform_points(align_key_points(mean, new), mean))[both]).max())
         # Up to rounding.
-        settled = bool(change <= 400 * np.finfo(float).eps * size and (both == (count[:, 0] > 0)).all())
+        settled = bool(change <= 400 * EPSILON * size and (both == (count[:, 0] > 0)).all())
         mean = new
         meter.count()
         meter.record(change / size)

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core.arrays import FloatArray, IntArray, checked_array, finite_rows
+from scan2albedo.core.arrays import EPSILON, FloatArray, IntArray, checked_array, finite_rows
 from scan2albedo.eyeglasses.keypoints import SKELETON
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import procrustes
@@ -82,7 +82,7 @@ def turned_translations(source: FloatArray, target: FloatArray) -> FloatArray:
         turn = np.linalg.solve(system, off.ravel()).reshape(-1, 3)
         rotations = Rotation.from_rotvec(turn).as_matrix() @ rotations
         # The next step would be about the square of this one.
-        if np.abs(turn).max() < np.sqrt(np.finfo(float).eps):
+        if np.abs(turn).max() < np.sqrt(EPSILON):
             break
     result = translations(np.einsum("kij,kj->ki", rotations, source), target)
     result[:, :3, :3] = rotations
@@ -110,7 +110,7 @@ def turn_conditions(
     pulls[np.bincount(k, minlength=count) == 0] = np.eye(3)
     system = np.zeros((count, count, 3, 3))
     # Damped: nothing fixes how a straight temple without its hinge is turned about itself.
-    system[np.arange(count), np.arange(count)] = _spin(pulls) + np.sqrt(np.finfo(float).eps) * np.eye(3)
+    system[np.arange(count), np.arange(count)] = _spin(pulls) + np.sqrt(EPSILON) * np.eye(3)
     np.add.at(system, (k, j), -_spin(relative))
     return pulls, system.transpose(0, 2, 1, 3).reshape(3 * count, 3 * count)
 

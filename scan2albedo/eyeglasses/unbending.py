@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core.arrays import FloatArray, IntArray, finite_rows
+from scan2albedo.core.arrays import SMALLEST, FloatArray, IntArray, finite_rows
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR
 from scan2albedo.eyeglasses.mean_keypoints import FRONT, RIMS, SIDES, align_key_points, is_posable
 from scan2albedo.eyeglasses.skinning import turned_translations
@@ -87,7 +87,7 @@ def front_halves(
         hits = query.query(placed[held == 0])
         # Tukey's weights: what one rim has and the other lacks does not pull.
         reach = 3 * float(np.median(hits.distance))
-        trust = np.clip(1 - (hits.distance / max(reach, np.finfo(float).tiny)) ** 2, 0, None) ** 2
+        trust = np.clip(1 - (hits.distance / max(reach, SMALLEST)) ** 2, 0, None) ** 2
         pull = np.full(len(source), _LABEL_SHARE * trust.sum() / len(source))
         goal = np.concatenate([hits.points, target])
         normal = np.concatenate([normals[hits.face], np.zeros_like(source)])

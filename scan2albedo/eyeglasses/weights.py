@@ -10,7 +10,7 @@ from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
 from scan2albedo.core import Budget, Meter, Plan, ProgressCallback, Trace
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import EPSILON, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.embedding import MAX_NODES, embed
 from scan2albedo.eyeglasses.keypoints import checked_mesh, checked_points
@@ -221,7 +221,7 @@ def minimize_bounded(
             if not lowered and steps[k] > 1:
                 break
             # Below rounding a gradient has no sign.
-            gradient, least = product[:, k] - b[:, k], 400 * np.finfo(float).eps * diagonal
+            gradient, least = product[:, k] - b[:, k], 400 * EPSILON * diagonal
             held = ((x[:, k] <= 0) & (gradient > least)) | ((x[:, k] >= 1) & (gradient < -least))
             residual[k] = optimality_residual(x[:, k], gradient, diagonal)
             meter.record(residual.max())

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numba import njit
 from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.compiled import compiled
 from scan2albedo.fitting.options import GATE_MM, FitOptions, between
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.geometry.closest_points import nearest_around, walk_downhill
@@ -131,7 +131,7 @@ def robust_weights(
     return np.where(residual > 0, (1 - rim) * weight + rim * geman_mcclure(RIM_ROBUST_MM), weight)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def pulled(points, vertex, xyz, faces, ring, ring_start, near, near_start, normals, boundary):  # type: ignore[no-untyped-def]
     """Find the point of the scan's surface closest to each point (N, 3).
 
@@ -158,7 +158,7 @@ def pulled(points, vertex, xyz, faces, ring, ring_start, near, near_start, norma
     return offset, normal, distance, border
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def springs(offset, normal, across, along):  # type: ignore[no-untyped-def]
     """Return the forces (N, 3) H offset and the stiffness H = across n n^T + along I of N springs.
 

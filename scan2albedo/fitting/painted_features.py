@@ -14,7 +14,6 @@ from functools import cache
 from typing import Self
 
 import numpy as np
-from numba import njit
 from scipy.linalg import block_diag
 from scipy.ndimage import gaussian_filter
 from scipy.special import logsumexp
@@ -22,6 +21,7 @@ from scipy.stats import norm, qmc
 from skimage.measure import points_in_poly
 
 from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.compiled import compiled
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import LANDMARK_LEVELS
@@ -391,7 +391,7 @@ def _draws() -> FloatArray:
     return np.linalg.solve(np.linalg.cholesky(draws.T @ draws / _SAMPLES), draws.T).T
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _grams(channel, moved, used, low, step_mm, known, root):  # type: ignore[no-untyped-def]
     """Return (M, 5, 5), sums over the points seen of products of `known` (N, 4) and colour, times root^2."""
     rows, columns = channel.shape

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scan2albedo.core import Plan, PlanStep, Trace
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import EPSILON, SMALLEST, BoolArray, FloatArray, IntArray
 from scan2albedo.errors import FitError
 from scan2albedo.face_model import default_model
 from scan2albedo.face_model.annotation import FittedSurface
@@ -102,7 +102,7 @@ def fitted_face(
         "residual_mean_mm": float(known.mean()),
         "residual_median_mm": float(np.median(known)),
         "residual_p95_mm": float(np.percentile(known, 95)),
-        "coverage": float(area[seen].sum() / max(area.sum(), np.finfo(float).tiny)),
+        "coverage": float(area[seen].sum() / max(area.sum(), SMALLEST)),
         "imbalance_mm": imbalance_mm(deformation, q),
         "openings": 0.0 if held is None else float(held.openings),
         "painted_landmarks": 0.0 if held is None else float(held.painted),
@@ -187,7 +187,7 @@ def mirror_distance_mm(scan: ScanSurface, points: FloatArray) -> float:
         hits = scan.nearest.query(image)
         offset, normal = hits.points - image, normalized(scan.normals_at(hits))
         plane_mm = np.einsum("ij,ij->i", offset, normal)
-        spread = np.median(plane_mm**2) + np.finfo(float).eps
+        spread = np.median(plane_mm**2) + EPSILON
         return Pairs(offset, normal, (spread / (spread + plane_mm**2)) ** 2)
 
     image = scan.nearest.query(points).points * [-1.0, 1.0, 1.0]

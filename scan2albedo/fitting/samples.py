@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numba import njit
 from scipy import sparse
 from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.compiled import compiled
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.geometry.mesh import boundary_vertex_mask, normalized, vertex_areas
@@ -77,7 +77,7 @@ class SurfaceSamples:
         return lambda x: spring_product(x, matrix.indptr, matrix.indices, matrix.data, stiffness)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def surface_normals(points, faces):  # type: ignore[no-untyped-def]
     """Return (N, 3) unit vertex normals and (F, 3) unit face normals; zero where there is no area."""
     vertex, face = np.zeros((len(points), 3)), np.zeros((len(faces), 3))
@@ -101,7 +101,7 @@ def surface_normals(points, faces):  # type: ignore[no-untyped-def]
     return vertex, face
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def spring_product(x, start, column, value, stiffness):  # type: ignore[no-untyped-def]
     """Return S^T H S x for x (C, 3), S (N, C) in CSR form, H the stiffness (N, 6) of each sample."""
     result = np.zeros_like(x)

@@ -7,7 +7,7 @@ from scipy import sparse
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from scan2albedo.core import Budget, Meter, ProgressCallback
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import SMALLEST, BoolArray, FloatArray
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import FitError
 from scan2albedo.fitting.alignment import aligned
@@ -134,7 +134,7 @@ def smoothed_in_time(values: FloatArray, seen: BoolArray) -> tuple[FloatArray, F
         factor = cholesky_banded(ratio * penalty + [seen, 0 * seen, 0 * seen], lower=True)
         found = cho_solve_banded((factor, True), measured)
         rest = np.einsum("tk,tk->k", measured, measured - np.where(seen[:, None], found, 0.0))
-        noise = np.maximum(rest / free, np.finfo(float).tiny)
+        noise = np.maximum(rest / free, SMALLEST)
         cost = free * np.log(noise) + 2 * np.log(factor[0]).sum() - free * np.log(ratio)
         if (better := cost < best).any():
             best[better], curves[:, better] = cost[better], found[:, better]

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.compiled import compiled
 from scan2albedo.geometry.mesh import RayHits, face_lists, face_normals, neighbour_lists, vertex_mask
 
 _FARTHEST = 1e100
@@ -154,7 +154,7 @@ class NearestSurface:
         return ClosestHits(face, weights, distance, closest)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _closest_around(p, vertex, xyz, faces, ring, ring_start, closest, face, weights, gap):  # type: ignore[no-untyped-def]
     """Take for each point p the best of the triangles around its nearest `vertex`."""
     for i in range(len(p)):
@@ -166,7 +166,7 @@ def _closest_around(p, vertex, xyz, faces, ring, ring_start, closest, face, weig
         gap[i] = np.sqrt(best)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def nearest_around(x, y, z, v, xyz, faces, ring, ring_start):  # type: ignore[no-untyped-def]
     """Return squared distance, triangle, corner weights and offset of the closest point around vertex v."""
     best = np.inf
@@ -195,7 +195,7 @@ def nearest_around(x, y, z, v, xyz, faces, ring, ring_start):  # type: ignore[no
     return best, nearest, k0, k1, k2, ox, oy, oz
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def walk_downhill(x, y, z, v, xyz, near, near_start):  # type: ignore[no-untyped-def]
     """Return the vertex from which no neighbour is nearer to (x, y, z), starting at v."""
     here = (xyz[v, 0] - x) ** 2 + (xyz[v, 1] - y) ** 2 + (xyz[v, 2] - z) ** 2
@@ -210,7 +210,7 @@ def walk_downhill(x, y, z, v, xyz, near, near_start):  # type: ignore[no-untyped
     return v
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def weights_nearest_origin(ax, ay, az, bx, by, bz, cx, cy, cz):  # type: ignore[no-untyped-def]
     """Weights of the point of triangle abc nearest to the origin (Ericson, Real-Time Collision Detection)."""
     ux, uy, uz = bx - ax, by - ay, bz - az

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, RealArray
+from scan2albedo.core.compiled import compiled
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.geometry.rigid import transform_points
 
@@ -66,7 +66,7 @@ def nearest_depths(
     return nearest
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _rasterize(pixels, depth, faces, nearest, owner, weights):  # type: ignore[no-untyped-def]
     """Fill `nearest` (H, W), -inf before, and unless empty `owner` (H, W) and `weights` (H, W, 3)."""
     height, width = nearest.shape

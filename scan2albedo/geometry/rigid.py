@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.compiled import compiled
 from scan2albedo.geometry.mesh import face_areas
 
 Matrix = FloatArray
@@ -174,7 +174,7 @@ def in_principal_frame(vertices: Matrix, faces: IntArray) -> tuple[Matrix, Matri
     return (vertices - origin) @ axes, compose(axes.T, -axes.T @ origin)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def dot(a, b):  # type: ignore[no-untyped-def]
     """Return the inner product of two vectors of three numbers, inside other compiled functions."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

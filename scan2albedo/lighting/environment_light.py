@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import SMALLEST, FloatArray
 from scan2albedo.core.lights import EnvironmentLight
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment import distant_directions
@@ -69,7 +69,7 @@ def shadowed_transfer(shadows: ShadowMap, sky: VisibilityTable | None = None) ->
     cosine = np.maximum(shadows.normal @ sky.directions.T, 0.0)
     whole, part = cosine @ weighted, (cosine * sky.visibility.T) @ weighted
     # The first harmonic is constant, so its coefficient gives the visible share.
-    share = part[:, :1] / np.maximum(whole[:, :1], np.finfo(float).tiny)
+    share = part[:, :1] / np.maximum(whole[:, :1], SMALLEST)
     return part + share * (free - whole)
 
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arrays import Float32Array, FloatArray, checked_array
+from scan2albedo.core.compiled import compiled
 from scan2albedo.core.lights import PointLight
 from scan2albedo.geometry.rigid import dot
 
@@ -164,14 +164,14 @@ COSINE_FLOOR = 1e-4
 """Cosines below this count as this where a model divides by them."""
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def oren_nayar_coefficients(sigma):  # type: ignore[no-untyped-def]
     """Return A and B of Oren and Nayar, "Generalization of Lambert's reflectance model", 1994, eq. 30."""
     variance = sigma * sigma
     return 1.0 - 0.5 * variance / (variance + 0.33), 0.45 * variance / (variance + 0.09)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def factors_of_lamp(  # type: ignore[no-untyped-def]
     position, normal, visible, direction, nearness, view, minnaert, roughness, exponent
 ):
@@ -267,7 +267,7 @@ def shade_with_derivatives(
     return light, specular, slopes
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _shaded(points, lamps, skin, size):  # type: ignore[no-untyped-def]
     position, normal, visible, visible_slope, view, scale = points
     rows, tangents, radius_mm, near = lamps
@@ -353,7 +353,7 @@ def _shaded(points, lamps, skin, size):  # type: ignore[no-untyped-def]
     return light_out, specular_out, slopes
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _diffuse(minnaert, roughness, oren_nayar, n_l, n_v, l_v):  # type: ignore[no-untyped-def]
     """Return f of `factors_of_lamp`."""
     if minnaert:
@@ -363,7 +363,7 @@ def _diffuse(minnaert, roughness, oren_nayar, n_l, n_v, l_v):  # type: ignore[no
     return n_l * (a + b * max(l_v - n_l * cos_r, 0.0) / max(max(n_l, cos_r), COSINE_FLOOR))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _oren_nayar_slope(oren_nayar, n_l, cos_r, l_v, n_l_slope, l_v_slope):  # type: ignore[no-untyped-def]
     """Return the derivative of Oren-Nayar's f from those of n.l and l.v."""
     a, b = oren_nayar
@@ -375,7 +375,7 @@ def _oren_nayar_slope(oren_nayar, n_l, cos_r, l_v, n_l_slope, l_v_slope):  # typ
     return n_l_slope * (a + b * s / larger) + n_l * b * s_slope / larger
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _variance_slope(sigma, n_l, cos_r, l_v):  # type: ignore[no-untyped-def]
     """Return the derivative of Oren-Nayar's f / n.l by sigma^2."""
     variance = sigma * sigma
@@ -385,7 +385,7 @@ def _variance_slope(sigma, n_l, cos_r, l_v):  # type: ignore[no-untyped-def]
     return a_slope + b_slope * s / max(max(n_l, cos_r), COSINE_FLOOR)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def log_rows(  # type: ignore[no-untyped-def]
     value, mean, light, specular, light_slope, specular_slope, scale, likeness, rows
 ):

@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arrays import ByteArray, Float32Array, FloatArray
+from scan2albedo.core.compiled import compiled
 from scan2albedo.geometry.rays import RayCaster
 
 _OFFSETS = (1.5e-4, 5e-3)
@@ -114,7 +114,7 @@ def shadow_offset_mm(size: float, offset_mm: float) -> float:
     return min(max(offset_mm, low), high)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _needed_rays(position, normal, origin, toward, inverse, open_above, lit):  # type: ignore[no-untyped-def]
     """Set `lit` (N,) to 1 where n . (toward - inverse position) > 0; return what has to be shot there.
 

@@ -3,10 +3,10 @@
 from numbers import Integral
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, RealArray
+from scan2albedo.core.compiled import compiled
 from scan2albedo.errors import RecognitionError
 from scan2albedo.geometry.rays import blocks
 from scan2albedo.recognition.templates import TemplateOptions, Templates, common_chart, image_coefficients
@@ -224,7 +224,7 @@ def _lanes(plane: Float32Array) -> Float32Array:
     return result
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"})
+@compiled(error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"})
 def _add_window_similarities(  # type: ignore[no-untyped-def]
     real, imag, energy, weight, lane_real, lane_imag, lane_energy, lane_weight, window, stabilizer, total
 ):

@@ -9,7 +9,7 @@ from numpy.polynomial.legendre import Legendre, leggauss, legvander
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
-from scan2albedo.core.arrays import FloatArray, checked_array
+from scan2albedo.core.arrays import EPSILON, FloatArray, checked_array
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.lighting.harmonics import harmonic_degrees, harmonics, harmonics_gradient
@@ -223,7 +223,7 @@ def shading_gradient(
     sine = np.linalg.norm(along, axis=1)
     angle = np.arctan2(sine, cosine)
     # Straight ahead there is no plane of n and v, and none is needed: e = f = 0, and both sines vanish alike.
-    ahead = sine < np.sqrt(np.finfo(float).eps)
+    ahead = sine < np.sqrt(EPSILON)
     e, f = (np.where(ahead[:, None], 0.0, normalized(u)) for u in (along, n - cosine[:, None] * v))
     for k, exponent in enumerate(EXPONENTS):
         response, tilt = tilted_lobe(angle, exponent)

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array, finite_rows
+from scan2albedo.core.arrays import SMALLEST, BoolArray, FloatArray, IntArray, checked_array, finite_rows
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.operators import cross_matrices, vertex_normal_jacobian
@@ -143,7 +143,7 @@ class PhotometricTerm:
         if off is None:
             return np.inf
         observed = self.image.look_up(project(self.camera, vertices[self.used])[0]) / self.unit
-        return float(np.linalg.norm(off) / max(float(np.linalg.norm(observed)), np.finfo(float).tiny))
+        return float(np.linalg.norm(off) / max(float(np.linalg.norm(observed)), SMALLEST))
 
     def linearized(self, vertices: FloatArray) -> LocalTerm:
         """Return the term as weighted squares around `vertices`, where its value is finite."""

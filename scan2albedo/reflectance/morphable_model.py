@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
+from scan2albedo.core.arrays import SMALLEST, BoolArray, FloatArray, IntArray, checked_array
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.reflectance.linear_model import LinearModel, principal_directions, require_one_topology
@@ -198,7 +198,7 @@ class MorphableReflectanceModel(LinearModel):
     @property
     def explained(self) -> FloatArray:
         """(N,) shares of the albedo's variance that the directions hold one by one."""
-        return self.deviation**2 / max(self.total_variance, np.finfo(float).tiny)
+        return self.deviation**2 / max(self.total_variance, SMALLEST)
 
     def mean_only(self, factors: ArrayLike = 1.0) -> Self:
         """Return the model without its directions, with factors (3,) on the channels of the mean albedo."""
@@ -253,7 +253,7 @@ def reliability(sample: VertexReflectance, std: FloatArray | None) -> FloatArray
     if std is not None and sample.known.any():
         differ = PEOPLE_DIFFER * float(np.median(sample.diffuse_linear[sample.known]))
         square = np.nan_to_num(std[:, :3]).max(1) ** 2
-        weight *= differ**2 / np.maximum(differ**2 + square, np.finfo(float).tiny)
+        weight *= differ**2 / np.maximum(differ**2 + square, SMALLEST)
     return weight
 
 

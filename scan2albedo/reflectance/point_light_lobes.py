@@ -1,10 +1,10 @@
 """Radiance of a vertex of unit albedo, and of unit weight of each lobe, under a point light."""
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from scan2albedo.core.arrays import FloatArray, checked_array
+from scan2albedo.core.compiled import compiled
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance
 
@@ -101,7 +101,7 @@ def _tangents(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
     return first, np.stack([x * y * a, sign + y * y * a, -y], 1)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _fill(vertices, frames, cameras, lights, reference, lobes, slopes):  # type: ignore[no-untyped-def]
     """Fill lobes and slopes (J, V, 4), 0 so far; frames (V, 3, 3) are normals and tangents.
 
@@ -143,7 +143,7 @@ def _fill(vertices, frames, cameras, lights, reference, lobes, slopes):  # type:
                     slopes[j, i, 2 + t] = on_half[1 + t] / on_half[0]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def turn_lobes(lobes, slopes, tilt, rows, turned):  # type: ignore[no-untyped-def]
     """Fill turned (J, V, 4), lobes of normals tilted by `tilt` (V, 2), of the vertices `rows` (N,)."""
     for j in range(lobes.shape[0]):

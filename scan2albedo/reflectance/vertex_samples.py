@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
+from scan2albedo.core.arrays import SMALLEST, BoolArray, FloatArray, IntArray, checked_array
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.geometry.mesh import face_cross_products, normalized
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, project
@@ -248,7 +248,7 @@ def sample_vertices(
     cosine = np.einsum("fkc,fc->fk", normal[index], normalized(across))
     angle, weight = np.arccos(np.clip(cosine, -1, 1)), np.repeat(np.linalg.norm(across, axis=1), 3)
     square = np.bincount(corners, weight * angle.ravel() ** 2, len(xyz))
-    normal_spread = np.sqrt(square / np.maximum(np.bincount(corners, weight, len(xyz)), np.finfo(float).tiny))
+    normal_spread = np.sqrt(square / np.maximum(np.bincount(corners, weight, len(xyz)), SMALLEST))
     return VertexSamples(
         *(observed, np.sqrt(variance), valid, lobes, rig.light, lobe_slopes, normal_spread),
         visibility.form_factors(),

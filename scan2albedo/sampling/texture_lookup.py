@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, on_grid
+from scan2albedo.core.compiled import compiled
 from scan2albedo.core.geometry_image import NO_CAMERA
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.geometry import mesh
@@ -277,7 +277,7 @@ def moved_colors(
     return found
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def mean_over_footprints(photograph, centre, footprint, taps):  # type: ignore[no-untyped-def]
     """Return (N, C) float32 means of samples of a photograph (H, W, C) over each texel's footprint.
 

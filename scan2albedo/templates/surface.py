@@ -4,9 +4,9 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numba import njit
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_mesh
+from scan2albedo.core.compiled import compiled
 from scan2albedo.errors import ModelError, errors_of
 from scan2albedo.geometry import mesh as meshes
 from scan2albedo.geometry.mesh import boundary_loops, edges_with_faces, face_cross_products
@@ -188,7 +188,7 @@ def fill_hole(vertices: FloatArray, faces: IntArray, loop: IntArray) -> IntArray
     return np.array(patch, np.int64).reshape(-1, 3)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _least_area_splits(points, joined):  # type: ignore[no-untyped-def]
     n = len(points)
     # More than any triangulation's area, so that a chord already in the mesh is the last resort.

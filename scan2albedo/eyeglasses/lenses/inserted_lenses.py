@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
+from scan2albedo.core.arrays import SMALLEST, BoolArray, FloatArray, IntArray, checked_array
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.lenses import rims
@@ -228,7 +228,7 @@ def trace_lenses(scene: LensScene, lenses: Sequence[InsertedLens], seen: SceneRa
                 cosine = np.sqrt(np.clip((1 - np.einsum("ni,ni->n", heading, mirrored)) / 2, 0, 1))
                 beta = material.beta + (1 - material.beta) * (1 - cosine) ** 5
                 # All other shares shrink alike, so that together they stay 1.
-                alpha = alpha * (1 - beta) / max(1 - material.beta, np.finfo(float).tiny)
+                alpha = alpha * (1 - beta) / max(1 - material.beta, SMALLEST)
             rest, tint = np.maximum(1 - alpha - beta, 0.0)[:, None], alpha[:, None]
             if material.tinting == "filter":
                 rest, tint = rest + tint * np.asarray(material.tint_linear), np.zeros_like(tint)

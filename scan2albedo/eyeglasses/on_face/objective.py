@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import FloatArray, IntArray, finite_rows
+from scan2albedo.core.arrays import EPSILON, FloatArray, IntArray, finite_rows
 from scan2albedo.eyeglasses.mean_keypoints import FRONT
 from scan2albedo.eyeglasses.on_face import frame_motion as moving
 from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions
@@ -174,7 +174,7 @@ class RegistrationObjective:
         # What is left of each key point's sums without its offset, as three values along the matrix's axes.
         values, axes = np.linalg.eigh(matrix - matrix @ np.linalg.inv(matrix + prior) @ matrix)
         # Less than rounding leaves, of labels in standard deviations a mm, says nothing.
-        size, least = np.sqrt(np.maximum(values, 0.0)), np.sqrt(np.finfo(float).eps)
+        size, least = np.sqrt(np.maximum(values, 0.0)), np.sqrt(EPSILON)
         along = np.einsum("nji,nj->ni", axes, -offset / _OFFSET_MM**2)
         three = np.repeat(np.arange(len(place)), 3)
         slopes = (size[:, :, None] * axes.transpose(0, 2, 1)).reshape(-1, 3)

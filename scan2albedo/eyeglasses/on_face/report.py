@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from scipy.special import erfinv, log_ndtr
 
 from scan2albedo.core import Meter, Plan, PlanStep
-from scan2albedo.core.arrays import BoolArray, FloatArray, finite_rows
+from scan2albedo.core.arrays import SMALLEST, BoolArray, FloatArray, finite_rows
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
 from scan2albedo.eyeglasses.on_face.inputs import (
@@ -304,7 +304,7 @@ def _propose(
 
 def _root(matrix: FloatArray) -> FloatArray:
     """Return a root (P, P) of the inverse of a Gauss-Newton matrix of squared deviations."""
-    scale = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
+    scale = np.sqrt(np.maximum(np.diag(matrix), SMALLEST))
     values, vectors = np.linalg.eigh(matrix / scale[:, None] / scale)
     # Open directions stay finite.
     values = np.maximum(values, values.max() / _ANYWHERE_MM**2)

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from scipy.special import xlogy
 
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array, finite_rows
+from scan2albedo.core.arrays import SMALLEST, BoolArray, FloatArray, IntArray, checked_array, finite_rows
 from scan2albedo.errors import EyeglassesError, needs_extra
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR
 from scan2albedo.eyeglasses.mean_keypoints import BEHIND, is_posable, own_axes
@@ -299,7 +299,7 @@ def triangulate(labels_2d: ArrayLike, cameras: ArrayLike, *, noise_px: float = 2
         for pair in map(list, itertools.combinations(range(len(seen)), 2)):
             # u (p3 x) = p1 x and v (p3 x) = p2 x, each as a plane of unit normal: rays count, not pixels.
             rows = (own[pair][:, :, None] * cams[pair][:, 2:] - cams[pair][:, :2]).reshape(-1, 4)
-            rows = rows / np.maximum(np.linalg.norm(rows[:, :3], axis=1, keepdims=True), np.finfo(float).tiny)
+            rows = rows / np.maximum(np.linalg.norm(rows[:, :3], axis=1, keepdims=True), SMALLEST)
             place, _, rank, _ = np.linalg.lstsq(rows[:, :3], -rows[:, 3], rcond=1e-9)
             if rank == 3 and (cams[pair][:, 2, :3] @ place + cams[pair][:, 2, 3] > 0).all():
                 starts.append((*_seen_at(place, own, cams, noise_px), place))

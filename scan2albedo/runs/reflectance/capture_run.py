@@ -8,7 +8,7 @@ import numpy as np
 
 from scan2albedo import reflectance
 from scan2albedo.core import Budget, ProgressCallback
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import SMALLEST, BoolArray, FloatArray
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.geometry.mesh import vertex_components, vertex_normals
 from scan2albedo.io.color import encode_srgb_bytes
@@ -56,7 +56,7 @@ def write_olat(capture: CaptureFiles, out: Path) -> dict[str, Any]:
         # A sheet of all pictures in rows, small, as bright as their brightest percentile allows.
         step = max(1, -(-max(olat.linear.shape[1:3]) // 128))
         small = np.clip(olat.linear[:, ::step, ::step], 0, None)
-        level = max(float(np.percentile(small, 99.7)), np.finfo(float).tiny)
+        level = max(float(np.percentile(small, 99.7)), SMALLEST)
         small = np.where(olat.saturated[:, ::step, ::step], np.float32(level), small)
         lights = len(set(capture.rig.light.tolist()))
         columns = lights if len(small) % lights == 0 else min(11, len(small))

@@ -11,7 +11,7 @@ from pydantic import Field
 from scan2albedo import reflectance
 from scan2albedo.albedo import albedo_error
 from scan2albedo.core import ProgressCallback
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import EPSILON, FloatArray, IntArray
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.io.atomic import write_text
@@ -111,7 +111,7 @@ def run_reflectance_demo(
     for _ in range(30):
         a, b = nearest.diffuse_linear[used], truth[used]
         scaled = VertexReflectance(truth * (np.sum(a * b) / np.sum(b * b)), np.zeros_like(truth), seen)
-        nearest = models.model.project(scaled, prior=np.finfo(float).eps).reflectance
+        nearest = models.model.project(scaled, prior=EPSILON).reflectance
 
     def scaled_error(found: VertexReflectance) -> float:
         """Return the relative RMSE at the best scale, over vertices that were seen and are known."""
