@@ -114,7 +114,7 @@ def estimate_albedo(
         isinstance(lights, bool) or not isinstance(lights, Integral) or not 1 <= int(lights) <= 4
     ):
         raise ValueError(f"lights is {lights!r}, expected 'auto' or an integer from 1 to 4")
-    toward = np.asarray(view_direction, np.float64)
+    toward = np.asarray(view_direction, float)
     length = float(np.linalg.norm(toward)) if toward.shape == (3,) else 0.0
     if not 0 < length < math.inf:
         raise ValueError(f"view_direction is {view_direction!r}, expected three finite numbers, not all zero")

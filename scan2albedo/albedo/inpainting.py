@@ -75,7 +75,7 @@ def resynthesize(
 def continued_smoothly(albedo: NDArray, gaps: BoolArray, known: BoolArray) -> Float32Array:
     """Return an albedo (H, W, 3) whose logarithm goes on from `known` into `gaps` by Laplace's equation."""
     floor = max(FAINT * float(albedo.mean()), float(np.finfo(np.float32).tiny))
-    field = np.log(np.maximum(albedo.astype(np.float64), floor))
+    field = np.log(np.maximum(albedo.astype(float), floor))
     still = np.zeros_like(field)
     filled = integrate_gradients(field, gaps, known, still[:, 1:], still[1:])
     return np.where(gaps[..., None], np.exp(filled), albedo).astype(np.float32)
@@ -219,7 +219,7 @@ def integrate_gradients(
     if not region.any():
         return field
     number, usable = np.arange(region.size).reshape(region.shape), region | known
-    values, pairs, steps = field.reshape(region.size, -1).astype(np.float64), [], []
+    values, pairs, steps = field.reshape(region.size, -1).astype(float), [], []
     for axis, wanted in ((1, across), (0, down)):
         here, there = ((slice(None),) * axis + (part,) for part in (slice(None, -1), slice(1, None)))
         joined = usable[here] & usable[there] & (region[here] | region[there])

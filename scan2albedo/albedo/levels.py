@@ -59,7 +59,7 @@ class Level:
         found = []
         total = 0
         for shift in (0.0, 0.5):
-            row, column = (np.floor((self.center - low) / side + shift).astype(np.int64)).T
+            row, column = (np.floor((self.center - low) / side + shift).astype(int)).T
             _, index = np.unique(row * 100_000 + column, return_inverse=True)
             found.append(index + total)
             total += int(index.max()) + 1
@@ -69,7 +69,7 @@ class Level:
 def brightest_around(texture_linear: Float32Array, usable: BoolArray) -> FloatArray:
     """Return (H, W) the channel that is the brightest on average around each texel: V, but for its noise."""
     chosen = uniform_filter(usable[..., None] * texture_linear, (WINDOW, WINDOW, 1)).argmax(-1)
-    return np.take_along_axis(texture_linear, chosen[..., None], -1)[..., 0].astype(np.float64)
+    return np.take_along_axis(texture_linear, chosen[..., None], -1)[..., 0].astype(float)
 
 
 def usable_texels(image: GeometryImage) -> BoolArray:
@@ -130,7 +130,7 @@ def build_level(
     position, value = mean(image.position), mean(field)[:, 0]
     scale = np.ones(len(value)) if image.specular_scale is None else mean(image.specular_scale)[:, 0]
     toward = image.toward_camera((0.0, 0.0, 1.0)) if toward is None else toward
-    anchor = _closest(index, image.position[usable].astype(np.float64), position)
+    anchor = _closest(index, image.position[usable].astype(float), position)
     unit = max(float(np.median(field[usable])), 1e-12)
     # Hair, eyes and cloth take part by a quarter; of a surface without skin every texel takes part alike.
     part = np.ones(image.shape)

@@ -107,7 +107,7 @@ class LitImage:
         """(P, 2) where on the prior's chart each masked texel lies: row and column, from 0 to 1."""
         mask, chart = self.image.mask, self.image.face_chart
         if self.prior.face and chart is not None:
-            return chart[mask].astype(np.float64)
+            return chart[mask].astype(float)
         return (np.argwhere(mask) + 0.5) / np.asarray(mask.shape)
 
     @cached_property
@@ -122,7 +122,7 @@ class LitImage:
         caster, image, mask = self.shadows[0], self.image, self.image.mask
         if caster is None:
             return None
-        surface = image.position[mask], image.normal[mask].astype(np.float64)
+        surface = image.position[mask], image.normal[mask].astype(float)
         return Patches.among(ShadowMap(caster, *surface))
 
     @cached_property

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from scan2albedo.albedo.uncertainty import LightUncertainty
 from scan2albedo.core import Trace
-from scan2albedo.core.arrays import Float32Array, on_grid
+from scan2albedo.core.arrays import Float32Array, all_finite, on_grid
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.core.plan import Plan
@@ -81,7 +81,7 @@ class AlbedoEstimate:
             caster = RayCaster(*self.image.occluder_mesh())
         seen = self.reflectance, self.view_direction, caster, self.shadow_offset_mm
         shading = shade_image(self.image, lights, *seen, environment)
-        albedo = self.albedo_linear[mask].astype(np.float64)
+        albedo = self.albedo_linear[mask].astype(float)
         return on_grid(mask, (albedo * shading.light_linear + shading.specular_linear).astype(np.float32))
 
 
@@ -144,7 +144,7 @@ def albedo_error(estimate: ArrayLike, truth: ArrayLike, mask: ArrayLike) -> Albe
         shapes = f"estimate {ours.shape}, truth {true.shape} and mask {chosen.shape}"
         raise ValueError(f"{shapes} ({int(chosen.sum())} texels) must agree and not be empty")
     ours, true = ours[chosen], true[chosen]
-    if not (np.isfinite(ours).all() and np.isfinite(true).all()):
+    if not (all_finite(ours) and all_finite(true)):
         raise ValueError("estimate or truth holds NaN or infinite values inside the mask")
     square = float(np.sum(ours * ours))
     difference = (float(np.sum(ours * true)) / square if square > 0 else 0.0) * ours - true

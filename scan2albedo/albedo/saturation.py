@@ -52,7 +52,7 @@ def inpainted(
     if not touched.any():
         reason = "the annotation forbids it" if saturated else "nothing is saturated"
         return albedo_linear, PlanStep(stage, False, reason, evidence)
-    albedo, source = albedo_linear.astype(np.float64), usable & allowed & ~touched
+    albedo, source = albedo_linear.astype(float), usable & allowed & ~touched
     if int(source.sum()) >= MINIMAL_TEXELS:
         # White light lifts the darkest channel most, which clips last. Clipped texels in which it lies more
         # than four (robust) deviations above the sources' median are a highlight that the light model left,

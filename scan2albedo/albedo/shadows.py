@@ -93,7 +93,7 @@ class Horizon:
 
     def at(self, texels: FloatArray | IntArray) -> FloatArray:
         """Return (N,) the cosines at `texels` (N, 2); infinite beyond the cells."""
-        cells = np.minimum(texels // self._factor, np.array(self._above.shape) - 1).astype(np.int64)
+        cells = np.minimum(texels // self._factor, np.array(self._above.shape) - 1).astype(int)
         return self._above[tuple(cells.T)]
 
 

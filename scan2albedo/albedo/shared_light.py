@@ -163,7 +163,7 @@ def shared_lights(
     logs = np.mean([np.log(point.known.scales) for point in points], 0)
     scales, likeness = node_field.Scales(*np.exp(logs)), float(np.mean([point.x[-1] for point in points]))
     covariance = scales.albedo**2 * prior.covariance(0)[np.ix_(used, used)]
-    precision = node_field.inverse(np.asarray(np.linalg.cholesky(covariance), np.float64))
+    precision = node_field.inverse(np.asarray(np.linalg.cholesky(covariance), float))
     starts = [Point(p.problem, p.model, np.append(p.x[:-1], likeness), p.known, fixed=True) for p in points]
     shared = SharedLight(starts, cells, (weights[:, used].tocsr(), precision, scales))
     for _ in range(3):

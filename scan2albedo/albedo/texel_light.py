@@ -16,7 +16,7 @@ from scan2albedo.albedo.node_field import TINY, deviation_of_light
 from scan2albedo.albedo.posterior import FREEDOM, Point
 from scan2albedo.albedo.prior import SPREADS
 from scan2albedo.albedo.soft_terms import DARKEST
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, row_sums
 from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.lighting.environment_light import open_shading, open_transfer
 from scan2albedo.lighting.harmonics import harmonics
@@ -68,7 +68,7 @@ def _of_solution(
     strength = state.reflectance.specular_strength * unit * colours.gloss
     reflectance = replace(state.reflectance, specular_strength=strength)
     order, lights = np.argsort(-state.rows[:, 4], kind="stable"), list(state.lights())
-    surface = image.position[mask], image.normal[mask].astype(np.float64)
+    surface = image.position[mask], image.normal[mask].astype(float)
     soft_size = scene.at(scene.options.sizes[2]) if point is not None and caster is not None else None
     above = None if soft_size is None else soft_size.horizon.at(np.argwhere(mask))
     hidden, attached = ShadowMap(caster, *surface, open_above=above), ShadowMap(None, *surface)
@@ -77,7 +77,7 @@ def _of_solution(
         at = lamp.direction, lamp.distance_mm, lamp.radius_deg
         visible[k], facing[k] = hidden.reached(*at), attached.reached(*at)
     ones, scaled = np.ones(len(surface[0])), image.specular_scale
-    scale = ones if scaled is None else scaled[mask].astype(np.float64)
+    scale = ones if scaled is None else scaled[mask].astype(float)
     colors = replace(colours, lamps=colours.lamps[order])
 
     def shading(seen: NDArray) -> Shading:
@@ -103,7 +103,7 @@ def _of_solution(
         light *= np.exp(known.nodes @ colors.cast)
         share, stray = _left_over(known, light, (gloss / unit).astype(np.float32))
         gloss, light = gloss * share, light * np.exp(stray)
-    seen, spread = visible.min(0, initial=1).astype(np.float64), np.zeros(len(light))
+    seen, spread = visible.min(0, initial=1).astype(float), np.zeros(len(light))
     return TexelLight(light, gloss, seen, spread, tuple(lights), environment, reflectance)
 
 
@@ -120,7 +120,7 @@ class _Expected:
         mean, self.deviation = field.prior.mean_at(places), field.prior.deviation_at(places, slice(1))
         weights = field.weights(places)
         # Texels beyond the nodes in use have those that are near.
-        whole = np.maximum(np.asarray(weights.sum(1)).ravel(), TINY)
+        whole = np.maximum(row_sums(weights), TINY)
         self.nodes = (sparse.diags(1 / whole) @ weights).tocsr()
         level, nodes = point.albedo_nodes()
         self.level = (level + point.x[-1] * mean[:, 0] + self.nodes @ nodes).astype(np.float32)
@@ -163,7 +163,7 @@ def _seen_shadows(
         field[mask] = values
         return gaussian_filter(field, known.point.problem.blur * max(mask.shape))[mask]
 
-    whole, seen = blurred(np.ones(len(soft))), visible.astype(np.float64)
+    whole, seen = blurred(np.ones(len(soft))), visible.astype(float)
     priors = [np.clip(blurred(v) / whole, _LEAST, 1 - _LEAST) for v in np.where(away, 1.0, visible)]
     known.settle(soft + np.einsum("ln,lnc->nc", seen, lamps))
     for _ in range(2):

@@ -104,7 +104,7 @@ def matched_skins(
     """
     skins, labels, same = [], [], np.zeros_like(a.mask)
     for face, other, part, wins in ((a, b, weight, weight >= 0.5), (b, a, 1 - weight, weight < 0.5)):
-        skin, share = face.albedo_linear.astype(np.float64), min(part / _OWN_END, 1.0)
+        skin, share = face.albedo_linear.astype(float), min(part / _OWN_END, 1.0)
         if share > 0:
             skin = _between(skin, continued_skin(face, other, model, wins), share)
         skins.append(skin)
@@ -120,4 +120,4 @@ def matched_skins(
 
 
 def _between(a: NDArray, b: NDArray, weight: float) -> NDArray:
-    return np.asarray((1 - weight) * a + weight * b, np.float64)
+    return np.asarray((1 - weight) * a + weight * b, float)

@@ -18,7 +18,7 @@ from scipy.special import expit
 
 from scan2albedo.applications.face_features import FLOOR, without_catchlights
 from scan2albedo.applications.processed_face import Eyeball, ProcessedFace
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, smoothstep
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, norms, smoothstep
 from scan2albedo.geometry.mesh import grid_faces, normalized
 from scan2albedo.io.glb import GlbPart
 
@@ -214,7 +214,7 @@ class EyeOpening:
         middle = np.array([(ax + bx) / 2, (ay + by) / 2])
 
         def off(globe: FloatArray) -> FloatArray:
-            above = np.linalg.norm(rim - globe[:3], axis=1) - globe[3] - LID_MM
+            above = norms(rim - globe[:3]) - globe[3] - LID_MM
             above[above < 0] /= 3  # scans have dents at eyes, and no bumps
             unusual = (globe[3] - GLOBE_MM) * LID_SD_MM / _GLOBE_SD_MM
             return np.array([*above, *globe[:2] - middle, unusual]) / LID_SD_MM

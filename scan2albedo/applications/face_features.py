@@ -9,7 +9,7 @@ from skimage.morphology import disk
 
 from scan2albedo.albedo.inpainting import continued_smoothly
 from scan2albedo.applications.processed_face import ProcessedFace
-from scan2albedo.core.arrays import BoolArray, FloatArray, RealArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, RealArray, norms
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.face_model.appearance import CLASSES
 from scan2albedo.geometry.rasterization import area_mean
@@ -75,7 +75,7 @@ def open_features(face: ProcessedFace, model: AnnotatedSurface | None = None) ->
         found["eyes"] = bool(np.mean(odds > 0) > _OPEN)
     mouth = named_texels(face, FEATURES["mouth"][1:], model)
     if mouth.any():
-        area = np.linalg.norm(np.cross(*np.gradient(face.image.position, axis=(0, 1))), axis=-1)
+        area = norms(np.cross(*np.gradient(face.image.position, axis=(0, 1))))
         between = grown(named_texels(face, ["between_lips"], model), 0)
         found["mouth"] = bool(area[between].sum() > _OPEN * area[mouth].sum())
     return found
@@ -115,7 +115,7 @@ def mirrored(face: ProcessedFace) -> bool:
 
 def without_catchlights(face: ProcessedFace, model: AnnotatedSurface | None = None) -> FloatArray:
     """Return (H, W, 3) the albedo without reflections of lamps on the eyes: V lowered to its opening."""
-    albedo, eyes = face.albedo_linear.astype(np.float64), named_texels(face, FEATURES["eyes"], model)
+    albedo, eyes = face.albedo_linear.astype(float), named_texels(face, FEATURES["eyes"], model)
     if not eyes.any():
         return albedo
     side, around = max(eyes.shape), face.mask & grown(eyes, AROUND)
@@ -191,7 +191,7 @@ def without_light_left(albedo: FloatArray, face: ProcessedFace, other: Processed
     more, sigma = np.zeros(albedo.shape), LOCAL * max(both.shape)
     more[both] = np.log(skin_gains(other, face) * other.albedo_linear[both] / albedo[both])
     d = blurred_inside(more, both, sigma)
-    ours, others = (blurred_inside(error.astype(np.float64) ** 2, both, sigma) for error in errors)
+    ours, others = (blurred_inside(error.astype(float) ** 2, both, sigma) for error in errors)
     people = max(np.mean(d[both] ** 2) - np.mean((ours + others)[both]), 0.0)
     share = np.divide(ours, ours + others + people, out=np.zeros_like(ours), where=ours > 0)
     return albedo * np.exp(d * share[..., None])
@@ -256,6 +256,6 @@ def local_contrast(albedo: FloatArray, mask: BoolArray) -> FloatArray:
 
 def blurred_inside(field: RealArray, mask: BoolArray, sigma: float) -> FloatArray:
     """Return the Gaussian means of a field (H, W) or (H, W, C) over the texels of `mask` (H, W) alone."""
-    inside = mask.reshape(*mask.shape, *[1] * (field.ndim - 2)).astype(np.float64)
+    inside = mask.reshape(*mask.shape, *[1] * (field.ndim - 2)).astype(float)
     parts = [gaussian_filter(part, sigma, mode="mirror", axes=(0, 1)) for part in (field * inside, inside)]
     return parts[0] / np.maximum(parts[1], 1e-6)

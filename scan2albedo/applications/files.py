@@ -144,8 +144,8 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
     file = _present(folder, "fitted.glb")
     try:
         mesh: Any = trimesh.load(file, process=False, force="mesh")
-        vertices = np.asarray(mesh.vertices, np.float64) / METRES_PER_MM
-        faces, uv = np.asarray(mesh.faces, np.int64), np.asarray(mesh.visual.uv, np.float64)
+        vertices = np.asarray(mesh.vertices, float) / METRES_PER_MM
+        faces, uv = np.asarray(mesh.faces, int), np.asarray(mesh.visual.uv, float)
     except DAMAGE as error:
         raise ApplicationError(f"{file}: is no textured GLB ({error}); process the scan again") from error
     exact = vertices if image.occluder is None else image.occluder[0]

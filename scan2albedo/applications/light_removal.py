@@ -121,7 +121,7 @@ class LightRemoval:
             unlit = replace(scan, texture_linear=made.color_linear, notes=notes)
         else:
             assert scan.vertex_color_linear is not None
-            taken = light.taken_off(scan.vertex_color_linear.astype(np.float64))
+            taken = light.taken_off(scan.vertex_color_linear.astype(float))
             colors = scan.vertex_color_linear * (usual / taken.divisor)
             made = _Unlit(*(each.astype(np.float32) for each in (colors, taken.known, taken.hair)))
             unlit = replace(scan, vertex_color_linear=made.color_linear, notes=notes)
@@ -143,7 +143,7 @@ class LightRemoval:
         estimate, image, mask = self._estimate, self._estimate.image, self._estimate.image.mask
         # The light that divided the texture, with all repairs; where it was not seen none was divided.
         assert image.texture_linear is not None
-        albedo = estimate.albedo_linear.astype(np.float64)
+        albedo = estimate.albedo_linear.astype(float)
         # The light of black texels is that of the estimate, not the quotient of two colours.
         black = FLOOR * max(float(np.median(albedo[mask])), 1e-12)
         light = (image.texture_linear + black * estimate.shading) / (albedo + black)
@@ -281,7 +281,7 @@ def _unlit_texture(scan: RawScan, light: _ScanLight, brightness: float) -> _Unli
         raster = rasterization.rasterize(places_px, np.zeros(len(places_px)), index, tile.shape[:2])
         there = raster.covered
         of_texels = light.at(scan.faces[inside[raster.face[there]]], raster.barycentric[there])
-        taken = of_texels.taken_off(tile[there].astype(np.float64))
+        taken = of_texels.taken_off(tile[there].astype(float))
         divisor = np.full(tile.shape, brightness)
         known, hair = np.zeros((2, *tile.shape[:2]))
         divisor[there], known[there], hair[there] = taken.divisor, taken.known, taken.hair
@@ -311,7 +311,7 @@ def _tiles(shape: tuple[int, int], face: FloatArray) -> list[tuple[int, int]]:
 
     What is usual there serves for all, so that they join without a seam.
     """
-    places = (np.clip(face[:, ::-1], 0, np.array(shape) - 1) // _TILE).astype(np.int64) * _TILE
+    places = (np.clip(face[:, ::-1], 0, np.array(shape) - 1) // _TILE).astype(int) * _TILE
     count = Counter(map(tuple, places.tolist()))
     tiles = [(top, left) for top in range(0, shape[0], _TILE) for left in range(0, shape[1], _TILE)]
     return sorted(tiles, key=lambda tile: -count[tile])

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from scan2albedo.applications.processed_face import ProcessedFace
 from scan2albedo.applications.relighting import RelightOptions, relight
-from scan2albedo.core.arrays import ByteArray
+from scan2albedo.core.arrays import ByteArray, all_finite
 from scan2albedo.core.lights import LAMP_RADIUS_DEG, PointLight
 from scan2albedo.io.atomic import write_bytes
 from scan2albedo.io.images import write_png
@@ -54,7 +54,7 @@ def light_arc(
     """
     if count < 1:
         raise ValueError(f"count must be 1 or more, got {count}")
-    if not np.isfinite([first_rad, last_rad, elevation_rad]).all():
+    if not all_finite([first_rad, last_rad, elevation_rad]):
         raise ValueError(f"angles must be finite, got {first_rad}, {last_rad} and {elevation_rad}")
     return [
         PointLight(float(azimuth), elevation_rad, distance_mm, intensity, radius_deg=radius_deg)

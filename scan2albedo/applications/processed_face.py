@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, on_grid
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, all_finite, on_grid
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.errors import ApplicationError
@@ -143,14 +143,14 @@ class ProcessedFace:
             ("expected_error", self.expected_error, shape, everywhere),
             ("landmarks", self.landmarks, (68, 3), slice(None)),
         ):
-            if given is not None and (given.shape != expected or not np.isfinite(given[where]).all()):
+            if given is not None and (given.shape != expected or not all_finite(given[where])):
                 raise ApplicationError(
                     f"{self.name}: {what} is {given.shape} or holds NaN, expected finite numbers {expected} "
                     "like the geometry image; process the scan again"
                 )
         if (lowest := float(albedo[self.image.mask].min(initial=0.0))) < 0:
             raise ApplicationError(f"{self.name}: the albedo goes down to {lowest:.3g}; albedo is 0 or more")
-        if not (np.isfinite(self.view_direction).all() and np.any(self.view_direction)):
+        if not (all_finite(self.view_direction) and np.any(self.view_direction)):
             raise ApplicationError(f"{self.name}: view_direction {self.view_direction} is not finite or zero")
         self.image.check_normals()
         if not len(self.mesh.faces):

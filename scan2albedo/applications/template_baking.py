@@ -254,7 +254,7 @@ def painted(blank: TemplateTexture, size: int, look: Callable[..., Fields]) -> T
             continue  # its faces hold no texel's middle
         color, normal, hair = fields.pop("color"), fields.pop("normal"), fields.pop("hair", None)
         for band in bands:
-            normal[band] = normalized(normal[band].astype(np.float64))
+            normal[band] = normalized(normal[band].astype(float))
         maps = {name: texels[..., 0] for name, texels in fields.items()}
         tiles.append(TemplateTile(number, chosen, color, known["color"], normal, maps, hair))
     return replace(blank, tiles=tuple(tiles))
@@ -266,7 +266,7 @@ def tile_numbers(uv: FloatArray) -> IntArray:
     >>> tile_numbers(np.array([[[0.1, 0.1], [1.0, 0.1], [0.1, 1.0]], [[1.2, 0], [1.4, 0], [1.2, 0.3]]]))
     array([1001, 1002])
     """
-    middle = np.floor(uv.mean(axis=1)).astype(np.int64)
+    middle = np.floor(uv.mean(axis=1)).astype(int)
     inside = (middle >= 0).all(1) & (middle < 10).all(1)
     return np.where(inside, FIRST_TILE + middle[:, 0] + 10 * middle[:, 1], 0)
 
@@ -302,7 +302,7 @@ class FineShape:
         mean = mesh.neighbour_mean(len(vertices), faces)
         for _ in range(passes):
             differs = mean @ differs
-        inner = (~mesh.boundary_vertex_mask(len(vertices), faces)).astype(np.float64)
+        inner = (~mesh.boundary_vertex_mask(len(vertices), faces)).astype(float)
         share = inner
         for _ in range(8):  # the scan's own shape fades at its edges, about three edges of its faces wide
             share = inner * (mean @ share)
@@ -369,4 +369,4 @@ def normal_bytes(normal: RealArray, samples: type = np.uint8) -> NDArray:
 
 def integers(values: RealArray, samples: type = np.uint8) -> NDArray:
     """Return values from 0 to 1, clipped, as integers that count from 0 to the largest of `samples`."""
-    return np.round(np.iinfo(samples).max * np.clip(values, 0, 1).astype(np.float64)).astype(samples)
+    return np.round(np.iinfo(samples).max * np.clip(values, 0, 1).astype(float)).astype(samples)

@@ -125,7 +125,7 @@ def continued(
         return albedo
     floor = face_features.FLOOR * max(other.level(), 1e-12)
     field = np.log(np.maximum(albedo, floor))
-    log_other = np.log(np.maximum(other.albedo_linear.astype(np.float64), floor))
+    log_other = np.log(np.maximum(other.albedo_linear.astype(float), floor))
     distance, (row, column) = distance_transform_edt(~known, return_indices=True)
     # What the border would cut in two fades in from there; detail gets no stronger than the face's own is.
     sigma = AROUND * max(known.shape)
@@ -142,7 +142,7 @@ def continued(
     both = known & (source == 1) & ~grown(whole, AROUND)
     side = 2 * round(face_features.LOCAL * max(known.shape)) + 1
     values = np.where(both[..., None], field - log_other, 0.0)
-    weight, feature = both.astype(np.float64), np.zeros_like(values)
+    weight, feature = both.astype(float), np.zeros_like(values)
     for _ in range(5):
         total = np.dstack([weight[..., None] * values, weight])
         for _ in range(2):

@@ -166,4 +166,4 @@ def _resized(values: NDArray, size: int) -> FloatArray:
         return area_mean(values, (size, size))
     from skimage.transform import resize
 
-    return resize(values.astype(np.float64), (size, size), order=1, mode="edge", anti_aliasing=False)
+    return resize(values.astype(float), (size, size), order=1, mode="edge", anti_aliasing=False)

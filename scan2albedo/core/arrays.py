@@ -69,6 +69,36 @@ def checked_mesh(
     return xyz, whole
 
 
+def all_finite(values: ArrayLike) -> bool:
+    """Return whether no number is NaN or infinite."""
+    return bool(np.isfinite(values).all())
+
+
+def norms(vectors: ArrayLike) -> FloatArray:
+    """Return the Euclidean norms (...) of vectors (..., C)."""
+    return np.linalg.norm(vectors, axis=-1)
+
+
+def triangle_sides(corners: NDArray) -> tuple[NDArray, NDArray]:
+    """Return the vectors (F, C) from the first of triangles' corners (F, 3, C) to the second and third."""
+    return corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+
+
+def arc_lengths(points: FloatArray) -> FloatArray:
+    """Return the way (N,) along a line of points (N, C) to each of them, from 0."""
+    return np.append(0.0, np.cumsum(norms(np.diff(points, axis=0))))
+
+
+def identities(count: int, size: int) -> FloatArray:
+    """Return `count` unit matrices (count, size, size)."""
+    return np.tile(np.eye(size), (count, 1, 1))
+
+
+def row_sums(matrix: Any) -> FloatArray:
+    """Return the sums (R,) of a sparse matrix's rows."""
+    return np.asarray(matrix.sum(1)).ravel()
+
+
 def finite_rows(values: RealArray) -> BoolArray:
     """Return (...) where all C numbers of values (..., C) are finite."""
     return np.asarray(np.isfinite(values).all(-1))

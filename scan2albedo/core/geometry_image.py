@@ -13,8 +13,11 @@ from scan2albedo.core.arrays import (
     Float32Array,
     FloatArray,
     IntArray,
+    all_finite,
     checked_array,
     checked_mesh,
+    norms,
+    triangle_sides,
 )
 from scan2albedo.errors import GeometryImageError, errors_of
 
@@ -112,7 +115,7 @@ class GeometryImage:
             if len(grid) != 2 or array.shape != wanted:
                 raise GeometryImageError(f"{field} has shape {array.shape}, expected {wanted} as the mask")
             array = array.astype(dtype, copy=False)
-            if array.dtype.kind == "f" and not np.isfinite(array[mask]).all():
+            if array.dtype.kind == "f" and not all_finite(array[mask]):
                 raise GeometryImageError(f"{field} holds NaN or infinite values inside the mask")
             object.__setattr__(self, field, array)
         if self.skin is not None and not ((self.skin >= 0) & (self.skin <= 1))[self.mask].all():
@@ -158,7 +161,7 @@ class GeometryImage:
     def toward_camera(self, view_direction: ArrayLike) -> FloatArray:
         """Return (N, 3) unit directions from the texels of `mask` to their cameras, else `view_direction`."""
         position = self.position[self.mask]
-        toward = np.broadcast_to(np.asarray(view_direction, np.float64), position.shape).copy()
+        toward = np.broadcast_to(np.asarray(view_direction, float), position.shape).copy()
         if self.camera is None or self.camera_positions is None:
             return toward
         camera = self.camera[self.mask]
@@ -169,7 +172,7 @@ class GeometryImage:
 
     def check_normals(self) -> None:
         """Raise `GeometryImageError` where normals are neither of length 1 nor 0 (not known): they shade."""
-        length = np.linalg.norm(self.normal[self.mask], axis=-1)
+        length = norms(self.normal[self.mask])
         wrong = (np.abs(length - 1) > _LENGTH) & (length > _LENGTH)
         if wrong.any():
             raise GeometryImageError(
@@ -182,7 +185,7 @@ class GeometryImage:
         whole = self.mask[:-1, :-1] & self.mask[:-1, 1:] & self.mask[1:, :-1] & self.mask[1:, 1:]
         down = (self.position[1:, 1:] - self.position[:-1, :-1])[whole]
         up = (self.position[:-1, 1:] - self.position[1:, :-1])[whole]
-        return 0.5 * np.linalg.norm(np.cross(down, up), axis=1)
+        return 0.5 * norms(np.cross(down, up))
 
     def figures(self) -> dict[str, float]:
         """Return what part of the square is surface, what part of that was seen, or is skin; texel areas."""
@@ -208,7 +211,7 @@ class GeometryImage:
 
         Each 2 x 2 block of masked texels gives two triangles, each wound to agree with `normal`.
         """
-        index = np.full(self.shape, -1, np.int64)
+        index = np.full(self.shape, -1, int)
         index[self.mask] = np.arange(int(self.mask.sum()))
         a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
         faces = []
@@ -223,7 +226,7 @@ class GeometryImage:
 def wound_like(vertices: FloatArray, faces: IntArray, normals: FloatArray) -> IntArray:
     """Return the triangles (F, 3), each wound to agree with the normals (V, 3) at its corners."""
     corners = vertices[faces]
-    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    outward = np.cross(*triangle_sides(corners))
     against = np.einsum("ij,ij->i", outward, normals[faces].sum(1)) < 0
     return np.where(against[:, None], faces[:, ::-1], faces)
 

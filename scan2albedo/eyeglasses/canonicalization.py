@@ -277,7 +277,7 @@ class _Frame:
         xyz = checked_array(vertices, ("V", 3), f"vertices of frame {number}", finite=ValueError)
         shares = None if weights is None else checked_weights(f"weights {number}", weights, len(xyz))
         marks = checked_keypoints(f"keypoints {number}", keypoints)
-        return cls(number, getattr(mesh, "name", None), xyz, np.asarray(faces, np.int64), marks, shares)
+        return cls(number, getattr(mesh, "name", None), xyz, np.asarray(faces, int), marks, shares)
 
     def weighted(self, spacing: str | float, left: int, meter: Meter) -> Self:
         """Return it with weights, solved, unless given, in an even share of the budget for `left` frames."""

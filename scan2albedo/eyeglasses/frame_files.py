@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from pydantic import AfterValidator, Field, WithJsonSchema, model_validator
 
 from scan2albedo.core import Plan
-from scan2albedo.core.arrays import FloatArray, finite_rows
+from scan2albedo.core.arrays import FloatArray, all_finite, finite_rows
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import keypoints as places
 from scan2albedo.eyeglasses.canonicalization import CanonicalEyeglasses
@@ -108,7 +108,7 @@ def write_keypoints(
     path, keypoints, unit, deviations_mm
     """
     entries = {
-        name: (float(p[0]), float(p[1]), float(p[2])) if np.isfinite(p).all() else None
+        name: (float(p[0]), float(p[1]), float(p[2])) if all_finite(p) else None
         for name, p in zip(KEY_POINT_NAMES, checked_keypoints("keypoints", keypoints), strict=True)
     }
     write_record(path, KeyPointsFile(unit=unit, key_points=entries, deviations_mm=dict(deviations_mm or {})))
@@ -133,7 +133,7 @@ def read_keypoints_with_unit(path: str | Path) -> tuple[FloatArray, LengthUnitIf
         hint="`scan2albedo glasses key-points` says which key points to place, and where",
     )
     nothing = (np.nan, np.nan, np.nan)
-    points = np.array([entry.key_points.get(name) or nothing for name in KEY_POINT_NAMES], np.float64)
+    points = np.array([entry.key_points.get(name) or nothing for name in KEY_POINT_NAMES], float)
     if exchanged := "; ".join(exchanged_key_points(points)):
         advice = "`scan2albedo glasses key-points` shows where each belongs; temples must be open, not folded"
         raise EyeglassesError(f"key points {path}: names seem exchanged: {exchanged}. {advice}")
@@ -202,7 +202,7 @@ def _read(path: str | Path, kind: Callable[..., Value]) -> Value:
             said = f"{name} has shape {got} of {arrays[name].dtype}, expected numbers of shape"
             raise EyeglassesError(f"{what} {path}: {said} ({', '.join(map(str, wanted))}); write it again")
     vertices, faces = arrays["vertices"], arrays["faces"]
-    if not np.isfinite(vertices).all():
+    if not all_finite(vertices):
         raise EyeglassesError(f"{what} {path}: vertices are not finite; write it again")
     if faces.dtype.kind not in "iu" or len(faces) == 0 or faces.min() < 0 or faces.max() >= len(vertices):
         raise EyeglassesError(f"{what} {path}: faces are not those of its vertices; write it again")
@@ -272,7 +272,7 @@ def write_start(path: str | Path, world_from_glasses: ArrayLike, unit: LengthUni
     ----------
     path, world_from_glasses, unit
     """
-    content = StartFile(unit=unit, world_from_glasses=plain_json(np.asarray(world_from_glasses, np.float64)))
+    content = StartFile(unit=unit, world_from_glasses=plain_json(np.asarray(world_from_glasses, float)))
     write_record(path, content)
 
 

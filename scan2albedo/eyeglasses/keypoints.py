@@ -82,7 +82,7 @@ PARENTS = tuple(np.maximum(breadth_first_order(_JOINED + _JOINED.T, 0)[1], -1).t
 
 def typical_key_points() -> FloatArray:
     """Return the key points (20, 3) of a typical frame in mm: x to the left, y up, z to the front."""
-    left = np.array([place.typical_mm for place in KEY_POINT_PLACES], np.float64)
+    left = np.array([place.typical_mm for place in KEY_POINT_PLACES], float)
     return np.concatenate([left, left[2:] * [-1, 1, 1]])
 
 

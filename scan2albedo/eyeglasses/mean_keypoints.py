@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import EPSILON, FloatArray, finite_rows
+from scan2albedo.core.arrays import EPSILON, FloatArray, finite_rows, norms
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR, SKELETON, typical_key_points
 from scan2albedo.geometry.rigid import procrustes, transform_points
@@ -104,7 +104,7 @@ def align_key_points(source: FloatArray, target: FloatArray) -> FloatArray:
 def key_point_size(points: FloatArray) -> float:
     """Return the median length of the bones between known key points (20, 3); 0 where there is none."""
     bones = np.array(SKELETON)
-    lengths = np.linalg.norm(points[bones[:, 0]] - points[bones[:, 1]], axis=1)
+    lengths = norms(points[bones[:, 0]] - points[bones[:, 1]])
     lengths = lengths[np.isfinite(lengths)]
     return float(np.median(lengths)) if len(lengths) else 0.0
 
@@ -130,7 +130,7 @@ def front_width(points: FloatArray, vertices: FloatArray | None = None) -> float
     With the mesh's `vertices` (V, 3), that of those nearest to one. NaN unless either pair is known.
     """
     apart = points[_LEFT_OUTER] - points[MIRROR[_LEFT_OUTER]]
-    lengths = np.linalg.norm(apart, axis=1)
+    lengths = norms(apart)
     width = float(np.fmax.reduce(lengths))
     if vertices is None or not width > 0:
         return width

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core.arrays import EPSILON, FloatArray, IntArray, checked_array, finite_rows
+from scan2albedo.core.arrays import EPSILON, FloatArray, IntArray, checked_array, finite_rows, identities
 from scan2albedo.eyeglasses.keypoints import SKELETON
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import procrustes
@@ -46,7 +46,7 @@ def skin(vertices: ArrayLike, weights: ArrayLike, transforms: ArrayLike) -> Floa
 
 def translations(source: FloatArray, target: FloatArray) -> FloatArray:
     """Return (K, 4, 4) translations from `source` (K, 3) to `target` (K, 3): v' = v + W (target - source)."""
-    result = np.tile(np.eye(4), (len(source), 1, 1))
+    result = identities(len(source), 4)
     result[:, :3, 3] = target - source
     return result
 

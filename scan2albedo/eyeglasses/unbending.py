@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core.arrays import SMALLEST, FloatArray, IntArray, finite_rows
+from scan2albedo.core.arrays import SMALLEST, FloatArray, IntArray, all_finite, finite_rows, identities, norms
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR
 from scan2albedo.eyeglasses.mean_keypoints import FRONT, RIMS, SIDES, align_key_points, is_posable
 from scan2albedo.eyeglasses.skinning import turned_translations
@@ -49,7 +49,7 @@ class FrontHalves:
         turn = (Rotation.from_matrix(self.left_from_mirrored[:3, :3]) ** 0.5).as_matrix()
         half = compose(turn, np.linalg.solve(np.eye(3) + turn, self.left_from_mirrored[:3, 3]))
         mirror = self.reflection
-        return np.asarray(np.linalg.inv(half), np.float64), mirror @ half @ np.linalg.inv(mirror)
+        return np.asarray(np.linalg.inv(half), float), mirror @ half @ np.linalg.inv(mirror)
 
     @property
     def bend_deg(self) -> float:
@@ -98,7 +98,7 @@ def front_halves(
     given = own, np.ones(len(held)), pairs, Similarity(start[:3, :3], first)
     found = align(*given, steps=30, scale_range=(1.0, 1.0), settled=1e-6 * size).pose
     pose = compose(found.rotation, found.translation - found.rotation @ center)
-    moved = np.linalg.norm(transform_points(pose, source) - transform_points(start, source), axis=1)
+    moved = norms(transform_points(pose, source) - transform_points(start, source))
     if moved.max() > _FARTHEST * size:
         return FrontHalves(reflection, start, np.nan)
     distance = query.query(transform_points(pose, moving)).distance
@@ -113,7 +113,7 @@ def unbent_transforms(points: FloatArray, halves: FrontHalves | None) -> FloatAr
     take the mean direction of both sides.
     """
     if halves is None:
-        return np.tile(np.eye(4), (len(points), 1, 1))
+        return identities(len(points), 4)
     sides, targets = halves.sides, points.copy()
     for side, rim, temple in zip(sides, RIMS, _TEMPLES, strict=True):
         for part in (rim, temple):
@@ -124,7 +124,7 @@ def unbent_transforms(points: FloatArray, halves: FrontHalves | None) -> FloatAr
     for temple in _TEMPLES:
         for a, b in itertools.pairwise(temple[finite_rows(bent[temple])]):
             bone, other = bent[b] - bent[a], reflect @ (bent[MIRROR[b]] - bent[MIRROR[a]])
-            if np.isfinite(other).all():
+            if all_finite(other):
                 bone = np.linalg.norm(bone) * normalized(normalized(bone) + normalized(other))
             targets[b] = targets[a] + bone
     rigid = align_key_points(points, targets)
@@ -160,7 +160,7 @@ def common_bend(points_mm: FloatArray, reflection: FloatArray) -> str:
     if len(temple) > 1:
         place, way = even[temple], side * (out[temple] - out[temple[0]])
         length = float(np.linalg.norm(place[-1] - place[0]))
-        run = np.cumsum(np.linalg.norm(np.diff(place[:3], axis=0), axis=1))
+        run = np.cumsum(norms(np.diff(place[:3], axis=0)))
         bow = f", bowed outward by {way[1] - way[2] * run[0] / run[1]:.1f} mm" if len(temple) > 2 else ""
         said.append(
             f"the temples lean {np.rad2deg(np.arcsin(way[-1] / length)):.1f} degrees outward, "

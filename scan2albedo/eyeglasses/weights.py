@@ -168,7 +168,7 @@ def solve_lattice(
     weights[fixed] = values
     free = np.setdiff1d(np.arange(nodes), fixed)
     if len(free) == 0:
-        return BoundedMinimum(weights, np.zeros(count), np.zeros(count, np.int64))
+        return BoundedMinimum(weights, np.zeros(count), np.zeros(count, int))
     energy = biharmonic_energy(lattice)
     matrix, right = energy[free][:, free].tocsr(), -(energy[free][:, fixed] @ values)
     found = minimize_bounded(matrix, right, tolerance=tolerance, meter=meter)
@@ -200,7 +200,7 @@ def minimize_bounded(
     b = np.asfortranarray(right[order])
     product = np.asfortranarray(ordered @ x)
     residual = optimality_residual(x, product - b, diagonal)
-    steps = np.zeros(b.shape[1], np.int64)
+    steps = np.zeros(b.shape[1], int)
     for k in range(b.shape[1]):
         held = (x[:, k] <= 0) | (x[:, k] >= 1)
         while not meter.exhausted and residual[k] > tolerance and steps[k] < max_steps:

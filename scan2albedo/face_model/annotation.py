@@ -13,7 +13,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, IntArray, triangle_sides
 from scan2albedo.errors import ModelError
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints
 from scan2albedo.geometry.mesh import normalized
@@ -266,7 +266,7 @@ def surface_frames(corners: FloatArray) -> FloatArray:
 
     A zero-area triangle gives zeros in the columns that are undefined, never NaN.
     """
-    edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    edge, other = triangle_sides(corners)
     edge, normal = normalized(edge), normalized(np.cross(edge, other))
     return np.stack([edge, np.cross(normal, edge), normal], axis=2)
 

@@ -20,7 +20,7 @@ import numpy as np
 from scipy import sparse
 from scipy.ndimage import map_coordinates, median_filter, uniform_filter
 
-from scan2albedo.core.arrays import BoolArray, ByteArray, Float32Array, FloatArray, RealArray
+from scan2albedo.core.arrays import BoolArray, ByteArray, Float32Array, FloatArray, RealArray, norms
 from scan2albedo.geometry.rasterization import area_mean
 
 CLASSES = ("unseen", "skin", "brow", "eye", "lip", "nostril", "beard", "hair", "cloth")
@@ -233,7 +233,7 @@ def beyond_chart(
     mean, covariance = learned.mean[:, :3].copy(), learned.covariance[:, :3, :3].copy()
     model = replace(learned, mean=mean, covariance=covariance)
     prior = np.log(model.at_places(place))
-    prior[1:6] -= np.linalg.norm(offset_mm, axis=1) / 10
+    prior[1:6] -= norms(offset_mm) / 10
     prior[6:] += _HAIR_AND_CLOTH @ offset_mm.T
     prior -= np.logaddexp.reduce(prior)
     colors = np.column_stack([log_color.max(-1), log_color[:, ::2] - log_color[:, 1:2]])
@@ -275,7 +275,7 @@ def features_of(
     """
     known = part > 0.25
     white = float(np.percentile(texture_linear[known].max(-1), 95))
-    logarithm = np.log(np.maximum(texture_linear, max(_DARKEST * white, 1e-9))).astype(np.float64)
+    logarithm = np.log(np.maximum(texture_linear, max(_DARKEST * white, 1e-9))).astype(float)
     bright = np.where(known, logarithm.max(-1), 0)
     colors = np.stack([bright, *(logarithm[..., c] - logarithm[..., 1] for c in (0, 2))], axis=-1)
     # Contrast is against the mean and the median around: edges, of shadows or of moles, have it against one.
@@ -290,7 +290,7 @@ def features_of(
 
 def light_basis(normal: RealArray) -> FloatArray:
     """Return (..., 9) the constant, linear and quadratic functions of normals (..., 3)."""
-    x, y, z = np.moveaxis(np.asarray(normal, np.float64), -1, 0)
+    x, y, z = np.moveaxis(np.asarray(normal, float), -1, 0)
     return np.stack([np.ones_like(x), x, y, z, x * y, y * z, x * z, x * x - y * y, 3 * z * z - 1], axis=-1)
 
 
@@ -325,7 +325,7 @@ def _explained(
     near = np.exp(-0.5 * distance / _SAME_MATERIAL**2) * likely
     typical = _square(candidates[:, 1:] - TYPICAL_CHROMA, np.diag(TYPICAL_SPREAD**2))
     order = np.argsort(-near.sum(1) * np.exp(-0.5 * typical))
-    apart = np.linalg.norm(candidates[order, 1:] - candidates[order[0], 1:], axis=1) > 3 * _SAME_MATERIAL
+    apart = norms(candidates[order, 1:] - candidates[order[0], 1:]) > 3 * _SAME_MATERIAL
     fits = []
     for k in (order[0], *order[apart][:1]):
         bright = np.average(shown[:, 0], weights=near[k] + 1e-9)
@@ -395,7 +395,7 @@ class _Grid:
     def of(cls, position: FloatArray, seen: BoolArray) -> _Grid:
         every = max(1, len(seen) // 32)
         steps = (position[::every, 1:] - position[::every, :-1])[seen[::every, 1:] & seen[::every, :-1]]
-        side = float(np.median(np.linalg.norm(steps, axis=1))) if len(steps) else TEXEL_MM
+        side = float(np.median(norms(steps))) if len(steps) else TEXEL_MM
         factor = max(1, round(TEXEL_MM / max(side, TEXEL_MM / min(seen.shape))))
         shape = tuple(-(-texels // factor) for texels in seen.shape)
         return cls(seen, _resized(seen.astype(np.float32), shape), side * factor)

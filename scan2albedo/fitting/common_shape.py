@@ -6,7 +6,7 @@ from typing import Self
 
 import numpy as np
 
-from scan2albedo.core.arrays import EPSILON, SMALLEST, FloatArray, IntArray
+from scan2albedo.core.arrays import EPSILON, SMALLEST, FloatArray, IntArray, identities
 from scan2albedo.face_model.annotation import AnnotatedSurface
 from scan2albedo.face_model.variation import expression_variance, identity_modes, similarity_modes
 from scan2albedo.fitting.result import NEAR_MM, UNSEEN_MM, FittedFace
@@ -70,7 +70,7 @@ def common_shape(fits: Iterable[FittedFace]) -> PersonShape:
     basis = np.concatenate([modes, similarities]).reshape(-1, rest.size)
     ridge = np.diag([1.0] * len(modes) + [EPSILON] * len(similarities))
     variance = FIT_MM**2 + expression_variance(model) + (1 - shown) * loose
-    precision, poses = 1 / variance, np.tile(np.eye(4), (len(points), 1, 1))
+    precision, poses = 1 / variance, identities(len(points), 4)
     neutral, likely, known = rest, rest, np.ones(len(rest))
     for step in range(50):
         seen, pulled, before = np.zeros(len(rest)), np.zeros_like(rest), neutral

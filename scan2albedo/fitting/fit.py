@@ -88,7 +88,7 @@ def fit(
             f"fit: reg is {described(reg)}, expected a Registration or a (4, 4) array; register(scan, model) "
             "returns one"
         )
-    pose = np.asarray(reg if isinstance(reg, np.ndarray) else reg.model_from_scan, np.float64)
+    pose = np.asarray(reg if isinstance(reg, np.ndarray) else reg.model_from_scan, float)
     if pose.shape != (4, 4):
         raise ValueError(f"model_from_scan has shape {pose.shape}, expected (4, 4)")
     if not is_rigid(pose, 1e-3):

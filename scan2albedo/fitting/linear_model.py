@@ -377,7 +377,7 @@ class _Task:
         placed = np.flatnonzero(self.known & (self.counts > 0))
         counts = self.counts[placed]
         start = procrustes(unit * model.mean[self.index][placed], self.target[placed], weights=counts)
-        free = np.array([model.joints.index(name) for name in FREE_JOINTS if name in model.joints], np.int64)
+        free = np.array([model.joints.index(name) for name in FREE_JOINTS if name in model.joints], int)
         some = placed[::4]
         # Places err together over NEAR_MM: `common_shape` counts as many patches.
         patches = counts.sum() * self.mean_mm2 * self.used / len(self.index) / (4 * np.pi * NEAR_MM**2)

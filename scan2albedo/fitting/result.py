@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scan2albedo.core import Plan, PlanStep, Trace
-from scan2albedo.core.arrays import EPSILON, SMALLEST, BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import EPSILON, SMALLEST, BoolArray, FloatArray, IntArray, norms
 from scan2albedo.errors import FitError
 from scan2albedo.face_model import default_model
 from scan2albedo.face_model.annotation import FittedSurface
@@ -93,8 +93,7 @@ def fitted_face(
     # The strain is the RMS logarithm of how the edges of the control mesh were stretched.
     edges, _ = edges_with_faces(model.control_faces)
     before, after = (
-        np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
-        for points in (deformation.reference, control)
+        norms(points[edges[:, 0]] - points[edges[:, 1]]) for points in (deformation.reference, control)
     )
     floor = 1e-6 * float(before.mean())
     strain = float(np.sqrt(np.mean(np.log(np.maximum(after, floor) / np.maximum(before, floor)) ** 2)))

@@ -9,7 +9,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.core.compiled import compiled
+from scan2albedo.core.compiled import compiled, triple
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.geometry.mesh import boundary_vertex_mask, normalized, vertex_areas
@@ -82,7 +82,7 @@ def surface_normals(points, faces):  # type: ignore[no-untyped-def]
     """Return (N, 3) unit vertex normals and (F, 3) unit face normals; zero where there is no area."""
     vertex, face = np.zeros((len(points), 3)), np.zeros((len(faces), 3))
     for f in range(len(faces)):
-        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+        i, j, k = triple(faces, f)
         ax, ay, az = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], points[j, 2] - points[i, 2]
         bx, by, bz = points[k, 0] - points[i, 0], points[k, 1] - points[i, 1], points[k, 2] - points[i, 2]
         x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
@@ -106,7 +106,7 @@ def spring_product(x, start, column, value, stiffness):  # type: ignore[no-untyp
     """Return S^T H S x for x (C, 3), S (N, C) in CSR form, H the stiffness (N, 6) of each sample."""
     result = np.zeros_like(x)
     for i in range(len(stiffness)):
-        xx, yy, zz = stiffness[i, 0], stiffness[i, 1], stiffness[i, 2]
+        xx, yy, zz = triple(stiffness, i)
         if xx + yy + zz == 0.0:
             continue
         xy, xz, yz = stiffness[i, 3], stiffness[i, 4], stiffness[i, 5]

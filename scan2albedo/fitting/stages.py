@@ -7,7 +7,7 @@ import numpy as np
 from scipy import sparse
 
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, norms
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.fitting.dynamics import ImplicitSystem
 from scan2albedo.fitting.forces import ForceGates, ScanForces, scan_forces
@@ -204,7 +204,7 @@ def imbalance_mm(deformation: Deformation, q: FloatArray) -> float:
     forces = scan_forces(deformation.scan, points, normals, ForceGates.at(options, 1.0), rim=samples.rim)
     force, springs = forces.springs(samples.area, forces.mutual(points, samples.area))
     moved = system.step(q, np.zeros_like(q), samples.matrix.T @ force, samples.product(springs))
-    return float(samples.area @ np.linalg.norm(samples.matrix @ moved, axis=1) / samples.area.sum())
+    return float(samples.area @ norms(samples.matrix @ moved) / samples.area.sum())
 
 
 def run_stage(

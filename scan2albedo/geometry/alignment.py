@@ -132,10 +132,10 @@ class NearestGrid:
         low, high = samples.points.min(0) - margin, samples.points.max(0) + margin
         cell = max(cell, float(np.cbrt(np.prod(high - low) / 1_500_000)))
         place = (samples.points - low) / cell
-        inside = place.astype(np.int64)
+        inside = place.astype(int)
         # Of the samples in a cell the one nearest to its centre; in the others that of the nearest such cell.
         order = np.argsort(-np.sum((place - inside - 0.5) ** 2, axis=1), kind="stable")
-        nearest = np.full(np.ceil((high - low) / cell).astype(np.int64) + 1, -1, np.int32)
+        nearest = np.full(np.ceil((high - low) / cell).astype(int) + 1, -1, np.int32)
         nearest[tuple(inside[order].T)] = order
         cells = distance_transform_edt(nearest < 0, return_distances=False, return_indices=True)
         return cls(samples, nearest[tuple(cells)], low, cell)

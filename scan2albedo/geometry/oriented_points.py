@@ -9,7 +9,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, norms
 from scan2albedo.geometry import mesh
 from scan2albedo.geometry.mesh import neighbour_lists, normalized, vertex_normals
 
@@ -52,9 +52,9 @@ def oriented_points(vertices: FloatArray, faces: IntArray, spacing: float) -> Or
     read_stride = int(np.ceil(len(faces) / _MAX_RAW_SAMPLES)) or 1
     faces = faces[::read_stride]
     cross = mesh.face_cross_products(vertices, faces)
-    area = 0.5 * np.linalg.norm(cross, axis=1)
+    area = 0.5 * norms(cross)
     used = np.flatnonzero(area > 0)
-    per_face = np.clip(np.ceil(2 * area[used] / spacing**2), 1, 256).astype(np.int64)
+    per_face = np.clip(np.ceil(2 * area[used] / spacing**2), 1, 256).astype(int)
     stride = int(np.ceil(per_face.sum() / _MAX_RAW_SAMPLES)) or 1
     used, per_face = used[::stride], per_face[::stride]
     owner = np.repeat(used, per_face)
@@ -68,7 +68,7 @@ def oriented_points(vertices: FloatArray, faces: IntArray, spacing: float) -> Or
     areas, vectors = area[owner] * share, cross[owner] * (0.5 * share)[:, None]
     if len(points) == 0:
         return OrientedPoints(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
-    cells = np.floor((points - points.min(0)) / spacing).astype(np.int64)
+    cells = np.floor((points - points.min(0)) / spacing).astype(int)
     extent = cells.max(0) + 1
     key = (cells[:, 0] * extent[1] + cells[:, 1]) * extent[2] + cells[:, 2]
     _, cell = np.unique(key, return_inverse=True)
@@ -77,7 +77,7 @@ def oriented_points(vertices: FloatArray, faces: IntArray, spacing: float) -> Or
         np.stack([np.bincount(cell, values[:, axis]) for axis in range(3)], 1)
         for values in (points * areas[:, None], vectors)
     )
-    length = np.linalg.norm(normal, axis=1)
+    length = norms(normal)
     kept = length > _LEAST_AGREEMENT * total
     return OrientedPoints(mean[kept] / total[kept, None], normal[kept] / length[kept, None], total[kept])
 
@@ -101,7 +101,7 @@ def farthest_points(points: FloatArray, spacing: float, limit: int) -> IntArray:
         chosen.append(int(squared.argmax()))
         if squared[chosen[-1]] < spacing * spacing:
             return np.array(chosen[:-1])
-    return np.array(chosen[: len(points)], np.int64)
+    return np.array(chosen[: len(points)], int)
 
 
 _NORMAL_MAD = 1.4826

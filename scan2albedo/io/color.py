@@ -16,14 +16,14 @@ def srgb_to_linear(srgb: ArrayLike) -> FloatArray:
     >>> srgb_to_linear([0.0, 0.5, 1.0]).round(4).tolist()
     [0.0, 0.214, 1.0]
     """
-    value = np.asarray(srgb, np.float64)
+    value = np.asarray(srgb, float)
     size = np.abs(value)
     return np.copysign(np.where(size <= 0.04045, size / 12.92, ((size + 0.055) / 1.055) ** 2.4), value)
 
 
 def linear_to_srgb(linear: ArrayLike) -> FloatArray:
     """Encode linear values: 12.92 c up to 0.0031308, 1.055 c^(1/2.4) - 0.055 above."""
-    return encoded_srgb(np.asarray(linear, np.float64))
+    return encoded_srgb(np.asarray(linear, float))
 
 
 def encoded_srgb(value: NDArray) -> NDArray:
@@ -54,7 +54,7 @@ def linear_of_srgb_numbers(colors: NDArray) -> Float32Array:
     """Return linear colours of sRGB integers, or floats up to 1 or 255; NaN and negative are black."""
     if colors.dtype in (np.uint8, np.uint16):
         return decode_srgb_integers(np.asarray(colors))
-    values = np.nan_to_num(colors.astype(np.float64)).clip(0)
+    values = np.nan_to_num(colors.astype(float)).clip(0)
     return srgb_to_linear(values / 255 if values.max(initial=0) > 1 else values).astype(np.float32)
 
 

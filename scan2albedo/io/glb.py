@@ -17,9 +17,11 @@ from scan2albedo.core.arrays import (
     Float32Array,
     FloatArray,
     IntArray,
+    all_finite,
     checked_array,
     checked_mesh,
     finite_rows,
+    identities,
 )
 from scan2albedo.geometry.mesh import vertex_normals, without_unreferenced
 from scan2albedo.io.atomic import write_bytes
@@ -196,7 +198,7 @@ def write_glb(
     file = GlbFile()
     grey = 200 / 255 if texture_srgb is None else 1.0
     material = plain_material("face", (grey, grey, grey, 1.0), double_sided=False)
-    coordinates = None if uv is None else np.asarray(uv, np.float64)
+    coordinates = None if uv is None else np.asarray(uv, float)
     mesh = file.add_mesh(material, points, triangles, uv=coordinates)
     material["name"] = "albedo"
     if texture_srgb is not None:
@@ -243,10 +245,10 @@ class GlbPart:
 
     def add_to(self, file: "GlbFile") -> int:
         """Append the part and return the number of its mesh."""
-        vertices, faces = np.asarray(self.vertices, np.float64), np.asarray(self.faces, np.int64)
-        if len(faces) == 0 or not np.isfinite(vertices).all():
+        vertices, faces = np.asarray(self.vertices, float), np.asarray(self.faces, int)
+        if len(faces) == 0 or not all_finite(vertices):
             raise ValueError(f"{self.name!r} needs faces and finite vertices")
-        color = np.clip(np.asarray(self.color_linear, np.float64), 0, 1)
+        color = np.clip(np.asarray(self.color_linear, float), 0, 1)
         attributes = {"COLOR_0": color} if color.ndim > 1 else {}
         base = (*((1.0, 1.0, 1.0) if color.ndim > 1 else color.tolist()), min(max(self.opacity, 0.0), 1.0))
         material = plain_material(self.name, base, self.roughness)
@@ -338,7 +340,7 @@ def write_skinned_glb(
             origin, holder = places[carrier], nodes[number[carrier]]
         nodes[number[joint]]["translation"] = (places[joint] - origin).tolist()
         holder.setdefault("children", []).append(number[joint])
-    inverse = np.tile(np.eye(4), (len(known), 1, 1))
+    inverse = identities(len(known), 4)
     inverse[:, :3, 3] = -places[known]
     matrices = file.add_array(inverse.transpose(0, 2, 1))  # column by column
     skin = {"skeleton": 1, "joints": list(number.values()), "inverseBindMatrices": matrices}

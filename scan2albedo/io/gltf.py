@@ -114,7 +114,7 @@ class GltfFile:
             reached, (number, transform) = reached + 1, left.pop()
             node, own = nodes[number], np.eye(4)
             if "matrix" in node:
-                own = np.array(node["matrix"], np.float64).reshape(4, 4).T
+                own = np.array(node["matrix"], float).reshape(4, 4).T
             else:  # glTF 2.0, 3.5.3
                 turn = Rotation.from_quat(node.get("rotation", (0, 0, 0, 1))).as_matrix()
                 own[:3, :3], own[:3, 3] = turn * node.get("scale", 1), node.get("translation", 0)
@@ -270,7 +270,7 @@ def _joined(file: GltfFile) -> ParsedMesh:
                 part = replace(part, faces=part.faces[:, ::-1], uv=part.uv[:, ::-1])
             parts.append(part)
     if not parts:
-        return ParsedMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64), notes=tuple(notes))
+        return ParsedMesh(np.zeros((0, 3)), np.zeros((0, 3), int), notes=tuple(notes))
     offsets = np.cumsum([0] + [len(p.vertices) for p in parts])
     names = ("vertices", "uv", "material", "vertex_color_linear")
     vertices, uv, material, colors = (np.concatenate([getattr(p, name) for p in parts]) for name in names)
@@ -292,7 +292,7 @@ def _material(
     """Return a material, white where a primitive has none, and a note where its texture is lost."""
     entry = {"pbrMetallicRoughness": {}} if number is None else file.tree["materials"][number]
     base, name, note = entry["pbrMetallicRoughness"], str(entry.get("name") or "material"), ""
-    color = np.clip(np.array(base.get("baseColorFactor", (1, 1, 1))[:3], np.float64), 0, 1)
+    color = np.clip(np.array(base.get("baseColorFactor", (1, 1, 1))[:3], float), 0, 1)
     texture = pictures.get(source := file.color_number(entry))
     if texture is not None and (color < 1).any():
         texture = texture * np.append(color, 1)[: texture.shape[2]].astype(np.float32)
@@ -319,14 +319,14 @@ def _surface(file: GltfFile, primitive: dict[str, Any], material: Material, numb
             return np.full((count, width), np.nan)
         values = decoded[name] if name in decoded else file.array(names[name])
         if values.dtype.kind == "f" or not entries[names[name]].get("normalized", scaled):
-            return values.astype(np.float64)
+            return values.astype(float)
         return np.maximum(values / np.iinfo(values.dtype).max, -1)
 
     vertices, colors = numbers("POSITION", 3), numbers("COLOR_0", 4, scaled=True)
     index = decoded.get("indices", np.arange(count))
     if not decoded and "indices" in primitive:
         index = file.array(primitive["indices"])
-    corners = index.astype(np.int64).ravel()
+    corners = index.astype(int).ravel()
     faces = strip_triangles(corners) if primitive.get("mode") == 5 else corners.reshape(-1, 3)
     # Joined with other meshes, a wrong index would point at a vertex of the next one.
     require_valid_indices(faces, count, file.path.name)
@@ -368,10 +368,10 @@ def _by_joints(
     transforms = np.array([world[joint] for joint in entry["joints"]])
     if "inverseBindMatrices" in entry:  # else they are identities
         columns = file.array(entry["inverseBindMatrices"])[: len(transforms)].reshape(-1, 4, 4)
-        transforms = transforms @ columns.transpose(0, 2, 1).astype(np.float64)
+        transforms = transforms @ columns.transpose(0, 2, 1).astype(float)
     blended, block = np.empty((len(joints), 4, 4)), 1 << 16  # to spare memory
     for start in range(0, len(joints), block):
         rows = slice(start, start + block)
-        chosen = transforms[joints[rows].astype(np.int64)]
+        chosen = transforms[joints[rows].astype(int)]
         blended[rows] = np.einsum("vj,vjab->vab", weights[rows] / total[rows], chosen)
     return blended

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import ByteArray, Float32Array
+from scan2albedo.core.arrays import ByteArray, Float32Array, all_finite
 from scan2albedo.errors import OutputError, ScanError, errors_of, needs_extra, one_line
 from scan2albedo.io import limits
 from scan2albedo.io.atomic import atomic_path, write_bytes
@@ -43,7 +43,7 @@ def read_image_linear(path: str | Path, *, alpha: bool = False, upright: bool = 
     samples = read_image_values(path, alpha=alpha, upright=upright)
     if samples.dtype in (np.uint8, np.uint16):
         return decode_picture(cast("ByteArray", samples))
-    if not np.isfinite(samples).all():
+    if not all_finite(samples):
         raise ScanError(f"image {path} holds NaN or infinite samples; re-export it")
     return cast("Float32Array", samples)
 
@@ -173,7 +173,7 @@ def read_exr_channels(path: str | Path) -> dict[str, Float32Array]:
         samples = 0
         with OpenEXR.File(str(path), header_only=True) as file:
             for part in file.parts:
-                low, high = (np.asarray(corner, np.int64) for corner in part.header["dataWindow"])
+                low, high = (np.asarray(corner, int) for corner in part.header["dataWindow"])
                 width, height = np.maximum(high - low + 1, 0).tolist()
                 samples += width * height * len(part.header["channels"])
         most = max(12 * limits.PIXELS, limits.GROWTH * Path(path).stat().st_size)
@@ -194,7 +194,7 @@ def write_exr_channels(path: str | Path, channels: dict[str, Float32Array]) -> N
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     stored = {name: np.ascontiguousarray(c, np.float32) for name, c in channels.items()}
-    if wrong := [name for name, c in stored.items() if not np.isfinite(c).all()]:
+    if wrong := [name for name, c in stored.items() if not all_finite(c)]:
         raise ValueError(f"{path}: channel {wrong[0]} holds NaN or infinite values; nothing is written")
     with atomic_path(path) as temporary:
         temporary.touch()
@@ -251,7 +251,7 @@ def encode_image(image: ArrayLike, extension: str, floats: type = np.uint8) -> b
     array = np.asarray(image)
     _check_shape(array)
     if array.dtype.kind == "f":
-        if not np.isfinite(array).all():
+        if not all_finite(array):
             raise ValueError(f"an image of shape {array.shape} holds NaN or infinite values")
         array = encode_srgb_integers(array, floats)
     elif array.dtype == np.bool_:

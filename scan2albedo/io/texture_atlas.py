@@ -50,7 +50,7 @@ def pack_texture(mesh: ParsedMesh) -> PackedTexture:
         wasted = any(m.texture_linear is not None for m in mesh.materials)
         return PackedTexture(None, None, (reason,) if wasted else ())
     has_uv = np.asarray(np.isfinite(mesh.uv).all(axis=(1, 2)))
-    material = np.zeros(len(mesh.faces), np.int64) if mesh.material is None else mesh.material
+    material = np.zeros(len(mesh.faces), int) if mesh.material is None else mesh.material
     textured = np.array([m.texture_linear is not None for m in mesh.materials] + [False])
     mapped = has_uv & textured[material]
     if not mapped.any():
@@ -184,7 +184,7 @@ def seen_colors(
         if uv is None:
             return faces[:, int(look.argmax())]
         u, v = np.einsum("k,fkc->cf", look, uv)
-        row, column = ((1 - v) * height).astype(np.int64), (u * width).astype(np.int64)
+        row, column = ((1 - v) * height).astype(int), (u * width).astype(int)
         return np.clip(row, 0, height - 1) * width + np.clip(column, 0, width - 1)
 
     middle = looked_at(_LOOKS[0])

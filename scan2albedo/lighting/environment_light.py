@@ -140,7 +140,7 @@ class Patches:
         position, normal = shadows.position, shadows.normal
         low, high = position.min(0), position.max(0)
         edge = max(float((high - low).max()), 1e-9) / _CELLS
-        column, row, layer = ((position - low) / edge).astype(np.int64).T
+        column, row, layer = ((position - low) / edge).astype(int).T
         some = np.unique((column * (_CELLS + 1) + row) * (_CELLS + 1) + layer, return_index=True)[1]
         return cls.of(shadows.caster, position[some], normal[some], shadows.offset_mm)
 

@@ -16,7 +16,7 @@ def harmonic_degrees(order: int) -> IntArray:
     >>> harmonic_degrees(2).tolist()
     [0, 1, 1, 1, 2, 2, 2, 2, 2]
     """
-    return np.sqrt(np.arange(_count(order))).astype(np.int64)
+    return np.sqrt(np.arange(_count(order))).astype(int)
 
 
 def harmonics(direction: ArrayLike, order: int = 8) -> FloatArray:

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import Float32Array, FloatArray, checked_array
-from scan2albedo.core.compiled import compiled
+from scan2albedo.core.arrays import Float32Array, FloatArray, all_finite, checked_array
+from scan2albedo.core.compiled import compiled, triple
 from scan2albedo.core.lights import PointLight
 from scan2albedo.geometry.rigid import dot
 
@@ -70,7 +70,7 @@ def light_from_direction(direction: ArrayLike, distance_mm: float, intensity: fl
     >>> round(math.degrees(light_from_direction((1, 0, 1), math.inf, 1.0).azimuth_rad))
     45
     """
-    x, y, z = np.asarray(direction, np.float64) / np.linalg.norm(direction)
+    x, y, z = np.asarray(direction, float) / np.linalg.norm(direction)
     return PointLight(math.atan2(x, z), math.asin(max(-1.0, min(1.0, y))), distance_mm, float(intensity))
 
 
@@ -104,8 +104,8 @@ def shade_points(
     checked_array(seen, (len(lights), count), "visible")
     scale = np.ones(count) if specular_scale is None else specular_scale
     scale = checked_array(scale, (count,), "specular_scale", finite=ValueError)
-    view = np.asarray(view_direction, np.float64)
-    if view.shape not in ((3,), (count, 3)) or not np.isfinite(view).all() or not view.any(-1).all():
+    view = np.asarray(view_direction, float)
+    if view.shape not in ((3,), (count, 3)) or not all_finite(view) or not view.any(-1).all():
         raise ValueError(f"view_direction is {view.tolist()}, expected three finite numbers, not all zero")
     colors = None if all(lamp.white for lamp in lights) else np.array([lamp.color_linear for lamp in lights])
     toward = view / np.linalg.norm(view, axis=-1, keepdims=True)
@@ -280,8 +280,8 @@ def _shaded(points, lamps, skin, size):  # type: ignore[no-untyped-def]
     at_rough = at_near + int(near)
     at_gloss = at_rough + int(rough)
     for i in range(len(position)):
-        n = normal[i, 0], normal[i, 1], normal[i, 2]
-        v = view[i, 0], view[i, 1], view[i, 2]
+        n = triple(normal, i)
+        v = triple(view, i)
         n_v = dot(n, v)
         cos_r = max(n_v, 0.0)
         strength = specular * scale[i]
@@ -315,7 +315,7 @@ def _shaded(points, lamps, skin, size):  # type: ignore[no-untyped-def]
             for q in range(3 if near else 2):
                 if q < 2:
                     j = 3 * k + q
-                    tangent = tangents[k, q, 0], tangents[k, q, 1], tangents[k, q, 2]
+                    tangent = triple(tangents[k], q)
                 else:
                     j = at_near
                     tangent = (

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import ByteArray, Float32Array, FloatArray
+from scan2albedo.core.arrays import ByteArray, Float32Array, FloatArray, norms
 from scan2albedo.core.compiled import compiled
 from scan2albedo.geometry.rays import RayCaster
 
@@ -51,7 +51,7 @@ class ShadowMap:
         `direction` (3,) is unit, from the origin toward the light; `distance_mm` is inf for a distant light.
         Rays are shot only where n.l > 0, and go on past a near light: nothing may stand behind it.
         """
-        toward = np.asarray(direction, np.float64)
+        toward = np.asarray(direction, float)
         inverse = 0.0 if math.isinf(distance_mm) else 1 / distance_mm
         result = np.zeros(len(self.position), np.uint8)
         points = self.position, self.normal, self._origin
@@ -71,7 +71,7 @@ class ShadowMap:
         if radius_deg == 0:
             return self.visible(direction, distance_mm)
         to_lamp, radius = np.asarray(direction) - self.position / distance_mm, math.radians(radius_deg)
-        length = np.linalg.norm(to_lamp, axis=1)
+        length = norms(to_lamp)
         cosine = np.einsum("nc,nc->n", self.normal, to_lamp) / np.maximum(length, 1e-9)
         # The most by which the cosines to points of the disc differ from that to its centre.
         spread = radius / np.maximum(length - radius / 2, 1e-9)
@@ -104,7 +104,7 @@ class ShadowMap:
 
     def table(self, directions: ArrayLike) -> VisibilityTable:
         """Return the visibility of distant lights from each of `directions` (D, 3)."""
-        toward = np.asarray(directions, np.float64)
+        toward = np.asarray(directions, float)
         return VisibilityTable(toward, np.stack([self.visible(d) for d in toward]))
 
 
@@ -157,7 +157,7 @@ class VisibilityTable:
 
     def nearest(self, direction: ArrayLike) -> ByteArray:
         """Return (N,) the visibility of the tabulated direction closest to `direction`."""
-        return self.visibility[int(np.argmax(self.directions @ np.asarray(direction, np.float64)))]
+        return self.visibility[int(np.argmax(self.directions @ np.asarray(direction, float)))]
 
 
 def cone_directions(count: int, axis: ArrayLike, half_angle_rad: float) -> FloatArray:
@@ -176,7 +176,7 @@ def cone_directions(count: int, axis: ArrayLike, half_angle_rad: float) -> Float
 
 def view_frame(axis: ArrayLike) -> FloatArray:
     """Return (3, 3) rows of a right-handed orthonormal frame, the third along `axis`; for +z the identity."""
-    e3 = np.asarray(axis, np.float64)
+    e3 = np.asarray(axis, float)
     e3 = e3 / np.linalg.norm(e3)
     e1 = np.cross(np.array([0.0, 1.0, 0.0]) if abs(e3[1]) < 0.9 else np.array([0.0, 0.0, -1.0]), e3)
     e1 /= np.linalg.norm(e1)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from scan2albedo.core import PlanStep
-from scan2albedo.core.arrays import ByteArray, Float32Array, FloatArray
+from scan2albedo.core.arrays import ByteArray, Float32Array, FloatArray, norms
 from scan2albedo.core.landmarks import COUNT, PlacedLandmarks
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import MissingDependencyError, needs_extra
@@ -111,7 +111,7 @@ def detected_landmarks(scan: RawScan, model_from_scan: FloatArray) -> PlacedLand
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of landmarks that no view sees
         middle = np.nanmedian(seen, axis=0)
-    seen[np.linalg.norm(seen - middle, axis=-1) > max(_SIGMA_MM.values())] = np.nan
+    seen[norms(seen - middle) > max(_SIGMA_MM.values())] = np.nan
     enough = np.isfinite(seen[..., 0]).sum(axis=0) > 1
     points, sigma_mm = np.full((COUNT, 3), np.nan), np.ones(COUNT)
     for numbers, deviation in _SIGMA_MM.items():

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from scan2albedo.core import Plan, PlanStep, ProgressCallback, RawScan
-from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, identities
 from scan2albedo.core.first_run import compiled_beside
 from scan2albedo.core.raw_scan import is_folder_name
 from scan2albedo.errors import FitError, RegistrationError, Scan2AlbedoError, one_line
@@ -242,7 +242,7 @@ def smoothed_take(found: list[TrackedFace], used: BoolArray) -> tuple[FloatArray
         curves, spread = smoothed_in_time(measured, used)
         smooth = mean + (curves[:, :-6] @ components).reshape(-1, *mean.shape)
         shapes[hidden] = smooth[used][hidden]
-    moved = np.tile(np.eye(4), (len(used), 1, 1))
+    moved = identities(len(used), 4)
     moved[:, :3, :3] = Rotation.from_rotvec(curves[:, -6:-3]).as_matrix()
     moved[:, :3, 3] = center + curves[:, -3:] - moved[:, :3, :3] @ center
     return smooth, moved @ invert_rigid(first), np.sqrt(3 * (spread[:, :-6] ** 2).sum(1) / mean.size)

@@ -208,5 +208,5 @@ def lighting_row(seed: int, size: int) -> LightingRow:
 
 def mean_deviation_percent(images: Sequence[NDArray], level: float) -> float:
     """Return 100 times the mean over texels of the standard deviation over images scaled to mean `level`."""
-    scaled = np.stack([level / np.mean(image) * np.asarray(image, np.float64) for image in images])
+    scaled = np.stack([level / np.mean(image) * np.asarray(image, float) for image in images])
     return float(100 * scaled.std(axis=0).mean())

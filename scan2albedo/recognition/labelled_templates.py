@@ -48,7 +48,7 @@ class LabelledTemplates:
 
     def select(self, indices: ArrayLike) -> Self:
         """Return the results of the given indices, ascending."""
-        chosen = np.asarray(indices, np.int64)
+        chosen = np.asarray(indices, int)
         sets, rows = {}, {}
         for kind, templates in self.sets.items():
             kept = np.flatnonzero(np.isin(self.rows[kind], chosen))

@@ -211,7 +211,7 @@ def _face_of_folder(folder: Path, kind: Kind) -> StoredFace:
         )
     if kind == "shape":
         image = read_geometry_image(folder / IMAGE_FILE)
-        return StoredFace(image.normal, image.seen.astype(np.float64), Chart(model, image.shape))
+        return StoredFace(image.normal, image.seen.astype(float), Chart(model, image.shape))
     lacks_albedo = (folder / IMAGE_FILE).is_file() and not (folder / ALBEDO_FILE).is_file()
     if lacks_albedo and read_geometry_image(folder / IMAGE_FILE).texture_linear is None:
         raise NothingToCompareError(f"{folder}: has no {kind}, for the scan has no colour; compare by shape")
@@ -222,7 +222,7 @@ def _face_of_folder(folder: Path, kind: Kind) -> StoredFace:
         raise NothingToCompareError(f"{folder}: has no texture of its own; compare by albedo and shape")
     if kind == "shading":
         values = np.divide(values, albedo, out=np.zeros(albedo.shape), where=albedo > 0)
-    known = image.seen.astype(np.float64)
+    known = image.seen.astype(float)
     if (errors := folder / ERROR_FILE).is_file():
         known = certainty(albedo, read_image_linear(errors)[..., 0], image.seen)
     return StoredFace(values, known, Chart(model, image.shape))
@@ -251,4 +251,4 @@ def _face_of_image(file: Path, kind: Kind) -> StoredFace:
         except (OSError, UnidentifiedImageError):  # a format without alpha that Pillow does not read
             alpha = None
     seen = albedo.max(-1) > 0 if alpha is None else alpha >= 0.5
-    return StoredFace(albedo, seen.astype(np.float64), Chart(None, (albedo.shape[0], albedo.shape[1])))
+    return StoredFace(albedo, seen.astype(float), Chart(None, (albedo.shape[0], albedo.shape[1])))

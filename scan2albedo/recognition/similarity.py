@@ -101,7 +101,7 @@ def has_window(templates: Templates, window: int) -> BoolArray:
 def _window_weights(weight: RealArray, window: int) -> Float32Array:
     """Return the mean weight (..., h', w') of windows that lie inside the mask; 0 of others."""
     inside = _window_sums(weight > 0, window) == window**2
-    mean = _window_sums(weight.astype(np.float64), window) / window**2
+    mean = _window_sums(weight.astype(float), window) / window**2
     return np.where(inside, np.maximum(mean, np.finfo(np.float32).eps), 0.0).astype(np.float32)
 
 
@@ -212,7 +212,7 @@ def _planes(templates: Templates, window: int) -> tuple[list[Float32Array], Floa
     These are real and imaginary parts (O, N, h, w) and the energy of each window (O, N, h', w').
     """
     values = templates.coefficients.transpose(1, 0, 2, 3)
-    energy = _window_sums(values.real.astype(np.float64) ** 2 + values.imag.astype(np.float64) ** 2, window)
+    energy = _window_sums(values.real.astype(float) ** 2 + values.imag.astype(float) ** 2, window)
     planes = [np.ascontiguousarray(part) for part in (values.real, values.imag)]
     return [*planes, np.maximum(energy, 0).astype(np.float32)], _window_weights(templates.weight, window)
 

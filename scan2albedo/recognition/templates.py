@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 from scipy.ndimage import distance_transform_edt, minimum_filter, uniform_filter
 
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, RealArray, finite_rows
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, RealArray, all_finite, finite_rows
 from scan2albedo.errors import RecognitionError, needs_extra
 from scan2albedo.geometry.rasterization import area_mean, filled_from_nearest
 
@@ -135,7 +135,7 @@ class Templates:
                 raise RecognitionError(f"template {k} has an empty name; name its person")
             if not mask[k].any():
                 raise RecognitionError(f"template {k} ({name}) is masked everywhere; leave it out")
-            if not (np.isfinite(coefficients[k]).all() and ((self.weight[k] > 0) == mask[k]).all()):
+            if not (all_finite(coefficients[k]) and ((self.weight[k] > 0) == mask[k]).all()):
                 raise RecognitionError(
                     f"template {k} ({name}) is not finite, or weighs what is masked; make it again"
                 )
@@ -150,7 +150,7 @@ class Templates:
 
     def select(self, indices: Sequence[int]) -> Templates:
         """Return the templates of the given indices, in their order."""
-        chosen = np.asarray(indices, np.int64).reshape(-1)
+        chosen = np.asarray(indices, int).reshape(-1)
         names = tuple(self.names[k] for k in chosen)
         return replace(self, names=names, **{name: array[chosen] for name, array in self.arrays.items()})
 
@@ -223,10 +223,10 @@ def certainty(albedo: ArrayLike, expected_error: ArrayLike, mask: BoolArray) -> 
     """
     if not mask.any():
         return np.zeros(mask.shape)
-    values = np.asarray(albedo, np.float64)
+    values = np.asarray(albedo, float)
     of_mask = (values @ LUMINANCE if values.ndim == 3 else values)[mask]
     contrast = of_mask.var() / max(of_mask.mean() ** 2, LEAST_WEIGHT)
-    known = contrast / np.maximum(contrast + np.asarray(expected_error, np.float64) ** 2, LEAST_WEIGHT)
+    known = contrast / np.maximum(contrast + np.asarray(expected_error, float) ** 2, LEAST_WEIGHT)
     return np.where(mask, np.maximum(known, LEAST_WEIGHT), 0.0)
 
 
@@ -265,7 +265,7 @@ def kind_coefficients(
     if kind != "shape":
         parts = [image_coefficients(image, mask, options, what)]
     else:
-        values = np.asarray(image, np.float64)
+        values = np.asarray(image, float)
         if values.ndim != 3 or values.shape[2] != 3:
             raise ValueError(f"{what} has normals of shape {values.shape}, expected (H, W, 3)")
         as_they_are = replace(options, unit_mean=False)
@@ -277,7 +277,7 @@ def image_coefficients(
     image: ArrayLike, mask: ArrayLike | None, options: TemplateOptions, what: str
 ) -> tuple[NDArray[np.complex128], Float32Array]:
     """Return coefficients (O, h, w), 0 outside their mask, and weights (h, w) of one image named `what`."""
-    pixels = np.asarray(image, np.float64)
+    pixels = np.asarray(image, float)
     if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] != 3) or pixels.size == 0:
         raise ValueError(f"{what} has shape {pixels.shape}, expected (H, W) or (H, W, 3)")
     certain = np.ones(pixels.shape[:2]) if mask is None else np.asarray(mask)
@@ -330,7 +330,7 @@ def image_coefficients(
         )
     bands = coarsest_bands(padded)[:, : supported.shape[0], : supported.shape[1]]
     # Of all pixels up to `STEP` / 2 beside a coefficient.
-    weight = uniform_filter(certain.astype(np.float64), STEP + 1, mode="nearest")[::STEP, ::STEP]
+    weight = uniform_filter(certain.astype(float), STEP + 1, mode="nearest")[::STEP, ::STEP]
     weight = np.where(supported, np.clip(weight, LEAST_WEIGHT, 1.0), 0.0).astype(np.float32)
     return np.where(supported, bands, 0.0), weight
 

@@ -199,7 +199,7 @@ def errors_left_out(
     the mean absolute logarithm of predicted over observed colours, less its mean over the channels.
     """
     used, block = observation.seen & model.known, np.full(len(vertices), -1)
-    cells = np.floor(vertices[used] / _BLOCK_MM).astype(np.int64)
+    cells = np.floor(vertices[used] / _BLOCK_MM).astype(int)
     block[used] = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
     count = int(block.max(initial=-1)) + 1
     folds = 3
@@ -382,7 +382,7 @@ def detail_field(
     field = np.zeros_like(divided.log_ratio)
     if not usable.any():
         return field
-    xyz = np.asarray(vertices, np.float64)
+    xyz = np.asarray(vertices, float)
     blurs = [surface_diffusion(xyz, faces, width) for width in _BANDS]
     near = np.maximum(blurs[-1](usable.astype(float)), EPSILON)
 

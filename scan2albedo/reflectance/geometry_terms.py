@@ -10,7 +10,16 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import SMALLEST, BoolArray, FloatArray, IntArray, checked_array, finite_rows
+from scan2albedo.core.arrays import (
+    SMALLEST,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    all_finite,
+    checked_array,
+    finite_rows,
+    norms,
+)
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.operators import cross_matrices, vertex_normal_jacobian
@@ -54,7 +63,7 @@ class SmoothImage:
             raise ReflectanceError("the image has no pixel left: all are NaN or masked; check the mask")
         filled = np.where(self.valid[..., None], image, 0.0)
         if blur_px > 0:
-            weight = gaussian_filter(self.valid.astype(np.float64), blur_px, mode="constant")
+            weight = gaussian_filter(self.valid.astype(float), blur_px, mode="constant")
             blurred = gaussian_filter(filled, (blur_px, blur_px, 0), mode="constant")
             enough = weight > 0
             filled = np.where(enough[..., None], blurred / np.where(enough, weight, 1.0)[..., None], 0.0)
@@ -91,7 +100,7 @@ class LandmarkTerm:
     def value(self, vertices: FloatArray) -> float:
         """Return the term; inf where a landmark's vertex lies behind the camera."""
         squared = np.sum(self._off(vertices) ** 2, axis=1)
-        return LANDMARK_WEIGHT * float(squared.mean()) if np.isfinite(squared).all() else np.inf
+        return LANDMARK_WEIGHT * float(squared.mean()) if all_finite(squared) else np.inf
 
     def linearized(self, vertices: FloatArray) -> LocalTerm:
         """Return the term as weighted squares around `vertices`."""
@@ -132,7 +141,7 @@ class PhotometricTerm:
         """Return r (U, 3), or None when a vertex has no normal or lies behind the camera."""
         pixels, _ = project(self.camera, vertices[self.used])
         normals, sight = vertex_normals(vertices, self.faces)[self.used], self._sight(vertices)
-        if not (np.isfinite(pixels).all() and normals.any(1).all()):
+        if not (all_finite(pixels) and normals.any(1).all()):
             return None
         shading = shade_environment(self.reflectance, normals, normalized(sight), self.light)
         return (self.image.look_up(pixels) - shading.radiance_linear) / self.unit
@@ -151,7 +160,7 @@ class PhotometricTerm:
         if off is None:
             raise ValueError("the photometric term is not defined here; its value is inf")
         points, sight, used = vertices[self.used], self._sight(vertices), self.used
-        distance = np.linalg.norm(sight, axis=1)
+        distance = norms(sight)
         view = sight / distance[:, None]
         pixels, _ = project(self.camera, points)
         normals = vertex_normals(vertices, self.faces)[used]
@@ -183,7 +192,7 @@ def photometric_term(
     usable = reflectance.known
     for vertices in shapes:
         pixels, depth = project(camera, vertices)
-        if not (np.isfinite(vertices).all() and (depth > 0).all()):
+        if not (all_finite(vertices) and (depth > 0).all()):
             return None
         usable = usable & image.covers(pixels)
         if usable.any():

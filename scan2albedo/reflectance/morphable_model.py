@@ -121,9 +121,9 @@ class MorphableReflectanceModel(LinearModel):
                 f"no vertex is known to {100 * least_support:.0f} % of the {len(samples)} samples; give more "
                 "complete ones or a smaller least_support"
             )
-        trust = (there & known).astype(np.float64)
+        trust = (there & known).astype(float)
         if weights is not None:
-            given = np.asarray([np.asarray(one, np.float64) for one in weights])
+            given = np.asarray([np.asarray(one, float) for one in weights])
             if given.shape != there.shape or not ((given >= 0) & (given <= 1)).all():
                 raise ValueError(f"weights must be 0 to 1, of shape {there.shape}, got {given.shape}")
             trust *= given
@@ -141,7 +141,7 @@ class MorphableReflectanceModel(LinearModel):
         size = float(np.sum(mean[:, :3] ** 2))
         directions, total_variance = principal_directions(off[..., :3], components, size=size)
         basis = np.tensordot(directions, off, 1)
-        return cls(mean, basis, known, support.astype(np.int64), total_variance, len(samples))
+        return cls(mean, basis, known, support.astype(int), total_variance, len(samples))
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -166,7 +166,7 @@ class MorphableReflectanceModel(LinearModel):
             checked_array(arrays["deviation"], (header.components,), "deviation", ReflectanceError)
             basis = checked_array(basis, (header.components, header.vertices, 7), "basis", ReflectanceError)
             more = arrays["known"], arrays["support"], header.total_variance, header.samples
-            return cls(mean.astype(np.float64), basis, *more)
+            return cls(mean.astype(float), basis, *more)
 
     def save(self, path: str | Path) -> None:
         """Write the model as an .npz file, whole or not at all; same model, same bytes.
@@ -216,7 +216,7 @@ class MorphableReflectanceModel(LinearModel):
         weights = np.maximum(total, 0) * np.maximum(share, 0)
         return ModelReflectance(
             VertexReflectance(np.maximum(diffuse, 0), weights, self.known),
-            np.array(coefficients, np.float64),
+            np.array(coefficients, float),
             float(negative[self.known].sum()) / max(6 * int(self.known.sum()), 1),
         )
 
@@ -249,7 +249,7 @@ def reliability(sample: VertexReflectance, std: FloatArray | None) -> FloatArray
     s is the largest of the standard deviations of its albedos, columns of `std` (V, 6), and t how much people
     differ, a part of the sample's median albedo. Without `std` all that is known counts fully.
     """
-    weight = sample.known.astype(np.float64)
+    weight = sample.known.astype(float)
     if std is not None and sample.known.any():
         differ = PEOPLE_DIFFER * float(np.median(sample.diffuse_linear[sample.known]))
         square = np.nan_to_num(std[:, :3]).max(1) ** 2

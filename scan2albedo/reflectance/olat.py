@@ -165,7 +165,7 @@ def picture_values(picture: NDArray, name: str, saturation: float) -> FloatArray
         return array / float(np.iinfo(array.dtype).max)
     if not np.issubdtype(array.dtype, np.floating):
         raise ReflectanceError(f"{name} is {array.dtype}, expected floats with white = 1, uint8 or uint16")
-    values = array.astype(np.float64)
+    values = array.astype(float)
     largest = float(np.max(values, where=np.isfinite(values), initial=0.0))
     if largest > 2 * saturation:
         raise ReflectanceError(

@@ -61,7 +61,7 @@ def lobes_and_slopes(
 
 def cosines_of_lobes(lobes: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Return n.l and n.h (J, V) of lobes (J, V, 4) times any factor a picture; 0 where one is negative."""
-    diffuse, broad, middle = np.moveaxis(np.asarray(lobes, np.float64)[..., :3], -1, 0)
+    diffuse, broad, middle = np.moveaxis(np.asarray(lobes, float)[..., :3], -1, 0)
     there = (broad > 0) & (middle > 0)
     lobe = np.where(there, broad, 1.0)
     n_h = np.where(there, (middle / lobe * PEAKS[0] / PEAKS[1]) ** (1 / 7), 0.0)
@@ -86,8 +86,8 @@ def lobe_slopes(
 
 def tilted_normals(normals: ArrayLike, tilt: ArrayLike) -> FloatArray:
     """Return unit normals (V, 3) tilted by `tilt` (V, 2) along the tangents of `lobe_slopes`; NaN is 0."""
-    unit = np.asarray(normals, np.float64)
-    angle = np.nan_to_num(np.asarray(tilt, np.float64))[..., None]
+    unit = np.asarray(normals, float)
+    angle = np.nan_to_num(np.asarray(tilt, float))[..., None]
     first, second = _tangents(unit)
     return normalized(unit + (angle[:, 0] * first + angle[:, 1] * second) * unit.any(1, keepdims=True))
 

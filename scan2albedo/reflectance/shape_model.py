@@ -104,7 +104,7 @@ class MorphableShapeModel(LinearModel):
             mean,
             np.concatenate([np.tensordot(identity, off, 1), expression]),
             len(identity),
-            np.asarray(faces, np.int64),
+            np.asarray(faces, int),
             checked_array(landmark_vertices, ("L",), "landmark_vertices", ReflectanceError, kind=int),
         )
 
@@ -150,7 +150,7 @@ class MorphableShapeModel(LinearModel):
 
 def _checked_stack(shapes: ArrayLike, name: str) -> FloatArray:
     try:
-        stack = np.asarray(shapes, np.float64)
+        stack = np.asarray(shapes, float)
     except ValueError as error:
         raise ReflectanceError(f"{name} differ in number of vertices; bring all to one topology") from error
     checked_array(stack, ("K", "V", 3), name, ReflectanceError)

@@ -108,7 +108,7 @@ def reflectance_from_albedo(
         Vertices to keep, those with a finite albedo when omitted.
     """
     albedo = checked_array(albedo_linear, ("V", 3), "albedo_linear", ReflectanceError)
-    lobes = np.asarray(weights, np.float64)
+    lobes = np.asarray(weights, float)
     if lobes.shape not in ((3,), albedo.shape):
         raise ReflectanceError(f"weights are {lobes.shape}, expected (3,) or {albedo.shape}")
     kept = finite_rows(albedo) if known is None else np.asarray(known)

@@ -65,7 +65,7 @@ def coarse_poses(
         trace = np.einsum("nij,ij->n", poses.rotations[i + 1 :], poses.rotations[i])
         near = np.einsum("ni,ni->n", offset, offset) < 10**2
         alike[i + 1 :] |= near & (trace > same_trace)
-    return poses.subset(np.array(kept, np.int64))
+    return poses.subset(np.array(kept, int))
 
 
 def anchored_starts(anchors: OrientedPoints, front: FloatArray, rotation_count: int) -> Poses:

@@ -138,7 +138,7 @@ class FaceImage:
         whole = both / float(np.sqrt(of_scan * of_model))
 
         def window(values: NDArray) -> FloatArray:
-            return gaussian_filter(values.astype(np.float64), _WINDOW_PIXELS)
+            return gaussian_filter(values.astype(float), _WINDOW_PIXELS)
 
         # Flat windows correlate by chance; a slope of 0.1 must be there before they count.
         floor = _FLAT_SLOPE_SQUARED * (window(weights > 0) + 1e-9)
@@ -166,7 +166,7 @@ class FaceImage:
         """Return (2, S, S) slopes without their quadratic trend, 0 outside, and where they exist (S, S)."""
         smooth = np.where(mask, depth, 0.0)
         if smoothing > 0:
-            weight = np.maximum(gaussian_filter(mask.astype(np.float64), smoothing), 1e-9)
+            weight = np.maximum(gaussian_filter(mask.astype(float), smoothing), 1e-9)
             smooth = np.where(mask, gaussian_filter(smooth, smoothing) / weight, 0.0)
         used = np.zeros_like(mask)
         used[:-1, :-1] = mask[:-1, :-1] & mask[:-1, 1:] & mask[1:, :-1]

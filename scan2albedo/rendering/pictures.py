@@ -197,13 +197,13 @@ def render_mesh(
     before it. Without `view` all of the mesh is shown from the front. `shaded` multiplies colours by a
     headlight's shading.
     """
-    xyz, index = np.asarray(vertices, float), np.asarray(faces, np.int64)
+    xyz, index = np.asarray(vertices, float), np.asarray(faces, int)
     view = view if view is not None else View.around(xyz)
     raster = view.raster(xyz, index, size)
     if texture_srgb is not None:
         corners, image = np.asarray(texture_srgb[0], float), texture_srgb[1]
         uv = np.einsum("nk,nkc->nc", raster.barycentric[raster.covered], corners[raster.face[raster.covered]])
-        pixels = np.round(pixels_from_uv(uv, image.shape[:2])).astype(np.int64)
+        pixels = np.round(pixels_from_uv(uv, image.shape[:2])).astype(int)
         column, row = np.clip(pixels, 0, [image.shape[1] - 1, image.shape[0] - 1]).T
         picture = np.zeros((size, size, 3))
         picture[raster.covered] = image[row, column] / 255.0

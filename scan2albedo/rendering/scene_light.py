@@ -44,7 +44,7 @@ def each_lamp(
     The colour is that of a matte white surface at the origin that faces the lamp. `view`, (3,) or (N, 3),
     unit, points toward the viewer.
     """
-    toward_viewer = np.ascontiguousarray(np.atleast_2d(np.asarray(view, np.float64)))
+    toward_viewer = np.ascontiguousarray(np.atleast_2d(np.asarray(view, float)))
     lamps = [
         (x.direction, x.distance_mm, x.radius_deg, x.intensity * np.array(x.color_linear))
         for x in light.lamps

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import affine_transform, binary_dilation
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, finite_rows
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, all_finite, finite_rows, norms
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.eyeglasses import Camera, RegisteredEyeglasses
 from scan2albedo.eyeglasses.canonicalization import CanonicalEyeglasses
@@ -48,7 +48,7 @@ def glasses_panels(frames: Sequence[tuple[str, FloatArray, CanonicalEyeglasses]]
     drawn = frames[:MOST_SHOWN]
     before = [transform_points(c.canonical_from_frame, c.scale * given) for _, given, c in drawn]
     pairs = zip(drawn, before, strict=True)
-    moved = [np.linalg.norm(canonical.vertices - placed, axis=1) for (_, _, canonical), placed in pairs]
+    moved = [norms(canonical.vertices - placed) for (_, _, canonical), placed in pairs]
     most = max(float(m.max()) for m in moved)
     views = [View.around(np.concatenate(before), pitch_deg=pitch) for pitch in (0.0, _ABOVE_DEG)]
     panels = []
@@ -113,7 +113,7 @@ def _view_panel(frame: RegisteredEyeglasses, number: int, view: SeenView, head: 
     height, width = given_camera.shape
     outlined = [project(camera, frame.vertices)[0], given_labels]
     if given_mask is not None:
-        outlined.append(np.argwhere(given_mask)[:, ::-1].astype(np.float64))
+        outlined.append(np.argwhere(given_mask)[:, ::-1].astype(float))
     points, limit = np.concatenate(outlined), np.array([width, height]) - 0.5
     points = points[finite_rows(points)]
     if len(points) == 0:
@@ -170,7 +170,7 @@ def key_point_chart(
         upright = align_key_points(keypoints, in_own_axes(keypoints))
         vertices, marks = transform_points(upright, mesh.vertices), transform_points(upright, keypoints)
         faces = mesh.faces
-    points = {name: p for name, p in zip(KEY_POINT_NAMES, marks, strict=True) if np.isfinite(p).all()}
+    points = {name: p for name, p in zip(KEY_POINT_NAMES, marks, strict=True) if all_finite(p)}
     x, _, z = map(float, (vertices.min(0) + vertices.max(0)) / 2)
     half = float(np.ptp(vertices, axis=0).max()) * 3 / 4
     temple = [name for name in points if name.startswith(("left_temple", "left_ear"))]

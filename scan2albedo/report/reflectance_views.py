@@ -154,6 +154,6 @@ def relit_picture(
     shadows = ShadowMap(RayCaster(vertices - middle, faces), curved - middle, normal, RAY_OFFSET_MM)
     lit = (lobes[:, 0] > 0) & (shadows.visible((light - middle) / distance, distance) > 0)
     radiance = lobes[:, :1] * albedo + (lobes[:, 1:] * gloss).sum(1)[:, None]
-    certain = seen.interpolated(reflectance.known.astype(np.float64)) > 1 - 1e-9
+    certain = seen.interpolated(reflectance.known.astype(float)) > 1 - 1e-9
     made = seen.picture(np.column_stack([radiance * lit[:, None], certain]))
     return made[..., :3], made[..., 3] == 1

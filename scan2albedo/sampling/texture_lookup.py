@@ -5,7 +5,15 @@ from typing import Any
 
 import numpy as np
 
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, on_grid
+from scan2albedo.core.arrays import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    norms,
+    on_grid,
+    triangle_sides,
+)
 from scan2albedo.core.compiled import compiled
 from scan2albedo.core.geometry_image import NO_CAMERA
 from scan2albedo.core.raw_scan import RawScan
@@ -131,7 +139,7 @@ def sample_colors(
     at_edge = (np.where(on_edge, 0.0, hits.barycentric).sum(1) < 1e-6) & (on_edge.sum(1) >= 1)
     offset = points - hits.points
     sideways = offset - np.einsum("ij,ij->i", offset, normals)[:, None] * normals
-    valid &= ~(at_edge & (np.linalg.norm(sideways, axis=1) > 0.5))
+    valid &= ~(at_edge & (norms(sideways) > 0.5))
     pixel = None
     if scan.uv is not None and scan.texture_linear is not None:
         color, inside, pictured, pixel = _photograph(scan, near, hits, steps)
@@ -212,7 +220,7 @@ def texture_cameras(scan: RawScan) -> tuple[IntArray, FloatArray] | None:
             continue
         tolerance = _OFF * float(np.ptp(pixels[inside].reshape(-1, 2), axis=0).max())
         every = np.flatnonzero(inside)
-        some = every[np.linspace(0, len(every) - 1, min(len(every), 4000)).astype(np.int64)]
+        some = every[np.linspace(0, len(every) - 1, min(len(every), 4000)).astype(int)]
         points, places = corners[some].reshape(-1, 3), pixels[some].reshape(-1, 2)
         extents = np.linalg.svd(points - points.mean(0), compute_uv=False)
         if extents[2] < _RELIEF * extents[0]:
@@ -240,14 +248,14 @@ def _distances(camera: FloatArray, points: FloatArray, places: FloatArray) -> Fl
     """Return how far from `places` (..., 2) a camera (3, 4) projects points (..., 3)."""
     image = points @ camera[:, :3].T + camera[:, 3]
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.linalg.norm(image[..., :2] / image[..., 2:] - places, axis=-1)
+        return norms(image[..., :2] / image[..., 2:] - places)
 
 
 def texel_steps(vertices: FloatArray, uv: FloatArray, faces: IntArray, shape: tuple[int, int]) -> FloatArray:
     """Return (F, 3, 2): displacement in mm of one texel to the right and one texel down on each face."""
     corners, chart = vertices[faces], uv[faces]
-    edges = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], 2)
-    chart_edges = np.stack([chart[:, 1] - chart[:, 0], chart[:, 2] - chart[:, 0]], 2)
+    edges = np.stack(triangle_sides(corners), 2)
+    chart_edges = np.stack(triangle_sides(chart), 2)
     usable = np.abs(np.linalg.det(chart_edges)) > 1e-15
     inverse = np.zeros_like(chart_edges)
     inverse[usable] = np.linalg.inv(chart_edges[usable])
@@ -267,7 +275,7 @@ def moved_colors(
     assert scan.texture_linear is not None
     last = np.array(scan.texture_linear.shape[1::-1]) - 1
     # Means over squares of about a texel.
-    step = float(np.median(np.linalg.norm(np.diff(pixel, axis=0), axis=1)))
+    step = float(np.median(norms(np.diff(pixel, axis=0))))
     square = np.tile(step * np.eye(2), (len(pixel), 1, 1))
     found = {}
     for name, (sign_u, sign_v, u, v) in MOVES.items():

@@ -118,7 +118,7 @@ def capture(
     points = origins[seen] + hits.distance[seen, None] * rays[seen]
     # Counter-clockwise triangles of the plane without long edges.
     plane = unrolled[seen]
-    triangles = Delaunay(plane).simplices.astype(np.int64)
+    triangles = Delaunay(plane).simplices.astype(int)
     clockwise = signed_areas(plane, triangles) < 0
     triangles[clockwise] = triangles[clockwise][:, ::-1]
     corners = plane[triangles]
@@ -136,7 +136,7 @@ def capture(
         facing[:, k] = np.where(hidden[triangles].any(1), -1.0, cosine)
     kept = (leaning > _LEAST_COSINE) & (facing.max(1) > _LEAST_COSINE)
     used, renumbered = np.unique(triangles[kept], return_inverse=True)
-    numbered, facing = renumbered.reshape(-1, 3).astype(np.int64), facing[kept]
+    numbered, facing = renumbered.reshape(-1, 3).astype(int), facing[kept]
     # The pod that sees a face best, averaged twelve times around, so that the seam is one line.
     lead = np.stack([facing[:, k] - np.delete(facing, k, axis=1).max(1) for k in range(len(pods))], 1)
     for k in range(len(pods)):
@@ -331,7 +331,7 @@ def assembled(
     vertices, faces = seated.join(
         [(points, measured.faces[kept]), *seated.crumb_meshes(points, rng, scanner.crumbs)]
     )
-    number = np.zeros(len(faces), np.int64)
+    number = np.zeros(len(faces), int)
     number[: kept.sum()] = measured.face_pod[kept]
     uv = np.stack([pinhole.project(camera, vertices)[0] for camera in pods])[number[:, None], faces]
     pictured = (np.abs(uv - 0.5) < 0.5).all((1, 2))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, RealArray
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, RealArray, norms
 from scan2albedo.core.lights import PointLight
 from scan2albedo.errors import import_open3d
 from scan2albedo.geometry.mesh import RayHits, normalized
@@ -23,7 +23,7 @@ class RayScene:
 
     def __init__(self, vertices: ArrayLike, faces: ArrayLike) -> None:
         o3d = import_open3d()
-        xyz = np.asarray(vertices, np.float64)
+        xyz = np.asarray(vertices, float)
         self._center = (xyz.min(0) + xyz.max(0)) / 2
         self._tensor = o3d.core.Tensor
         self._scene = o3d.t.geometry.RaycastingScene()
@@ -31,16 +31,16 @@ class RayScene:
         self._scene.add_triangles(points, self._tensor(np.ascontiguousarray(faces, np.uint32)))
 
     def _rays(self, origins: ArrayLike, directions: ArrayLike):  # type: ignore[no-untyped-def]
-        start = np.asarray(origins, np.float64) - self._center
-        heading = np.broadcast_to(np.asarray(directions, np.float64), start.shape)
+        start = np.asarray(origins, float) - self._center
+        heading = np.broadcast_to(np.asarray(directions, float), start.shape)
         return self._tensor(np.concatenate([start, heading], 1).astype(np.float32))
 
     def first_hit(self, origins: ArrayLike, directions: ArrayLike) -> RayHits:
         """Return the first hit of each ray from `origins` (N, 3) along unit `directions` (N, 3)."""
         answer = self._scene.cast_rays(self._rays(origins, directions))
-        distance = answer["t_hit"].numpy().astype(np.float64)
-        face = answer["primitive_ids"].numpy().astype(np.int64)
-        u, v = answer["primitive_uvs"].numpy().astype(np.float64).T
+        distance = answer["t_hit"].numpy().astype(float)
+        face = answer["primitive_ids"].numpy().astype(int)
+        u, v = answer["primitive_uvs"].numpy().astype(float).T
         face[~np.isfinite(distance)] = -1
         barycentric = np.stack([1 - u - v, u, v], 1)
         barycentric[face < 0] = 0
@@ -48,14 +48,14 @@ class RayScene:
 
     def occluded(self, origins: ArrayLike, directions: ArrayLike, reach: ArrayLike = np.inf) -> BoolArray:
         """Return (N,) True where the ray hits the mesh nearer than `reach` ((N,) or scalar, mm)."""
-        rays, limit = self._rays(origins, directions), np.asarray(reach, np.float64)
+        rays, limit = self._rays(origins, directions), np.asarray(reach, float)
         if limit.ndim == 0:
             return self._scene.test_occlusions(rays, 0.0, float(limit)).numpy().astype(bool)
         return self._scene.cast_rays(rays)["t_hit"].numpy() < limit
 
     def hidden(self, eye: FloatArray, points: FloatArray, behind_mm: float) -> BoolArray:
         """Return (N,) True for points (N, 3) more than `behind_mm` behind what `eye` (3,) sees."""
-        distance = np.linalg.norm(points - eye, axis=1)
+        distance = norms(points - eye)
         toward = (points - eye) / distance[:, None]
         return self.occluded(np.broadcast_to(eye, points.shape), toward, distance - behind_mm)
 
@@ -135,7 +135,7 @@ def incident_light(position: FloatArray, light: PointLight) -> tuple[FloatArray,
         intensity = np.full(count, float(light.intensity))
         return np.tile(light.direction, (count, 1)), np.full(count, np.inf), intensity
     offset = light.distance_mm * light.direction - position
-    reach = np.linalg.norm(offset, axis=1)
+    reach = norms(offset)
     return offset / reach[:, None], reach, light.intensity * (light.distance_mm / reach) ** 2
 
 
@@ -200,7 +200,7 @@ def photograph(
         return sensor
     levels = 2**bits - 1
     # In float32, as the picture is: half the memory, and the same bits as ever.
-    stored = np.round(encoded_srgb(sensor) * levels).astype(np.int64)
+    stored = np.round(encoded_srgb(sensor) * levels).astype(int)
     return srgb_to_linear(np.arange(levels + 1) / levels).astype(np.float32)[stored]
 
 

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, on_grid
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, norms, on_grid
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.lights import PointLight
 from scan2albedo.face_model import AnnotatedSurface, default_model
@@ -97,7 +97,7 @@ def hemisphere(
     """
     uv = texel_coordinates(size)
     disc = 2 * uv - 1
-    radius = np.linalg.norm(disc, axis=1)
+    radius = norms(disc)
     inside = radius < 1
     # Equal area: rho = 2 R sin(theta / 2), scaled so that theta = 90 degrees lies on the rim.
     z = 1 - radius**2

@@ -10,7 +10,7 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 from skimage.measure import points_in_poly
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, smoothstep
+from scan2albedo.core.arrays import BoolArray, FloatArray, arc_lengths, norms, smoothstep
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model import AnnotatedSurface
 
@@ -154,7 +154,7 @@ def paint_face(
         here = uv[near]
         opening = smoothstep(_signed_distance(here, outline) / 0.003 + 0.5)[:, None]
         width = np.linalg.norm(corners[3] - corners[0])
-        from_pupil = np.linalg.norm(here - corners.mean(0) - [0, 0.04 * width], axis=1) / width
+        from_pupil = norms(here - corners.mean(0) - [0, 0.04 * width]) / width
         ball = _SCLERA * (1 + 0.02 * smooth_noise(here, (60, 60), rng))[:, None]
         rays = iris * (1 + 0.25 * smooth_noise(here, (300, 300), rng))[:, None]
         ball = ball + (rays - ball) * smoothstep((0.215 - from_pupil) / 0.02)[:, None]
@@ -179,7 +179,7 @@ def _blob(uv: FloatArray, center: FloatArray, radius: float) -> FloatArray:
 
 def _curve(points: FloatArray) -> FloatArray:
     """Return 240 points of a natural cubic spline through (K, 2) points."""
-    knots = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    knots = arc_lengths(points)
     return CubicSpline(knots, points, bc_type="natural")(np.linspace(0, knots[-1], 240))
 
 

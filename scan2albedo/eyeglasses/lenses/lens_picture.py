@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array, norms
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import checked_keypoints
 from scan2albedo.eyeglasses.lenses import inserted_lenses as inserted
@@ -117,7 +117,7 @@ def insert_lenses(
     surfaces and lenses cast shadows; in photographs none do, whose background counts as far away. Light does
     not bounce otherwise. 256 lights are 1 % rms off 8,192 directions, 64 are 2.5 %; cost grows with them.
     """
-    matrix = pinhole.normalized_cameras(np.asarray(camera, np.float64)[None])[0]
+    matrix = pinhole.normalized_cameras(np.asarray(camera, float)[None])[0]
     images: list[FloatArray | None] = [None, None]
     for k, (name, image) in enumerate((("picture", picture_linear), ("environment", environment_linear))):
         if image is not None:
@@ -180,7 +180,7 @@ def _lens_region(
     camera: FloatArray, lenses: Sequence[inserted.InsertedLens], shape: tuple[int, int]
 ) -> Window:
     """Return rows and columns of the pixels that may see a lens, with one to spare around them."""
-    size = np.array(shape[::-1], np.float64)
+    size = np.array(shape[::-1], float)
     low, high = np.zeros(2), np.zeros(2)
     if lenses:
         pixels, depth = pinhole.project(camera, np.concatenate([lens.vertices for lens in lenses]))
@@ -304,6 +304,6 @@ class _View:
         lens, face, distance = np.full(len(pixels), -1), straight.hits.face.copy(), straight.hits.distance
         lens[near], face[near] = paths.first, paths.rays.hits.face
         distance = distance.copy()
-        distance[near] = np.linalg.norm(paths.rays.ends - center, axis=1)
+        distance[near] = norms(paths.rays.ends - center)
         surface = np.where(face >= 0, scene.surface_of_face[face], -1)
         return _SeenRays(colors.bare.copy(), shaded, unknown, lens, surface, distance, paths.glancing)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.core import Plan, PlanStep, Trace
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array, finite_rows
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, all_finite, checked_array, finite_rows
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, checked_keypoints, checked_mesh, checked_weights
 from scan2albedo.eyeglasses.mean_keypoints import require_posable, usual_size_factor
@@ -217,7 +217,7 @@ def _checked_view(
     if image is not None:
         if image.shape != (*(shape or image.shape[:2]), 3):
             raise ValueError(f"picture {number} has shape {image.shape}, expected (H, W, 3) of {shape}")
-        if not np.isfinite(image).all():
+        if not all_finite(image):
             raise EyeglassesError(f"picture {number} holds numbers that are not finite")
         shape = image.shape[:2]
     distance = None

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from scipy.special import erfinv, log_ndtr
 
 from scan2albedo.core import Meter, Plan, PlanStep
-from scan2albedo.core.arrays import SMALLEST, BoolArray, FloatArray, finite_rows
+from scan2albedo.core.arrays import SMALLEST, BoolArray, FloatArray, finite_rows, norms
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
 from scan2albedo.eyeglasses.on_face.inputs import (
@@ -202,12 +202,12 @@ def _certainty(
     if used:
         centers = camera_centers(np.stack([view.camera for view in used]))
         away = np.linalg.norm(motion.positions(motion.marks)[given.known].mean(0) - centers[0])
-        if np.linalg.norm(centers - centers[0], axis=1).max() <= _APART * away:
+        if norms(centers - centers[0]).max() <= _APART * away:
             inflation = _ONE_VIEW if objective.contact is None else _ONE_VIEW_RESTED
 
     def deviations(of: SkinnedPoints, covariances: FloatArray) -> FloatArray:
         # Frames bend otherwise than their key points say.
-        bend_mm = of.weights @ np.linalg.norm(motion.state.shifts, axis=1)
+        bend_mm = of.weights @ norms(motion.state.shifts)
         unmodelled = np.hypot(_MODEL_MM, _MODEL_BENT * np.sqrt(np.maximum(bend_mm, 0.0)))
         distance = np.sqrt(np.maximum(np.trace(covariances, axis1=1, axis2=2), 0.0))
         return np.hypot(inflation * distance, unmodelled)

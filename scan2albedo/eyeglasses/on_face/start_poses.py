@@ -15,7 +15,16 @@ from scipy.spatial import cKDTree
 from scipy.special import xlogy
 
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import SMALLEST, BoolArray, FloatArray, IntArray, checked_array, finite_rows
+from scan2albedo.core.arrays import (
+    SMALLEST,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    all_finite,
+    checked_array,
+    finite_rows,
+    norms,
+)
 from scan2albedo.errors import EyeglassesError, needs_extra
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR
 from scan2albedo.eyeglasses.mean_keypoints import BEHIND, is_posable, own_axes
@@ -168,7 +177,7 @@ def starting_poses(
     good = finite_rows(placed.points) & finite_rows(keypoints) & (placed.inliers.sum(0) >= 2)
     if good.sum() >= 3:
         world, rest = placed.points[good], keypoints[good]
-        away = (np.linalg.norm(points - np.median(points, axis=0), axis=1) for points in (world, rest))
+        away = (norms(points - np.median(points, axis=0)) for points in (world, rest))
         large, small = (float(np.median(distance)) for distance in away)
         # More or less cannot be in the same unit.
         if not 1 / 3 < large / small < 3:
@@ -218,7 +227,7 @@ def _from_one_view(keypoints: FloatArray, view: ObservedView, noise_px: float) -
     except cv2.error:
         # Labels in one spot, or seen from very far: this view alone fixes no pose.
         return None
-    if not found or not (np.isfinite(turn).all() and np.isfinite(shift).all()):
+    if not found or not (all_finite(turn) and all_finite(shift)):
         return None
     camera_from_frame = compose(cv2.Rodrigues(turn)[0], shift[:, 0])
     world_from_camera = compose(rotation.T, -rotation.T @ np.linalg.solve(intrinsic, view.camera[:, 3]))
@@ -328,4 +337,4 @@ def _seen_at(
     root = 1 / np.sqrt(1 + square[front, None])
     rows, off = (root[..., None] * slopes[front]).reshape(-1, 3), (root * errors[front]).ravel()
     step = -np.asarray(np.linalg.lstsq(rows, off, rcond=None)[0])
-    return float(np.log1p(square).sum()), np.linalg.norm(errors, axis=1), step
+    return float(np.log1p(square).sum()), norms(errors), step

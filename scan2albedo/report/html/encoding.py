@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace
 from scan2albedo.applications.relighting import RelightOptions, as_lit
-from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, RealArray
+from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, RealArray, all_finite, norms
 from scan2albedo.core.geometry_image import GeometryImage, wound_like
 from scan2albedo.errors import Scan2AlbedoError, one_line
 from scan2albedo.geometry.rasterization import area_mean, filled_from_nearest
@@ -78,7 +78,7 @@ def thinned_chart(image: GeometryImage, most: int = 60_000) -> FaceMesh:
         step += 1
     if step == 1:
         return full
-    index = np.full(image.shape, -1, np.int64)
+    index = np.full(image.shape, -1, int)
     index[image.mask] = np.arange(len(full.vertices))
     rows, columns = (np.arange(0, size - step, step) for size in image.shape)
     blocks = sliding_window_view(image.mask, (step + 1, step + 1))[::step, ::step]
@@ -237,8 +237,8 @@ def viewer_entry(
     if record.environment is not None:
         harmonics = open_shading(record.environment)
     elif record.parameters.get("brdf") == "spherical-harmonics":
-        given = np.asarray(record.parameters.get("sh_coefficients"), np.float64)
-        harmonics = given if given.shape == (9, 3) and np.isfinite(given).all() else None
+        given = np.asarray(record.parameters.get("sh_coefficients"), float)
+        harmonics = given if given.shape == (9, 3) and all_finite(given) else None
     lights = []
     for light in record.lights:
         place = {"azimuth": math.degrees(light.azimuth_rad), "elevation": math.degrees(light.elevation_rad)}
@@ -263,7 +263,7 @@ def viewer_entry(
         "harmonics": None if harmonics is None else np.ravel(harmonics).tolist(),
         "castsShadows": face.casts_shadows,
         "shadowOffset": shadow_offset_mm(extent, face.shadow_offset_mm),
-        "reach": float(np.linalg.norm(face.mesh.vertices, axis=1).max()),
+        "reach": float(norms(face.mesh.vertices).max()),
         "frame": {**frame, "distance": max(DISTANCE_MM, 4 * radius)},
     }
     if image.texture_linear is not None:
@@ -272,7 +272,7 @@ def viewer_entry(
         both = lit.albedo_linear, face.albedo_linear
         entry["filled"] = patch_entry(*both, image.mask, size, entry["albedo"]["factor"])
     if lit.image.specular_scale is not None and skin.specular_strength > 0:
-        entry["gloss"] = gray_entry(lit.image.specular_scale.astype(np.float64), image.mask, size)
+        entry["gloss"] = gray_entry(lit.image.specular_scale.astype(float), image.mask, size)
     if soft_shadows and face.environment is not None and face.environment.occluded:
         # Red, green, blue of the soft light on each vertex as 16-bit parts of a scale.
         caster = RayCaster(*image.occluder_mesh()) if face.casts_shadows else None

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from scan2albedo import eyeglasses
 from scan2albedo.core import ProgressCallback
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray, norms
 from scan2albedo.errors import OutputError
 from scan2albedo.eyeglasses import Camera, LensMaterial, write_keypoints, write_labels
 from scan2albedo.fitting import fit
@@ -84,10 +84,10 @@ def compare_with_wearer(placed: PlacedFrame, person: Wearer, head: Head = "fitte
     result, glasses = placed.result, person.glasses
     # Reading a mesh may drop and renumber vertices.
     same = cKDTree(glasses.rest_vertices).query(placed.given.frame.scan.vertices)[1]
-    error = np.linalg.norm(result.vertices - person.vertices[same], axis=1)
+    error = norms(result.vertices - person.vertices[same])
     seen, observed = person.seen[same], result.observed
     off = result.keypoints - person.keypoints
-    marks = np.linalg.norm(off, axis=1)
+    marks = norms(off)
     # Along the rays of visible key points, least of all views.
     depth_errors = []
     for center, hidden in zip(camera_centers(person.cameras), person.hidden, strict=True):

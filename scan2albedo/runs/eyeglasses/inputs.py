@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from scan2albedo import eyeglasses
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, finite_rows
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, all_finite, finite_rows
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import Camera, LensMaterial, read_cameras, write_keypoints
@@ -64,7 +64,7 @@ class GlassesFrame:
     def missing_key_points(self) -> tuple[str, ...]:
         """Names of the key points that the file leaves out."""
         rows = zip(KEY_POINT_NAMES, self.keypoints, strict=True)
-        return tuple(name for name, point in rows if not np.isfinite(point).all())
+        return tuple(name for name, point in rows if not all_finite(point))
 
 
 @dataclass(frozen=True)
@@ -265,8 +265,8 @@ def read_registration(
     # That meshes have no colours does not matter here.
     notes += [f"{name}: {n}" for name, scan in read for n in scan.notes if "geometry only" not in n]
     read_files = {**files, **frame.files}
-    given = frame, views, skull, read_files, tuple(notes), pixels, found, pose
-    return GlassesInput(*given, None if pictures is None else photographs)
+    seen = None if pictures is None else photographs
+    return GlassesInput(frame, views, skull, read_files, tuple(notes), pixels, found, pose, seen)
 
 
 def read_lens_scene(
@@ -388,7 +388,7 @@ def _read_named(
 
 def _read_picture(file: Path, camera: Camera) -> FloatArray:
     """Return the linear picture (H, W, 3) of a camera."""
-    image = np.asarray(read_image_linear(file, upright=True), np.float64)
+    image = np.asarray(read_image_linear(file, upright=True), float)
     if image.shape[:2] != camera.shape:
         (height, width), (wanted_height, wanted_width) = image.shape[:2], camera.shape
         raise EyeglassesError(

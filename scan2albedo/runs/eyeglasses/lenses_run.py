@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from scan2albedo import eyeglasses
-from scan2albedo.core.arrays import finite_rows
+from scan2albedo.core.arrays import finite_rows, norms
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import Camera, LensPictureOptions, Surface
@@ -189,7 +189,7 @@ def render_lenses(
         axes = own_axes(marks)
         if environment_linear is None:
             kind, environment_linear = "built-in", soft_environment(axes)
-        exposure = white_exposure(np.asarray(environment_linear, np.float64), axes[2])
+        exposure = white_exposure(np.asarray(environment_linear, float), axes[2])
     views = []
     for camera, photograph in zip(cameras, photographs, strict=True):
         begun = time.perf_counter()
@@ -266,7 +266,7 @@ def run_lenses(
             "tint_linear": _vector(lens.material.tint_linear),
             "center_mm": _vector(lens.optics.center),
             "normal": _vector(rim.normal),
-            "mean_radius_mm": float(np.linalg.norm(rim.points - rim.center, axis=1).mean()),
+            "mean_radius_mm": float(norms(rim.points - rim.center).mean()),
             "measured": float(rim.measured.mean()),
             "gaps": rim.gaps,
             "deviation_mm": None if rim.deviation is None else float(np.sqrt((rim.deviation**2).mean())),

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from scan2albedo import eyeglasses
 from scan2albedo.core import Budget, PlanStep, ProgressCallback
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, norms
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import write_keypoints, write_labels
 from scan2albedo.eyeglasses.frame_files import write_frame_glb
@@ -125,7 +125,7 @@ class PlacedFrame:
             "depth_deviation_mm": result.depth_deviation,
             "observed_share": float(result.observed.mean()),
             "observed_deviation_rms_mm": _rms(result.deviation[result.observed]),
-            "bend_max_mm": float(np.linalg.norm(result.bend, axis=1).max()),
+            "bend_max_mm": float(norms(result.bend).max()),
             "evaluations": result.iterations,
             "seconds": self.seconds,
         }

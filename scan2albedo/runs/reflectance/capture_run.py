@@ -184,7 +184,7 @@ def relit_pair(done: FittedCapture, pair: int) -> tuple[FloatArray, FloatArray, 
     capture, fit, rig = done.capture, done.error.fit, done.capture.rig
     normals = tilted_normals(vertex_normals(capture.vertices, capture.faces), fit.tilt)
     shown = replace(fit.reflectance, known=fit.drawn)
-    linear = done.olat.linear[pair].astype(np.float64)
+    linear = done.olat.linear[pair].astype(float)
     made, known = views.relit_picture(
         capture.vertices,
         capture.faces,

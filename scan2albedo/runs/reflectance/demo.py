@@ -11,7 +11,7 @@ from pydantic import Field
 from scan2albedo import reflectance
 from scan2albedo.albedo import albedo_error
 from scan2albedo.core import ProgressCallback
-from scan2albedo.core.arrays import EPSILON, FloatArray, IntArray
+from scan2albedo.core.arrays import EPSILON, FloatArray, IntArray, norms
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.io.atomic import write_text
@@ -119,7 +119,7 @@ def run_reflectance_demo(
 
     def shape_error_mm(found: FloatArray) -> float:
         aligned = transform_points(procrustes(found, shape[seen]), found)
-        return float(np.linalg.norm(aligned - shape[seen], axis=1).mean())
+        return float(norms(aligned - shape[seen]).mean())
 
     return {
         "people": people,

@@ -138,7 +138,7 @@ def default_model() -> FaceModels:
     arrays = read_npz(DEFAULT_MODEL_FILE, what="reflectance model", advice=advice, error=ReflectanceError)
 
     def part(name: str) -> list[FloatArray]:
-        return [arrays[f"{name}_mean"].astype(np.float64), arrays[f"{name}_step"] * arrays[f"{name}_basis"]]
+        return [arrays[f"{name}_mean"].astype(float), arrays[f"{name}_step"] * arrays[f"{name}_basis"]]
 
     template = AnnotatedFaceModel.default()
     to_surface, (_, faces) = template.subdivision(SURFACE_LEVELS).matrix, template.surface(SURFACE_LEVELS)
