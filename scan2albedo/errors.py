@@ -5,7 +5,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import ModuleType
 
-from scan2albedo.core.arrays import FloatArray
+import numpy as np
+from numpy.typing import NDArray
 
 _UNPRINTABLE = re.compile(r"[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 """Control characters, marks that turn the direction of text, and bytes of names that are not UTF-8."""
@@ -67,7 +68,7 @@ class NoFaceError(RegistrationError):
         self,
         message: str,
         confidence: float | None = None,
-        model_from_scan: FloatArray | None = None,
+        model_from_scan: NDArray[np.float64] | None = None,
     ) -> None:
         super().__init__(message)
         self.confidence = confidence

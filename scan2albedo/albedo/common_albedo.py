@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from scan2albedo.albedo.estimate import divided, lit_image
@@ -20,10 +19,18 @@ from scan2albedo.albedo.result import AlbedoEstimate
 from scan2albedo.albedo.shared_light import shared_lights
 from scan2albedo.albedo.texel_light import light_on_texels
 from scan2albedo.albedo.uncertainty import light_uncertainty
-from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
-from scan2albedo.core.arrays import Float32Array, FloatArray
-from scan2albedo.core.geometry_image import GeometryImage
-from scan2albedo.core.plan import Plan, PlanStep
+from scan2albedo.core import (
+    Budget,
+    Float32Array,
+    FloatArray,
+    GeometryImage,
+    Meter,
+    NDArray,
+    Plan,
+    PlanStep,
+    ProgressCallback,
+    Trace,
+)
 from scan2albedo.errors import LightingError
 
 _PASSES = 6

@@ -3,11 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from scan2albedo.albedo.noise import WINDOW, ChannelNoise, channel_noise, window_mean
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core import BoolArray, FloatArray, NDArray
 from scan2albedo.core.compiled import compiled
 
 _SCALES = (3, 5)

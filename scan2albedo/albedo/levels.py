@@ -4,15 +4,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.ndimage import distance_transform_edt, map_coordinates, uniform_filter
 
 from scan2albedo.albedo.noise import WINDOW
 from scan2albedo.albedo.options import MINIMAL_TEXELS, SATURATION_LINEAR
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, RealArray
+from scan2albedo.core import BoolArray, Float32Array, FloatArray, GeometryImage, IntArray, NDArray, RealArray
 from scan2albedo.core.compiled import compiled
-from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.errors import LightingError
 from scan2albedo.geometry.mesh import lengths, normalized
 from scan2albedo.lighting.environment_light import SMALLEST_MM, surface_keys

@@ -8,8 +8,7 @@ import numpy as np
 from scan2albedo.albedo.light_parameters import HARMONICS, PARTS, LightModel
 from scan2albedo.albedo.node_field import TINY
 from scan2albedo.albedo.options import EstimateOptions
-from scan2albedo.core.arrays import FloatArray
-from scan2albedo.core.plan import PlanStep
+from scan2albedo.core import FloatArray, PlanStep
 
 Rows = list[tuple[int, float, float]]
 """Place in x, mean and standard deviation of parameters."""

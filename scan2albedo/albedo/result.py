@@ -4,14 +4,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from scan2albedo.albedo.uncertainty import LightUncertainty
-from scan2albedo.core import Trace
-from scan2albedo.core.arrays import Float32Array, all_finite, on_grid
-from scan2albedo.core.geometry_image import GeometryImage
-from scan2albedo.core.lights import EnvironmentLight, PointLight
-from scan2albedo.core.plan import Plan
+from scan2albedo.core import (
+    ArrayLike,
+    EnvironmentLight,
+    Float32Array,
+    GeometryImage,
+    Plan,
+    PointLight,
+    Trace,
+    all_finite,
+    on_grid,
+)
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment_light import environment_light_on
 from scan2albedo.lighting.shading import Reflectance, Shading, shade_points

@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.ndimage import gaussian_filter
 from scipy.stats import norm
@@ -16,8 +15,15 @@ from scan2albedo.albedo.node_field import TINY, deviation_of_light
 from scan2albedo.albedo.posterior import FREEDOM, Point
 from scan2albedo.albedo.prior import SPREADS
 from scan2albedo.albedo.soft_terms import DARKEST
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, row_sums
-from scan2albedo.core.lights import EnvironmentLight, PointLight
+from scan2albedo.core import (
+    BoolArray,
+    EnvironmentLight,
+    Float32Array,
+    FloatArray,
+    NDArray,
+    PointLight,
+    row_sums,
+)
 from scan2albedo.lighting.environment_light import open_shading, open_transfer
 from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.lighting.shading import Reflectance, Shading, shade_rows

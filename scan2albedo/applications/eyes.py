@@ -11,14 +11,13 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.optimize import least_squares, minimize
 from scipy.spatial import cKDTree
 from scipy.special import expit
 
 from scan2albedo.applications.face_features import FLOOR, without_catchlights
 from scan2albedo.applications.processed_face import Eyeball, ProcessedFace
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, norms, smoothstep
+from scan2albedo.core import ArrayLike, BoolArray, FloatArray, IntArray, norms, smoothstep
 from scan2albedo.geometry.mesh import grid_faces, normalized
 from scan2albedo.io.glb import GlbPart
 

@@ -6,13 +6,12 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
 from pydantic import Field
 
 from scan2albedo.applications.processed_face import ProcessedFace
 from scan2albedo.applications.relighting import RelightOptions, relight
-from scan2albedo.core.arrays import ByteArray, all_finite
-from scan2albedo.core.lights import LAMP_RADIUS_DEG, PointLight
+from scan2albedo.core import ArrayLike, ByteArray, PointLight, all_finite
+from scan2albedo.core.lights import LAMP_RADIUS_DEG
 from scan2albedo.io.atomic import write_bytes
 from scan2albedo.io.images import write_png
 from scan2albedo.io.result_records import RunRecord

@@ -6,12 +6,20 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, all_finite, on_grid
-from scan2albedo.core.geometry_image import GeometryImage
-from scan2albedo.core.lights import EnvironmentLight, PointLight
+from scan2albedo.core import (
+    ArrayLike,
+    BoolArray,
+    EnvironmentLight,
+    Float32Array,
+    FloatArray,
+    GeometryImage,
+    IntArray,
+    PointLight,
+    all_finite,
+    on_grid,
+)
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv

@@ -7,16 +7,14 @@ from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter
 
 from scan2albedo.applications.eyes import WET_EXPONENT, WET_REFLECTANCE
 from scan2albedo.applications.eyes_and_mouth import eyes_and_mouth
 from scan2albedo.applications.face_features import AROUND, feature_texels, without_gaps
 from scan2albedo.applications.processed_face import NO_MODEL, ProcessedFace
+from scan2albedo.core import ArrayLike, EnvironmentLight, Float32Array, FloatArray, PointLight, norms, on_grid
 from scan2albedo.core.arguments import require_linear, require_type
-from scan2albedo.core.arrays import Float32Array, FloatArray, norms, on_grid
-from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.mesh import join, lengths, normalized, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, look_at, normalized_cameras

@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.batch.manifest import BatchManifest
 from scan2albedo.batch.records import CATALOGUE, FILES, FIXED, METRICS, STAGES, BatchScanRecord, path_column
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray
+from scan2albedo.core import BoolArray, Float32Array, FloatArray, NDArray
 from scan2albedo.errors import BatchError, needs_extra, one_line
 from scan2albedo.geometry.rasterization import area_mean
 from scan2albedo.io.atomic import atomic_path

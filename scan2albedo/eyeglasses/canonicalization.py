@@ -5,10 +5,20 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
-from scan2albedo.core.arrays import FloatArray, IntArray, checked_array, finite_rows
+from scan2albedo.core import (
+    ArrayLike,
+    Budget,
+    FloatArray,
+    IntArray,
+    Meter,
+    Plan,
+    PlanStep,
+    ProgressCallback,
+    Trace,
+    checked_array,
+    finite_rows,
+)
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import mean_keypoints as means
 from scan2albedo.eyeglasses import unbending

@@ -9,8 +9,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist, squareform
 
-from scan2albedo.core import Plan, PlanStep
-from scan2albedo.core.arrays import SMALLEST, FloatArray, IntArray
+from scan2albedo.core import SMALLEST, FloatArray, IntArray, Plan, PlanStep
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.lattice import Lattice, enclosed_cells, join_parts, surface_cells, unique_cells
 from scan2albedo.geometry.closest_points import ClosestPointQuery

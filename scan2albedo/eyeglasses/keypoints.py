@@ -4,12 +4,10 @@ import itertools
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import breadth_first_order
 
-from scan2albedo.core import arrays
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core import ArrayLike, FloatArray, IntArray, arrays
 from scan2albedo.errors import EyeglassesError
 
 

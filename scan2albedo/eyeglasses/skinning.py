@@ -1,10 +1,9 @@
 """Linear blend skinning, and the transforms of key points that it blends (supplement, section S2)."""
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core.arrays import EPSILON, FloatArray, IntArray, checked_array, finite_rows, identities
+from scan2albedo.core import EPSILON, ArrayLike, FloatArray, IntArray, checked_array, finite_rows, identities
 from scan2albedo.eyeglasses.keypoints import SKELETON
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import procrustes

@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import FloatArray, IntArray, norms, triangle_sides
+from scan2albedo.core import ArrayLike, FloatArray, IntArray, NDArray, norms, triangle_sides
 from scan2albedo.core.compiled import compiled, triple
 from scan2albedo.geometry.mesh import RayHits, face_lists, face_normals, neighbour_lists, vertex_mask
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, row_sums
+from scan2albedo.core import BoolArray, FloatArray, IntArray, row_sums
 
 _OBJECT_SHARE = 0.05
 

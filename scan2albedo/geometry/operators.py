@@ -3,11 +3,10 @@
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.sparse.linalg import splu, spsolve
 
-from scan2albedo.core.arrays import FloatArray, IntArray, all_finite, norms, row_sums
+from scan2albedo.core import ArrayLike, FloatArray, IntArray, all_finite, norms, row_sums
 from scan2albedo.geometry import mesh
 from scan2albedo.geometry.loop_subdivision import refine
 

@@ -1,9 +1,8 @@
 """Pinhole cameras as (3, 4) projection matrices: pixels (column, row), centres of pixels at integers."""
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, all_finite, norms
+from scan2albedo.core import ArrayLike, BoolArray, FloatArray, all_finite, norms
 from scan2albedo.geometry.mesh import normalized
 
 

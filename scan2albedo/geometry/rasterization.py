@@ -4,11 +4,19 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, RealArray, norms, triangle_sides
+from scan2albedo.core import (
+    ArrayLike,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    NDArray,
+    RawScan,
+    RealArray,
+    norms,
+    triangle_sides,
+)
 from scan2albedo.core.compiled import compiled, triple
-from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.geometry.rigid import transform_points
 
 

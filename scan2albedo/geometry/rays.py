@@ -6,9 +6,8 @@ from concurrent.futures import ThreadPoolExecutor
 from threading import Lock
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import BoolArray, Float32Array, checked_mesh
+from scan2albedo.core import ArrayLike, BoolArray, Float32Array, checked_mesh
 from scan2albedo.geometry.mesh import RayHits
 
 _CHUNK = 8192

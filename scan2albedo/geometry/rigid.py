@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core.arrays import FloatArray, IntArray, all_finite
+from scan2albedo.core import ArrayLike, FloatArray, IntArray, all_finite
 from scan2albedo.core.compiled import compiled
 from scan2albedo.geometry.mesh import face_areas
 

@@ -3,9 +3,8 @@
 from typing import cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import ByteArray, Float32Array, FloatArray
+from scan2albedo.core import ArrayLike, ByteArray, Float32Array, FloatArray, NDArray
 
 
 def srgb_to_linear(srgb: ArrayLike) -> FloatArray:

@@ -3,10 +3,9 @@
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import Float32Array
-from scan2albedo.core.geometry_image import ARRAYS, GeometryImage
+from scan2albedo.core import Float32Array, GeometryImage, NDArray
+from scan2albedo.core.geometry_image import ARRAYS
 from scan2albedo.errors import GeometryImageError, ScanError, errors_of
 from scan2albedo.io.images import read_exr_channels, read_image_linear, write_exr_channels
 from scan2albedo.io.npz import read_npz, write_npz

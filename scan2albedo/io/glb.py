@@ -8,15 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core.arrays import (
+from scan2albedo.core import (
+    ArrayLike,
     BoolArray,
     ByteArray,
     Float32Array,
     FloatArray,
     IntArray,
+    NDArray,
     all_finite,
     checked_array,
     checked_mesh,

@@ -8,9 +8,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, PlainSerializer, PlainValidator
 
-from scan2albedo.core.lights import EnvironmentLight, PointLight
-from scan2albedo.core.plan import PlanStep
-from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.core import EnvironmentLight, PlanStep, PointLight, RawScan
 from scan2albedo.io.load_scan import input_sha256
 from scan2albedo.io.records import Figures, Matrix, Number, OptionalNumber, Record
 

@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from scan2albedo.core import BoolArray, Float32Array, FloatArray, IntArray, NDArray
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.tangents import split_at_seams, tangent_mesh
 from scan2albedo.io.atomic import write_bytes, write_text

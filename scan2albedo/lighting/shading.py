@@ -6,11 +6,17 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import Float32Array, FloatArray, all_finite, checked_array
+from scan2albedo.core import (
+    ArrayLike,
+    Float32Array,
+    FloatArray,
+    NDArray,
+    PointLight,
+    all_finite,
+    checked_array,
+)
 from scan2albedo.core.compiled import compiled, triple
-from scan2albedo.core.lights import PointLight
 from scan2albedo.geometry.rigid import dot
 
 _BRDFS = "lambert", "minnaert", "oren-nayar"

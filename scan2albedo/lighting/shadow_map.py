@@ -6,9 +6,8 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import ByteArray, Float32Array, FloatArray, norms
+from scan2albedo.core import ArrayLike, ByteArray, Float32Array, FloatArray, NDArray, norms
 from scan2albedo.core.compiled import compiled
 from scan2albedo.geometry.rays import RayCaster
 

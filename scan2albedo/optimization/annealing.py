@@ -4,10 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import FloatArray
-from scan2albedo.core.budget import Meter
+from scan2albedo.core import ArrayLike, FloatArray, Meter
 
 _FINAL_TEMPERATURE = 1e-4
 """In units of the spread of the first costs."""

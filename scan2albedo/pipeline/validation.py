@@ -5,10 +5,9 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.albedo import albedo_error, estimate_albedo
-from scan2albedo.core.lights import PointLight
+from scan2albedo.core import NDArray, PointLight
 from scan2albedo.synthetic import Material, SyntheticScene, face, hemisphere, light_at, with_normal_error
 
 PAPER_MSE_PERCENT = {"hemisphere": 1.07, "face": 2.01}

@@ -4,9 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, all_finite
+from scan2albedo.core import ArrayLike, BoolArray, FloatArray, IntArray, all_finite
 from scan2albedo.errors import RecognitionError
 from scan2albedo.recognition.identification import Identification
 

@@ -9,11 +9,19 @@ from numbers import Integral
 from typing import Any, Final, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 from scipy.ndimage import distance_transform_edt, minimum_filter, uniform_filter
 
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, RealArray, all_finite, finite_rows
+from scan2albedo.core import (
+    ArrayLike,
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    NDArray,
+    RealArray,
+    all_finite,
+    finite_rows,
+)
 from scan2albedo.errors import RecognitionError, needs_extra
 from scan2albedo.geometry.rasterization import area_mean, filled_from_nearest
 

@@ -6,13 +6,21 @@ from functools import partial
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.special import softmax
 
-from scan2albedo.core import Budget, ProgressCallback
-from scan2albedo.core.arrays import EPSILON, BoolArray, FloatArray, IntArray, checked_mesh
-from scan2albedo.core.plan import Plan, PlanStep
+from scan2albedo.core import (
+    EPSILON,
+    ArrayLike,
+    BoolArray,
+    Budget,
+    FloatArray,
+    IntArray,
+    Plan,
+    PlanStep,
+    ProgressCallback,
+    checked_mesh,
+)
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import edges_with_faces
 from scan2albedo.geometry.operators import surface_diffusion

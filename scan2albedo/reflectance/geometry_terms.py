@@ -6,15 +6,15 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import sparse
 
-from scan2albedo.core import Meter
-from scan2albedo.core.arrays import (
+from scan2albedo.core import (
     SMALLEST,
+    ArrayLike,
     BoolArray,
     FloatArray,
     IntArray,
+    Meter,
     all_finite,
     checked_array,
     finite_rows,

@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import FloatArray, checked_array, norms
+from scan2albedo.core import ArrayLike, FloatArray, checked_array, norms
 from scan2albedo.errors import ReflectanceError
 
 _RANK_TOLERANCE = 1e-12

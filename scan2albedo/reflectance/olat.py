@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray
+from scan2albedo.core import BoolArray, Float32Array, FloatArray, NDArray
 from scan2albedo.errors import ReflectanceError
 
 Pictures = NDArray | Sequence[NDArray]

@@ -1,9 +1,8 @@
 """Radiance of a vertex of unit albedo, and of unit weight of each lobe, under a point light."""
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import FloatArray, checked_array
+from scan2albedo.core import ArrayLike, FloatArray, checked_array
 from scan2albedo.core.compiled import compiled
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance

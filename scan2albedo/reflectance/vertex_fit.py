@@ -4,10 +4,22 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
-from scan2albedo.core.arrays import EPSILON, SMALLEST, BoolArray, FloatArray, IntArray, checked_array
+from scan2albedo.core import (
+    EPSILON,
+    SMALLEST,
+    ArrayLike,
+    BoolArray,
+    Budget,
+    FloatArray,
+    IntArray,
+    Meter,
+    Plan,
+    PlanStep,
+    ProgressCallback,
+    Trace,
+    checked_array,
+)
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance.olat import OlatOptions
 from scan2albedo.reflectance.point_light_lobes import cosines_of_lobes, point_light_radiance

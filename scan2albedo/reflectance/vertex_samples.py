@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import sparse
 
-from scan2albedo.core.arrays import (
+from scan2albedo.core import (
     SMALLEST,
+    ArrayLike,
     BoolArray,
     FloatArray,
     IntArray,

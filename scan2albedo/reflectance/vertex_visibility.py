@@ -3,10 +3,10 @@
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import sparse
 
-from scan2albedo.core.arrays import (
+from scan2albedo.core import (
+    ArrayLike,
     BoolArray,
     FloatArray,
     IntArray,

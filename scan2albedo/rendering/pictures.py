@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import ByteArray, Float32Array, FloatArray, IntArray, RealArray
+from scan2albedo.core import ArrayLike, ByteArray, Float32Array, FloatArray, IntArray, NDArray, RealArray
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.pinhole import project
 from scan2albedo.geometry.rasterization import Raster, interpolate, pixels_from_uv, rasterize

@@ -5,10 +5,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import FloatArray
-from scan2albedo.core.lights import EnvironmentLight, PointLight
+from scan2albedo.core import ArrayLike, EnvironmentLight, FloatArray, PointLight
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.lighting.environment_light import environment_light_on
 from scan2albedo.lighting.shading import Reflectance, lamp_factors

@@ -5,18 +5,18 @@ from typing import Any
 
 import numpy as np
 
-from scan2albedo.core.arrays import (
+from scan2albedo.core import (
     BoolArray,
     Float32Array,
     FloatArray,
     IntArray,
+    RawScan,
     norms,
     on_grid,
     triangle_sides,
 )
 from scan2albedo.core.compiled import compiled
 from scan2albedo.core.geometry_image import NO_CAMERA
-from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.geometry import mesh
 from scan2albedo.geometry.closest_points import ClosestHits, surface_query
 from scan2albedo.geometry.pinhole import camera_centers, fit_camera

@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, on_grid
+from scan2albedo.core import ArrayLike, BoolArray, FloatArray, IntArray, NDArray, on_grid
 from scan2albedo.geometry.pinhole import camera_centers, project
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.synthetic.glossy_person import GlossyFace, GlossyPerson

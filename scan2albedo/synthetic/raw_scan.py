@@ -6,10 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from scan2albedo.core.arrays import Float32Array, FloatArray, IntArray, on_grid
-from scan2albedo.core.geometry_image import GeometryImage
-from scan2albedo.core.lights import PointLight
-from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.core import Float32Array, FloatArray, GeometryImage, IntArray, PointLight, RawScan, on_grid
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry import pinhole, rigid
 from scan2albedo.geometry.mesh import face_normals, normalized, vertex_normals

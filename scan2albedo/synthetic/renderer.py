@@ -8,10 +8,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, RealArray, norms
-from scan2albedo.core.lights import PointLight
+from scan2albedo.core import (
+    ArrayLike,
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    NDArray,
+    PointLight,
+    RealArray,
+    norms,
+)
 from scan2albedo.errors import import_open3d
 from scan2albedo.geometry.mesh import RayHits, normalized
 from scan2albedo.geometry.pinhole import look_at

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import gaussian_filter
 
-from scan2albedo.core.arrays import FloatArray, IntArray, norms, smoothstep
+from scan2albedo.core import FloatArray, IntArray, norms, smoothstep
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.mesh import grid_faces, join, normalized, vertex_normals, without_unreferenced
 from scan2albedo.geometry.parametrization import boundary_loop

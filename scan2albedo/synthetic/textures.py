@@ -4,13 +4,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 from skimage.measure import points_in_poly
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, arc_lengths, norms, smoothstep
+from scan2albedo.core import ArrayLike, BoolArray, FloatArray, arc_lengths, norms, smoothstep
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model import AnnotatedSurface
 

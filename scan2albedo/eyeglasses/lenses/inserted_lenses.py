@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import (
+from scan2albedo.core import (
     SMALLEST,
+    ArrayLike,
     BoolArray,
     FloatArray,
     IntArray,

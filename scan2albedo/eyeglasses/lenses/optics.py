@@ -4,9 +4,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import FloatArray, checked_array, norms
+from scan2albedo.core import ArrayLike, FloatArray, checked_array, norms
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.geometry.mesh import normalized
 

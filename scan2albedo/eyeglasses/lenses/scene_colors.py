@@ -7,11 +7,10 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, IntArray, norms
+from scan2albedo.core import ArrayLike, BoolArray, ByteArray, FloatArray, IntArray, norms
 from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens
 from scan2albedo.eyeglasses.lenses.scenes import LensScene, SceneRays, radiance_at
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, pixel_grid, project

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, all_finite, norms, smoothstep
+from scan2albedo.core import ArrayLike, BoolArray, FloatArray, IntArray, all_finite, norms, smoothstep
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import checked_mesh
 from scan2albedo.geometry.mesh import RayHits, face_cross_products, normalized, vertex_normals

@@ -5,16 +5,16 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2, vq
 from scipy.ndimage import binary_dilation, distance_transform_edt
 from scipy.special import expit, logsumexp
 
-from scan2albedo.core.arrays import (
+from scan2albedo.core import (
     BoolArray,
     Float32Array,
     FloatArray,
     IntArray,
+    NDArray,
     RealArray,
     finite_rows,
     norms,

@@ -8,18 +8,18 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 from scipy.special import xlogy
 
-from scan2albedo.core import Meter
-from scan2albedo.core.arrays import (
+from scan2albedo.core import (
     SMALLEST,
+    ArrayLike,
     BoolArray,
     FloatArray,
     IntArray,
+    Meter,
     all_finite,
     checked_array,
     finite_rows,

@@ -9,12 +9,20 @@ from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
 from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace
 from scan2albedo.applications.relighting import RelightOptions, as_lit
-from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, RealArray, all_finite, norms
-from scan2albedo.core.geometry_image import GeometryImage, wound_like
+from scan2albedo.core import (
+    BoolArray,
+    ByteArray,
+    FloatArray,
+    GeometryImage,
+    NDArray,
+    RealArray,
+    all_finite,
+    norms,
+)
+from scan2albedo.core.geometry_image import wound_like
 from scan2albedo.errors import Scan2AlbedoError, one_line
 from scan2albedo.geometry.rasterization import area_mean, filled_from_nearest
 from scan2albedo.geometry.rays import RayCaster

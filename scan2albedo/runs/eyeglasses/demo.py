@@ -9,8 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scan2albedo import eyeglasses
-from scan2albedo.core import ProgressCallback
-from scan2albedo.core.arrays import FloatArray, IntArray, norms
+from scan2albedo.core import FloatArray, IntArray, ProgressCallback, norms
 from scan2albedo.errors import OutputError
 from scan2albedo.eyeglasses import Camera, LensMaterial, write_keypoints, write_labels
 from scan2albedo.fitting import fit

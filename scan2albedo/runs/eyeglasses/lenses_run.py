@@ -7,12 +7,10 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 from pydantic import Field
 
 from scan2albedo import eyeglasses
-from scan2albedo.core.arrays import finite_rows, norms
-from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.core import ArrayLike, RawScan, finite_rows, norms
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import Camera, LensPictureOptions, Surface
 from scan2albedo.eyeglasses.keypoints import checked_keypoints

@@ -11,9 +11,7 @@ from typing import Any
 import numpy as np
 
 from scan2albedo import reflectance
-from scan2albedo.core import Budget, ProgressCallback, Trace
-from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.core import Budget, FloatArray, IntArray, ProgressCallback, RawScan, Trace
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.fitting import fit
 from scan2albedo.geometry.rigid import invert_rigid, transform_points

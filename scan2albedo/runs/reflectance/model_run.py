@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from scan2albedo import reflectance
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core import FloatArray
 from scan2albedo.errors import ReflectanceError, errors_of, one_line
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.io.npz import read_npz
