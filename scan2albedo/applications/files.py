@@ -10,7 +10,7 @@ import numpy as np
 
 from scan2albedo.applications.processed_face import NO_MODEL, SAME_PLACE_MM, FaceMesh, ProcessedFace
 from scan2albedo.applications.relighting import relight
-from scan2albedo.core import GeometryImage, PointLight
+from scan2albedo.core import GeometryImage, PointLight, Values
 from scan2albedo.core.arguments import described
 from scan2albedo.core.lights import LAMP_RADIUS_DEG
 from scan2albedo.errors import ApplicationError, OutputError, Scan2AlbedoError
@@ -90,7 +90,7 @@ def load_result(source: str | Path | ProcessedScan, *, need_albedo: bool = True)
     )
 
 
-def _without_albedo(image: GeometryImage, needed: bool, where: str | Path) -> dict[str, Any]:
+def _without_albedo(image: GeometryImage, needed: bool, where: str | Path) -> Values:
     """Return fields of a `ProcessedFace` in grey; ApplicationError where the albedo is needed."""
     if needed:
         raise ApplicationError(
@@ -107,7 +107,7 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
     if (folder / RESULT_FILE).is_file() or not (folder / APPLICATION_FILE).is_file():
         file = _present(folder, RESULT_FILE)
         scan = read_record(file, ResultRecord)
-        found: dict[str, Any] = {name: getattr(scan, name) for name in ("name", "lights", "environment")}
+        found: Values = {name: getattr(scan, name) for name in ("name", "lights", "environment")}
         found["model_name"] = str(scan.options.get("model", NO_MODEL))
         found["casts_shadows"] = all(step.ran for step in scan.plan if step.stage == "albedo.shadows")
         parameters, chart_mesh = scan.parameters, found["model_name"] == NO_MODEL

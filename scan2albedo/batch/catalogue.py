@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from scan2albedo.batch.manifest import BatchManifest
 from scan2albedo.batch.records import CATALOGUE, FILES, FIXED, METRICS, STAGES, BatchScanRecord, path_column
-from scan2albedo.core import BoolArray, Float32Array, FloatArray, NDArray
+from scan2albedo.core import BoolArray, Float32Array, FloatArray, NDArray, Values
 from scan2albedo.errors import BatchError, needs_extra, one_line
 from scan2albedo.geometry.rasterization import area_mean
 from scan2albedo.io.atomic import atomic_path
@@ -36,7 +36,7 @@ def catalogue_table(manifest: BatchManifest, rows: Mapping[str, BatchScanRecord]
     known = set(types) | own
     lines = []
     for scan in manifest.scans:
-        line: dict[str, Any] = {"name": scan.name, "source": scan.source, "status": "not run", "reason": ""}
+        line: Values = {"name": scan.name, "source": scan.source, "status": "not run", "reason": ""}
         line |= scan.extra
         if (row := rows.get(scan.name)) is not None:
             line |= {name: getattr(row, name) for name in FIXED if hasattr(row, name)}
@@ -138,7 +138,7 @@ def load_albedos(out: str | Path, size: int | None = None) -> tuple[list[str], F
             raise BatchError(f"{file.parent}: cannot be read: {one_line(error)}") from error
         albedo, image = read_image_linear(file), file.parent / "geometry_image.npz"
         advice = "run the batch with --resume"
-        more: dict[str, Any] = {"what": "geometry image", "advice": advice, "error": BatchError}
+        more: Values = {"what": "geometry image", "advice": advice, "error": BatchError}
         arrays = read_npz(image, ("mask",), optional=("texture_valid",), **more)
         seen = arrays["mask"] & arrays.get("texture_valid", True)
         if seen.shape != albedo.shape[:2]:

@@ -12,6 +12,9 @@ Float32Array = NDArray[np.float32]
 RealArray = NDArray[np.floating]
 IntArray = NDArray[np.int64]
 
+Values = dict[str, Any]
+"""By name: figures, options, arrays, what becomes an object of JSON."""
+
 EPSILON = np.finfo(float).eps
 """Relative rounding error of float64."""
 SMALLEST = np.finfo(float).tiny

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, TypeVar
 import numpy as np
 from pydantic import AfterValidator, Field, WithJsonSchema, model_validator
 
-from scan2albedo.core import ArrayLike, FloatArray, Plan, all_finite, finite_rows
+from scan2albedo.core import ArrayLike, FloatArray, Plan, Values, all_finite, finite_rows
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import keypoints as places
 from scan2albedo.eyeglasses.canonicalization import CanonicalEyeglasses
@@ -192,7 +192,7 @@ def _read(path: str | Path, kind: Callable[..., Value]) -> Value:
     usual, layout = _KINDS[kind]
     what = f"{usual} frame"
     arrays = read_npz(path, layout, what=what, advice=f"give a {usual}.npz", error=EyeglassesError)
-    lengths: dict[str, Any] = {"K": len(KEY_POINT_NAMES), "3": 3, "4": 4}
+    lengths: Values = {"K": len(KEY_POINT_NAMES), "3": 3, "4": 4}
     for name, (_, *shape) in layout.items():
         got = arrays[name].shape
         wanted = tuple(lengths.setdefault(side, *got[k : k + 1]) or side for k, side in enumerate(shape))

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from scan2albedo.core import BoolArray, ByteArray, FloatArray, IntArray, triangle_sides
+from scan2albedo.core import BoolArray, ByteArray, FloatArray, IntArray, Values, triangle_sides
 from scan2albedo.errors import ModelError
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints
 from scan2albedo.geometry.mesh import normalized
@@ -136,7 +136,7 @@ class AnnotatedSurface:
         }.items():
             if name in arrays and not ((arrays[name] >= 0) & (arrays[name] < limit)).all():
                 raise ModelError(f"face model: {name} in {file} points outside 0 ... {limit - 1}")
-        found: dict[str, Any] = {
+        found: Values = {
             name: arrays[name].astype(np.int64 if kind is np.int32 else kind)
             for name, (kind, _) in _STORED.items()
             if name in arrays

@@ -18,6 +18,7 @@ from scan2albedo.core import (
     FloatArray,
     IntArray,
     NDArray,
+    Values,
     all_finite,
     checked_array,
     checked_mesh,
@@ -44,10 +45,10 @@ class GlbFile:
     def __init__(self) -> None:
         self.data = bytearray()
         self.views: list[dict[str, int]] = []
-        self.accessors: list[dict[str, Any]] = []
-        self.meshes: list[dict[str, Any]] = []
-        self.materials: list[dict[str, Any]] = []
-        self.images: list[dict[str, Any]] = []
+        self.accessors: list[Values] = []
+        self.meshes: list[Values] = []
+        self.materials: list[Values] = []
+        self.images: list[Values] = []
 
     def add_bytes(self, data: bytes, target: int | None = None) -> int:
         """Append bytes and return the number of their buffer view."""
@@ -65,7 +66,7 @@ class GlbFile:
         """Append an array, one element a row, floats in 32 bits, and return the number of its accessor."""
         stored = array.astype("<f4") if array.dtype.kind == "f" else array
         little = np.ascontiguousarray(stored, stored.dtype.newbyteorder("<"))
-        accessor: dict[str, Any] = {
+        accessor: Values = {
             "bufferView": self.add_bytes(little.tobytes(), target),
             "componentType": _COMPONENT[stored.dtype.str[1:]],
             "count": len(array),
@@ -79,7 +80,7 @@ class GlbFile:
 
     def add_mesh(
         self,
-        material: dict[str, Any],
+        material: Values,
         vertices_mm: FloatArray,
         faces: IntArray,
         attributes: Mapping[str, NDArray] | None = None,
@@ -134,7 +135,7 @@ class GlbFile:
     def write(
         self,
         path: str | Path,
-        nodes: list[dict[str, Any]] | None = None,
+        nodes: list[Values] | None = None,
         roots: Sequence[int] = (),
         **entries: list[Any],
     ) -> None:
@@ -216,7 +217,7 @@ def write_glb(
         part.add_to(file)
         if emissive:
             file.materials[-1]["extensions"] = {"KHR_materials_unlit": {}}
-    animations: dict[str, Any] = {}
+    animations: Values = {}
     if take is not None:
         pose = take["pose"]
         curves = {"rotation": Rotation.from_matrix(pose[:, :3, :3]).as_quat()}
@@ -274,7 +275,7 @@ def write_parts_glb(path: str | Path, parts: Sequence[GlbPart]) -> None:
 
 def plain_material(
     name: str, color: Sequence[float], roughness: float = 0.9, *, double_sided: bool = True
-) -> dict[str, Any]:
+) -> Values:
     """Return the entry of a material of one colour (red, green, blue, opacity), which is not a metal."""
     surface = {"baseColorFactor": list(color), "metallicFactor": 0.0, "roughnessFactor": roughness}
     return {"name": name, "doubleSided": double_sided, "pbrMetallicRoughness": surface}
@@ -330,8 +331,8 @@ def write_skinned_glb(
     mesh = file.add_mesh(frame, xyz, index, attributes)
     # A skinned mesh stands beside its skeleton: transforms of its own node do not count.
     number = {int(joint): i + 2 for i, joint in enumerate(known)}
-    skeleton: dict[str, Any] = {"name": "skeleton"}
-    nodes: list[dict[str, Any]] = [{"name": "frame", "mesh": mesh, "skin": 0}, skeleton]
+    skeleton: Values = {"name": "skeleton"}
+    nodes: list[Values] = [{"name": "frame", "mesh": mesh, "skin": 0}, skeleton]
     places = joints * METRES_PER_MM
     above = _nearest_known(parent, there)
     nodes += [{"name": names[joint]} for joint in number]

@@ -9,13 +9,12 @@ from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 from urllib.parse import unquote, unquote_to_bytes
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core import Float32Array, FloatArray, NDArray
+from scan2albedo.core import Float32Array, FloatArray, NDArray, Values
 from scan2albedo.core.raw_scan import require_valid_indices
 from scan2albedo.errors import MissingDependencyError, ScanError, errors_of, one_line
 from scan2albedo.io import limits
@@ -35,7 +34,7 @@ class GltfFile:
 
     path: Path
     folder: ScanFolder
-    tree: dict[str, Any]
+    tree: Values
     binary: bytes = b""
     contents: dict[str, bytes] = field(default_factory=dict)
 
@@ -93,7 +92,7 @@ class GltfFile:
             total += dtype.itemsize * _COMPONENTS[accessor["type"]] * accessor["count"]
         limits.require_at_most(name, "bytes of arrays", total, limits.FILE_BYTES, "decimate it")
 
-    def sizes(self, primitive: dict[str, Any]) -> tuple[int, int, int]:
+    def sizes(self, primitive: Values) -> tuple[int, int, int]:
         """Return how many vertices, triangles and primitives a primitive declares."""
         corners = count = self.tree["accessors"][primitive["attributes"]["POSITION"]]["count"]
         if "indices" in primitive:
@@ -121,7 +120,7 @@ class GltfFile:
             yield number, transform
             left += [(child, transform) for child in node.get("children", ())]
 
-    def color_number(self, material: dict[str, Any]) -> int | None:
+    def color_number(self, material: Values) -> int | None:
         """Return the number of the picture of a material's base colour."""
         texture = material["pbrMetallicRoughness"].get("baseColorTexture", {}).get("index")
         entry = {} if texture is None else self.tree["textures"][texture]
@@ -154,7 +153,7 @@ class GltfFile:
                     found[number] = decode_picture(np.asarray(image.convert("RGBA"), np.uint8))
         return found
 
-    def decoded(self, primitive: dict[str, Any]) -> dict[str, NDArray]:
+    def decoded(self, primitive: Values) -> dict[str, NDArray]:
         """Return the arrays of a primitive that Draco compressed, by their names and as "indices"."""
         if (packed := primitive.get("extensions", {}).get(_DRACO)) is None:
             return {}
@@ -178,7 +177,7 @@ class GltfFile:
             found[at] = self._stored({**accessor, "byteOffset": 0, "count": few["count"], **few["values"]})
         return found
 
-    def _stored(self, accessor: dict[str, Any]) -> NDArray:
+    def _stored(self, accessor: Values) -> NDArray:
         dtype, width = np.dtype(_DTYPES[accessor["componentType"]]), _COMPONENTS[accessor["type"]]
         view = self.tree["bufferViews"][accessor["bufferView"]]
         start, data = accessor.get("byteOffset", 0), self.view(accessor["bufferView"])
@@ -306,7 +305,7 @@ def _material(
     return Material(name, texture, (float(color[0]), float(color[1]), float(color[2]))), note
 
 
-def _surface(file: GltfFile, primitive: dict[str, Any], material: Material, number: int) -> _Surface:
+def _surface(file: GltfFile, primitive: Values, material: Material, number: int) -> _Surface:
     """Return a primitive, of a material, in its own frame."""
     names, decoded, entries = primitive["attributes"], file.decoded(primitive), file.tree["accessors"]
     count = len(decoded["POSITION"]) if decoded else entries[names["POSITION"]]["count"]

@@ -13,14 +13,13 @@ from scipy import sparse
 from scipy.io import loadmat
 from scipy.io.matlab import MatReadError
 
-from scan2albedo.core import Float32Array, FloatArray, IntArray, RealArray, all_finite, identities
+from scan2albedo.core import Float32Array, FloatArray, IntArray, RealArray, Values, all_finite, identities
 from scan2albedo.errors import ModelError, ScanError, needs_extra, one_line
 from scan2albedo.geometry.rigid import rotation_from_vector
 from scan2albedo.io import limits
 from scan2albedo.io.load_scan import file_sha256
 from scan2albedo.io.npz import read_npz
 
-Values = dict[str, Any]
 _LAYOUTS = """mean v_template shapeMU shape/model/mean, basis shapedirs shapePC shape/model/pcaBasis,
 deviation shapeEV, variance shape/model/pcaVariance, faces f, cells shape/representer/cells, tl,
 expression_mean expression/model/mean, expression_basis expression/model/pcaBasis, expression_deviation,

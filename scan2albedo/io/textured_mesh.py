@@ -3,11 +3,10 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from scan2albedo.core import BoolArray, Float32Array, FloatArray, IntArray, NDArray
+from scan2albedo.core import BoolArray, Float32Array, FloatArray, IntArray, NDArray, Values
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.tangents import split_at_seams, tangent_mesh
 from scan2albedo.io.atomic import write_bytes, write_text
@@ -131,7 +130,7 @@ def write_textured_glb(path: str | Path, mesh: TexturedMesh) -> None:
     file.write(path)
 
 
-def _add_pictures(file: GlbFile, material: dict[str, Any], picture: MeshPicture) -> None:
+def _add_pictures(file: GlbFile, material: Values, picture: MeshPicture) -> None:
     """Append the pictures of a mesh to a file, and to its material."""
     name, surface = material["name"], material["pbrMetallicRoughness"]
     surface["baseColorTexture"] = file.add_picture(picture.cut_png or picture.png, name=name)

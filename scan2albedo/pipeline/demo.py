@@ -2,12 +2,11 @@
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from scan2albedo.albedo import AlbedoError, albedo_error
-from scan2albedo.core import ProgressCallback, norms
+from scan2albedo.core import ProgressCallback, Values, norms
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import invert_rigid, rotation_angle_rad, transform_points
 from scan2albedo.io.run_folder import RunFolder
@@ -40,7 +39,7 @@ class DemoReport:
     texture: AlbedoError
     albedo: AlbedoError
 
-    def figures(self) -> dict[str, Any]:
+    def figures(self) -> Values:
         """Return the figures as plain numbers for JSON."""
         plain = {k: v for k, v in vars(self).items() if isinstance(v, int | float)}
         seconds = sum(self.result.timings_s.values())

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from scan2albedo.core import ByteArray, Float32Array, FloatArray, PlanStep, RawScan, norms
+from scan2albedo.core import ByteArray, Float32Array, FloatArray, PlanStep, RawScan, Values, norms
 from scan2albedo.core.landmarks import COUNT, PlacedLandmarks
 from scan2albedo.errors import MissingDependencyError, needs_extra
 from scan2albedo.geometry.mesh import face_normals
@@ -80,7 +80,7 @@ def detected_landmarks(scan: RawScan, model_from_scan: FloatArray) -> PlacedLand
         return None
     faces = scan.faces[near]
     normals = face_normals(vertices, faces)
-    colors: dict[str, Any] = {}  # keyword arguments of `render_mesh`
+    colors: Values = {}  # keyword arguments of `render_mesh`
     if scan.uv is not None and scan.texture_linear is not None:
         # Four texels a pixel: the pictures show no more of a larger texture.
         stride = max(1, max(scan.texture_linear.shape[:2]) // (4 * _SIZE))

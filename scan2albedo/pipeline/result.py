@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from scan2albedo.core import ByteArray, FloatArray, RealArray
+from scan2albedo.core import ByteArray, FloatArray, RealArray, Values
 from scan2albedo.core.raw_scan import lost_texture
 from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
@@ -135,9 +135,9 @@ class ProcessResult:
     def write_more(self, folder: Path, texture_srgb: ByteArray | None) -> None:
         """Write what a scan alone has not; `texture_srgb` (H, W, 3) is the albedo as it is shown."""
 
-    def metrics(self) -> dict[str, Any]:
+    def metrics(self) -> Values:
         """Return the figures of each stage, for summaries and result.json."""
-        figures: dict[str, Any] = {"seconds": round(sum(self.timings_s.values()), 3)}
+        figures: Values = {"seconds": round(sum(self.timings_s.values()), 3)}
         if self.registration is not None:
             names = ("rmse_mm", "confidence", "converged")
             figures["registration"] = {name: getattr(self.registration, name) for name in names}
@@ -282,7 +282,7 @@ def _write_chart(result: ProcessResult, shown: ByteArray | None, write: Callable
         write("shadow.png", write_png, gray_bytes(estimate.shadow))
 
 
-def _linear_moves(linear: LinearModelFit | None) -> dict[str, Any]:
+def _linear_moves(linear: LinearModelFit | None) -> Values:
     """Return how a linear model's mesh moves, as a `TexturedMesh` has it; nothing where it has no names."""
     if linear is None or not linear.model.names:
         return {}

@@ -19,6 +19,7 @@ from scan2albedo.core import (
     PlanStep,
     ProgressCallback,
     RawScan,
+    Values,
     identities,
 )
 from scan2albedo.core.first_run import compiled_beside
@@ -58,7 +59,7 @@ class SequenceResult(ProcessResult):
         """Files of frames that were left out, and why."""
         return tuple((frame["file"], frame["notes"][0]) for frame in self.frames if not frame["used"])
 
-    def metrics(self) -> dict[str, Any]:
+    def metrics(self) -> Values:
         """Return the figures of the first frame, and those of all."""
         return {**super().metrics(), "fps": self.fps, "frames": [dict(frame) for frame in self.frames]}
 
@@ -152,7 +153,7 @@ def process_sequence(
     if out is not None:
         RunFolder(Path(out) / name, FILES).check()
         check_writable(Path(out))
-    found, rows, first = list[TrackedFace](), list[dict[str, Any]](), None
+    found, rows, first = list[TrackedFace](), list[Values](), None
     arguments = chosen.arguments() | {"model": model}
     with compiled_beside():
         for number, source in enumerate(frames):

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from scan2albedo.albedo import albedo_error, estimate_albedo
-from scan2albedo.core import NDArray, PointLight
+from scan2albedo.core import NDArray, PointLight, Values
 from scan2albedo.synthetic import Material, SyntheticScene, face, hemisphere, light_at, with_normal_error
 
 PAPER_MSE_PERCENT = {"hemisphere": 1.07, "face": 2.01}
@@ -62,7 +62,7 @@ class ValidationTable:
         """Largest error of any row, in RGB or on V, whichever is worse."""
         return max(max(row.mse_percent, row.value_mse_percent) for row in self.rows)
 
-    def figures(self) -> dict[str, Any]:
+    def figures(self) -> Values:
         """Return the table as plain numbers for JSON."""
         return {**asdict(self), "worst_mse_percent": self.worst_mse_percent}
 
@@ -105,7 +105,7 @@ class LightingTable:
         albedo = float(np.mean([row.albedo_std_percent for row in self.rows]))
         return LightingRow("mean", texture, albedo)
 
-    def figures(self) -> dict[str, Any]:
+    def figures(self) -> Values:
         """Return the table as plain numbers for JSON."""
         mean = asdict(self.mean)
         del mean["seed"]
@@ -132,7 +132,7 @@ def validate_scenes(
     for brdf, material in REFLECTANCES.items():
         for texture in ("wood", "skin"):
             for angle in (0.0, 30.0, 60.0):
-                made: dict[str, Any] = {"lights": [light_at(angle)], "texture": texture, "material": material}
+                made: Values = {"lights": [light_at(angle)], "texture": texture, "material": material}
                 if scene == "face":
                     shown = face(1 if seed is None else seed, size=size, **made)
                 else:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from numbers import Integral
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 from scipy import fft
@@ -19,6 +19,7 @@ from scan2albedo.core import (
     FloatArray,
     NDArray,
     RealArray,
+    Values,
     all_finite,
     finite_rows,
 )
@@ -152,7 +153,7 @@ class Templates:
         return len(self.names)
 
     @property
-    def arrays(self) -> dict[str, Any]:
+    def arrays(self) -> Values:
         """`coefficients`, `mask` and `weight`, by name."""
         return {name: getattr(self, name) for name in ("coefficients", "mask", "weight")}
 

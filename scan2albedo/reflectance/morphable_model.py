@@ -3,12 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from scan2albedo.core import SMALLEST, ArrayLike, BoolArray, FloatArray, IntArray, checked_array
+from scan2albedo.core import SMALLEST, ArrayLike, BoolArray, FloatArray, IntArray, Values, checked_array
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.reflectance.linear_model import LinearModel, principal_directions, require_one_topology
@@ -16,7 +16,7 @@ from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflecta
 
 PEOPLE_DIFFER = 0.2
 """Standard deviation of an albedo among people, as part of its level."""
-_PARTS: dict[str, Any] = {"diffuse": slice(0, 3), "sum": 3, "share": slice(4, 7)}
+_PARTS: Values = {"diffuse": slice(0, 3), "sum": 3, "share": slice(4, 7)}
 """The model's columns by what the names of their arrays begin with in its file."""
 _KINDS = {"known": "b", "support": "iu", "deviation": "f"} | {
     f"{part}_{array}": "f" for part in _PARTS for array in ("mean", "basis")

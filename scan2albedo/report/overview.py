@@ -5,11 +5,11 @@ from __future__ import annotations
 import textwrap
 from dataclasses import dataclass, replace
 from io import BytesIO
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scan2albedo.core import BoolArray, ByteArray, FloatArray, RealArray
+from scan2albedo.core import BoolArray, ByteArray, FloatArray, RealArray, Values
 from scan2albedo.geometry.mesh import far_faces
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.io.color import encode_srgb_bytes, label_colors, linear_to_srgb
@@ -143,7 +143,7 @@ def _chart(srgb: RealArray, mask: BoolArray) -> Picture:
 def _scan_panel(title: str, scan: RawScan, fitted: FittedFace, view: View) -> Panel:
     placed = transform_points(fitted.model_from_scan, scan.vertices)
     near = ~far_faces(scan.vertices, scan.faces)  # stray faces in front would hide the face
-    colors: dict[str, Any] = {"shaded": not scan.has_color}
+    colors: Values = {"shaded": not scan.has_color}
     if scan.uv is not None and scan.texture_linear is not None:
         colors["texture_srgb"] = scan.uv[near], encode_srgb_bytes(scan.texture_linear)
     elif scan.vertex_color_linear is not None:

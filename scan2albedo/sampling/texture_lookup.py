@@ -1,7 +1,6 @@
 """Colour of a raw scan at given surface points, whether each was well seen, and by which camera."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from scan2albedo.core import (
     FloatArray,
     IntArray,
     RawScan,
+    Values,
     norms,
     on_grid,
     triangle_sides,
@@ -69,7 +69,7 @@ def texture_on_chart(
     normals: FloatArray,
     steps: FloatArray,
     image_from_scan: FloatArray,
-) -> dict[str, Any]:
+) -> Values:
     """Return the fields of a `GeometryImage` that hold a scan's texture; none for scans without colour.
 
     At the texels `inside` (H, W) it is that of `sample_colors`; the image's frame is `image_from_scan` (4, 4)
@@ -79,7 +79,7 @@ def texture_on_chart(
         return {}
     found = sample_colors(scan, points, normals, steps)
     linear, seen = on_grid(inside, found.color_linear), on_grid(inside, found.seen)
-    texture: dict[str, Any] = {"texture_linear": linear, "texture_valid": seen}
+    texture: Values = {"texture_linear": linear, "texture_valid": seen}
     if not found.pictured.all():
         if not found.seen.any():
             return {}

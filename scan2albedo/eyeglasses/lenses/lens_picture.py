@@ -2,11 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from scan2albedo.core import ArrayLike, BoolArray, FloatArray, IntArray, NDArray, checked_array, norms
+from scan2albedo.core import ArrayLike, BoolArray, FloatArray, IntArray, NDArray, Values, checked_array, norms
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import checked_keypoints
 from scan2albedo.eyeglasses.lenses import inserted_lenses as inserted
@@ -140,7 +139,7 @@ def insert_lenses(
         middles = list(checked_array(lens_centers, (2, 3), "lens_centers", finite=EyeglassesError))
     given = np.asarray(frame.vertices), np.asarray(frame.faces), marks
     sides = [(side, material) for side, material in enumerate(materials) if material is not None]
-    seat: dict[str, Any] = {"seat_mm": _SEAT_MM, "rim_masks": rim_masks}
+    seat: Values = {"seat_mm": _SEAT_MM, "rim_masks": rim_masks}
     placed = tuple(inserted.insert_lens(*given, k, own, center=middles[k], **seat) for k, own in sides)
     bare, glass_notes = inserted.without_glass(frame, placed, marks)
     scene, notes = LensScene(bare, surfaces), list(glass_notes)
@@ -270,7 +269,7 @@ class _View:
         if len(bands := blocks(len(pixels), 2**15)) > 1:
             parts = [self._rays(pixels[band]) for band in bands]
             names = ("bare", "shaded", "unknown", "lens", "surface", "distance")
-            joined: dict[str, Any] = {n: np.concatenate([getattr(part, n) for part in parts]) for n in names}
+            joined: Values = {n: np.concatenate([getattr(part, n) for part in parts]) for n in names}
             return _SeenRays(**joined, glancing=sum(part.glancing for part in parts))
         scene, center = self.scene, pinhole.camera_centers(self.camera[None])[0]
         straight = scene.rays(center, pinhole.pixel_directions(self.camera, pixels), pixels)

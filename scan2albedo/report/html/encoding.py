@@ -5,7 +5,6 @@ import hashlib
 import io
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -19,6 +18,7 @@ from scan2albedo.core import (
     GeometryImage,
     NDArray,
     RealArray,
+    Values,
     all_finite,
     norms,
 )
@@ -56,7 +56,7 @@ def octahedral(normals: FloatArray) -> NDArray[np.int16]:
     return np.round(np.clip(folded, -1, 1) * 32767).astype("<i2")
 
 
-def mesh_entry(mesh: FaceMesh, topologies: dict[str, dict[str, Any]]) -> dict[str, Any]:
+def mesh_entry(mesh: FaceMesh, topologies: dict[str, Values]) -> Values:
     """Return a mesh as the viewer reads it; positions are off by half of a 65535th of the box at most.
 
     Its triangles and chart coordinates go to `topologies`, {key: {"faces", "uv", "wide"}}, once for all
@@ -111,7 +111,7 @@ def texture_entry(
     *,
     quality: int | None = None,
     factor: float | None = None,
-) -> dict[str, Any]:
+) -> Values:
     """Return a linear texture (H, W, 3) as 8-bit sRGB for the viewer, continued beyond the mask (H, W).
 
     Its longest side has at most `size` texels; a JPEG of a quality, or PNG without loss. The texture is
@@ -121,9 +121,7 @@ def texture_entry(
     return {"factor": factor, **picture_entry(_pixels(linear, mask, size, factor), quality)}
 
 
-def patch_entry(
-    linear: RealArray, under: RealArray, mask: BoolArray, size: int, factor: float
-) -> dict[str, Any]:
+def patch_entry(linear: RealArray, under: RealArray, mask: BoolArray, size: int, factor: float) -> Values:
     """Return a texture (H, W, 3) as what is to be drawn over that of `under`, clear where the two agree."""
     over, below = (_pixels(texture, mask, size, factor) for texture in (linear, under))
     differs = (over != below).any(-1, keepdims=True)
@@ -134,14 +132,14 @@ def _pixels(linear: RealArray, mask: BoolArray, size: int, factor: float) -> Byt
     return encode_srgb_bytes(np.clip(factor * _fitted(filled_from_nearest(linear, mask), size), 0, 1))
 
 
-def gray_entry(values: FloatArray, mask: BoolArray, size: int) -> dict[str, Any]:
+def gray_entry(values: FloatArray, mask: BoolArray, size: int) -> Values:
     """Return values (H, W) as 8 bits of their greatest, without loss; the viewer multiplies by `scale`."""
     scale = float(values[mask].max()) if mask.any() else 0.0
     parts = _fitted(filled_from_nearest(values[..., None], mask) / (scale or 1.0), size)[..., 0]
     return {"scale": scale, **picture_entry(np.round(255 * np.clip(parts, 0, 1)).astype(np.uint8), None)}
 
 
-def picture_entry(pixels: ByteArray, quality: int | None) -> dict[str, Any]:
+def picture_entry(pixels: ByteArray, quality: int | None) -> Values:
     """Return 8-bit pixels as PNG, or as JPEG of a quality with full colour, in base64."""
     from PIL import Image
 
@@ -222,13 +220,13 @@ def residual_of_result(folder: Path, record: ResultRecord, mesh: FaceMesh) -> tu
 def viewer_entry(
     face: ProcessedFace,
     record: ResultRecord,
-    topologies: dict[str, dict[str, Any]],
+    topologies: dict[str, Values],
     residual_mm: FloatArray | None = None,
     *,
     size: int,
     quality: int | None = None,
     soft_shadows: bool = False,
-) -> dict[str, Any]:
+) -> Values:
     """Return all of a scan's viewer as JSON can hold it; `topologies` gets the triangles.
 
     Relit pictures show the face as `relight` lights it, without gaps and with skin's usual gloss: "filled" is

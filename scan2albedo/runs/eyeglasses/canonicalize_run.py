@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from scan2albedo import eyeglasses
-from scan2albedo.core import Budget, PlanStep, ProgressCallback, norms
+from scan2albedo.core import Budget, PlanStep, ProgressCallback, Values, norms
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import CanonicalizationOptions, skin, write_keypoints
 from scan2albedo.eyeglasses.frame_files import read_keypoints_with_unit, write_frame_glb
@@ -128,7 +128,7 @@ def canonicalize_frames(
     return CanonicalFiles(done, result, (*failures, *lost), called, time.perf_counter() - begun)
 
 
-def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, dict[str, Any]]:
+def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, Values]:
     """Write each frame's files into ``out / <name>`` and the set's into `out`; return figures by frame name.
 
     The figures are as in `result.json`. Raises OutputError, naming folder and cause.

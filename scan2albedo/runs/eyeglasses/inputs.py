@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from scan2albedo import eyeglasses
-from scan2albedo.core import BoolArray, FloatArray, IntArray, RawScan, all_finite, finite_rows
+from scan2albedo.core import BoolArray, FloatArray, IntArray, RawScan, Values, all_finite, finite_rows
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import Camera, LensMaterial, read_cameras, write_keypoints
 from scan2albedo.eyeglasses.frame_files import read_keypoints_with_unit
@@ -350,7 +350,7 @@ def material_pair(
     glass = _SUNGLASSES
     if not sunglasses:
         glass = LensMaterial(beta=_SUNGLASSES.beta if fresnel else 0.0, fresnel=fresnel)
-    given: dict[str, Any] = {"alpha": alpha, "beta": beta}
+    given: Values = {"alpha": alpha, "beta": beta}
     if tint is not None:
         given["tint_linear"] = numbers("--tint", tint, 3)
         if alpha is None and not sunglasses:

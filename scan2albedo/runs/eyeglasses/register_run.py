@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from scan2albedo import eyeglasses
-from scan2albedo.core import Budget, FloatArray, PlanStep, ProgressCallback, norms
+from scan2albedo.core import Budget, FloatArray, PlanStep, ProgressCallback, Values, norms
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import write_keypoints, write_labels
 from scan2albedo.eyeglasses.frame_files import write_frame_glb
@@ -114,7 +114,7 @@ class PlacedFrame:
             for number, (camera, px) in enumerate(zip(self.given.cameras, proposed, strict=True))
         )
 
-    def figures(self) -> dict[str, Any]:
+    def figures(self) -> Values:
         """Return the figures of the whole, as in `result.json`."""
         result, given = self.result, ~np.isnan(self.result.label_errors_px)
         return {
@@ -172,7 +172,7 @@ def register_frame(
     return PlacedFrame(given, result, options, time.perf_counter() - begun)
 
 
-def write_registration_files(done: PlacedFrame, out: Path) -> dict[str, Any]:
+def write_registration_files(done: PlacedFrame, out: Path) -> Values:
     """Write a registered frame's files; return the figures of its `result.json`, or raise OutputError."""
     result, given = done.result, done.given
     assert given.labels is not None

@@ -2,12 +2,11 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from scan2albedo import reflectance
-from scan2albedo.core import SMALLEST, BoolArray, Budget, FloatArray, ProgressCallback
+from scan2albedo.core import SMALLEST, BoolArray, Budget, FloatArray, ProgressCallback, Values
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.geometry.mesh import vertex_components, vertex_normals
 from scan2albedo.io.color import encode_srgb_bytes
@@ -36,7 +35,7 @@ class FittedCapture:
     notes: tuple[str, ...] = ()
 
 
-def write_olat(capture: CaptureFiles, out: Path) -> dict[str, Any]:
+def write_olat(capture: CaptureFiles, out: Path) -> Values:
     """Write the light that each flash added as EXR pictures, one a pair, and a sheet; return the figures."""
     from skimage.util import montage
 
@@ -126,13 +125,13 @@ def fit_capture(
     return FittedCapture(capture, olat, samples, fit, held_out, error, tuple(notes))
 
 
-def write_fit(done: FittedCapture, out: Path, options: dict[str, Any]) -> dict[str, Any]:
+def write_fit(done: FittedCapture, out: Path, options: Values) -> Values:
     """Write reflectance, trace, overview and relit pictures; returns figures as in `reflectance.json`."""
     capture, fit = done.capture, done.fit
     mesh = MeshReflectance(capture.vertices, capture.faces, fit.reflectance)
     known = fit.reflectance.known
     identified = fit.identified[known].mean(0) if known.any() else np.zeros(6)
-    figures: dict[str, Any] = {
+    figures: Values = {
         "pairs": int(np.asarray(done.samples.valid).any((1, 2)).sum()),
         "pairs_of_capture": len(done.samples.light),
         "vertices": len(known),
