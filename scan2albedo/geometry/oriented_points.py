@@ -9,7 +9,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from scan2albedo.core import BoolArray, FloatArray, IntArray, norms
+from scan2albedo.core import BoolArray, FloatArray, IntArray, NDArray, norms
 from scan2albedo.geometry import mesh
 from scan2albedo.geometry.mesh import neighbour_lists, normalized, vertex_normals
 
@@ -72,7 +72,7 @@ def oriented_points(vertices: FloatArray, faces: IntArray, spacing: float) -> Or
     extent = cells.max(0) + 1
     key = (cells[:, 0] * extent[1] + cells[:, 1]) * extent[2] + cells[:, 2]
     _, cell = np.unique(key, return_inverse=True)
-    total = np.bincount(cell, areas)
+    total: NDArray = np.bincount(cell, areas)
     mean, normal = (
         np.stack([np.bincount(cell, values[:, axis]) for axis in range(3)], 1)
         for values in (points * areas[:, None], vectors)
