@@ -190,7 +190,7 @@ def copied_steps(
         place[..., axis] -= before
         good &= pairs[place[..., 0], place[..., 1]]
         steps[good] = there[place[good][:, 0], place[good][:, 1]]
-    steps[both] = 0.5 * (steps + own)[both]
+    steps[both] = (steps + own)[both] / 2
     return steps
 
 

@@ -161,7 +161,7 @@ class _Colours:
         at = np.r_[: len(self.x) - 5, -3, -2]
         x, own = self.x[at], np.linalg.inv(np.linalg.inv(self.precision)[np.ix_(at, at)])
         before = np.linalg.slogdet(self.known[np.ix_(at, at)])[1]
-        odds = 0.5 * float(x @ own @ x - np.linalg.slogdet(own)[1] + before)
+        odds = float(x @ own @ x - np.linalg.slogdet(own)[1] + before) / 2
         step = PlanStep(STAGE, True, "the parts of the light have their own colours", f"log odds {odds:.1f}")
         return replace(found, step=step, gloss=math.exp(self.x[-1]), ratio=log_ratio)
 

@@ -196,7 +196,7 @@ class LightSearch:
             if not dark:
                 equations = point.normal_equations()
                 step = damped_step(equations, _CAUTION)
-                fall = float(step @ equations.gradient) + 0.5 * float(step @ equations.matrix @ step)
+                fall = float(step @ equations.gradient) + float(step @ equations.matrix @ step) / 2
                 cost, x = cost + min(fall, 0.0), x + step
             ranked.append((cost, x))
             if meter.exhausted:

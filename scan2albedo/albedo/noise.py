@@ -107,7 +107,7 @@ def white_variance(fields: FloatArray, usable: BoolArray) -> FloatArray:
             sums = np.zeros((*known.shape, values.shape[2] + 1))
             middle, pairs = slice(lag // 2, lag // 2 - lag), known[lag:] & known[:-lag]
             sums[middle, :, -1] = pairs
-            sums[middle, :, :-1] = 0.5 * (values[lag:] - values[:-lag]) ** 2 * pairs[..., None]
+            sums[middle, :, :-1] = (values[lag:] - values[:-lag]) ** 2 / 2 * pairs[..., None]
             sums = _window_sums(sums, WINDOW // 2)
             number = sums[..., -1:]
             # Fewer pairs than the window's side tell nothing.
@@ -154,7 +154,7 @@ def additive_deviation(diffuse: FloatArray, light: FloatArray, usable: BoolArray
     depend on the light I, texture t is multiplied by it. Both are fitted, not negative, to the medians over
     groups of texels of equal I. 0 where the light hardly varies, since the two cannot be separated there.
     """
-    second = diffuse[:, 1:-1] - 0.5 * (diffuse[:, :-2] + diffuse[:, 2:])
+    second = diffuse[:, 1:-1] - (diffuse[:, :-2] + diffuse[:, 2:]) / 2
     inner = usable[:, 1:-1] & usable[:, :-2] & usable[:, 2:]
     # A shadow's edge is neither noise nor texture.
     chosen = inner & (np.abs(light[:, 2:] - light[:, :-2]) < 0.1 * light[:, 1:-1])

@@ -173,8 +173,8 @@ class Point:
         self.prior = light_prior(self.model, self.x, p.log_level, p.level_sd, p.prior.face, soft)
         far = sum(math.log(scale) ** 2 for scale in (albedo, grain)) / (2 * _MISFIT_SD**2)
         far += sum(math.log(scale) ** 2 for scale in (light, soft)) / (2 * _LIGHT_SD**2)
-        sizes = 0.5 * p.field.log_determinant(known.scales) + len(self.error) / p.repeats * math.log(grain)
-        rough = 0.5 * float(p.field.own(known.scales) @ (self.u @ p.field.basis) ** 2)
+        sizes = p.field.log_determinant(known.scales) / 2 + len(self.error) / p.repeats * math.log(grain)
+        rough = float(p.field.own(known.scales) @ (self.u @ p.field.basis) ** 2) / 2
         self.cost = float(misfit) / p.repeats + rough + self.prior.cost + far + sizes
 
     @property
@@ -253,7 +253,7 @@ class Point:
         matrix = self.quadratic()[0]
         nodes = 2 * float(np.log(np.diag(self.known.factor)).sum())
         x = float(np.linalg.slogdet(matrix)[1]) - len(matrix) * math.log(2 * math.pi)
-        return -self.cost - 0.5 * (nodes + x)
+        return -self.cost - (nodes + x) / 2
 
     def covariance(self) -> FloatArray:
         """Return (P, P) the covariance of x."""
@@ -307,9 +307,7 @@ class Point:
 
 def _shrunk(square: float, count: float, deviation: float) -> float:
     """Return a scale from its mean square over so many values and the normal prior of its logarithm."""
-    return math.exp(
-        0.5 * math.log(max(square, node_field.TINY**2)) * count / (count + 1 / (2 * deviation**2))
-    )
+    return math.exp(math.log(max(square, node_field.TINY**2)) / 2 * count / (count + 1 / (2 * deviation**2)))
 
 
 def descend(start: _State, trials: int, meter: Meter | None) -> _State:

@@ -77,7 +77,7 @@ class SharedLight:
             tail = np.where(e < 0, free, 1.0)
             misfit += float(((free + 1) / tail * np.log1p(tail * e**2 / (free * v)) + np.log(v)).sum())
         rough = float(self.u @ self.precision @ self.u) + float((beside**2 / self.own).sum())
-        self.cost = 0.5 * (misfit / repeats + rough) + sum(point.prior.cost for point in self.points)
+        self.cost = (misfit / repeats + rough) / 2 + sum(point.prior.cost for point in self.points)
 
     @cached_property
     def _equations(self) -> tuple[FloatArray, FloatArray, FloatArray]:

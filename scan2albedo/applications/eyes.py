@@ -286,7 +286,7 @@ def _likeliest(
     def cost(outlines: FloatArray) -> FloatArray:
         mixed = (_members(outlines, texels.xy) * likelihood).sum(-2)
         fits = texels.weight * (np.log(mixed + 1e-12) + top).sum(-1)
-        return 0.5 * (((outlines - usual) / _OUTLINE_SD_MM) ** 2).sum(-1) - fits
+        return (((outlines - usual) / _OUTLINE_SD_MM) ** 2).sum(-1) / 2 - fits
 
     def with_slope(outline: FloatArray) -> tuple[float, FloatArray]:
         values = cost(np.vstack([outline, outline + 1e-4 * np.eye(len(outline))]))

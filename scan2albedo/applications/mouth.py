@@ -85,7 +85,7 @@ def _teeth(
     gap = np.exp(-(((along - along[60] + TOOTH_MM / 2) % TOOTH_MM - TOOTH_MM / 2) ** 2))
     rows = []
     for high, thick in ((10, 0.0), (0, 0.0), (0, 2.0), (10, 5.0)):
-        shrunk = arch * (1 - (thick + inward + 0.5 * gap[:, None]) / 30)
+        shrunk = arch * (1 - (thick + inward + gap[:, None] / 2) / 30)
         y = np.full(len(arch), edge_mm + up * high)
         z = min(rim[2, 2], rim[6, 2]) - LIP_MM - thick - inward + shrunk[:, 1]
         rows.append(np.stack([rim.mean(0)[0] + shrunk[:, 0], y, z], -1))

@@ -361,7 +361,7 @@ def normal_bytes(normal: RealArray, samples: type = np.uint8) -> NDArray:
     """
     encoded: NDArray = np.empty(normal.shape, samples)
     for row in range(0, len(normal), 256):  # to spare memory
-        encoded[row : row + 256] = integers(0.5 * (normal[row : row + 256] + 1), samples)
+        encoded[row : row + 256] = integers((normal[row : row + 256] + 1) / 2, samples)
     return encoded
 
 

@@ -185,7 +185,7 @@ class GeometryImage:
         whole = self.mask[:-1, :-1] & self.mask[:-1, 1:] & self.mask[1:, :-1] & self.mask[1:, 1:]
         down = (self.position[1:, 1:] - self.position[:-1, :-1])[whole]
         up = (self.position[:-1, 1:] - self.position[1:, :-1])[whole]
-        return 0.5 * norms(np.cross(down, up))
+        return norms(np.cross(down, up)) / 2
 
     def figures(self) -> dict[str, float]:
         """Return what part of the square is surface, what part of that was seen, or is skin; texel areas."""

@@ -162,7 +162,7 @@ def surface_cells(triangles: FloatArray, limit: int) -> IntArray | None:
         sides = np.roll(corner, -1, 1) - corner
         axes = np.cross(sides[:, :, None], np.eye(3)).reshape(-1, 9, 3)
         axes = np.concatenate([axes, np.cross(sides[:, 0], sides[:, 1])[:, None]], 1)
-        along, reach = axes @ corner.transpose(0, 2, 1), 0.5 * np.abs(axes).sum(2) * (1 + _TIE)
+        along, reach = axes @ corner.transpose(0, 2, 1), np.abs(axes).sum(2) / 2 * (1 + _TIE)
         found.append(cells[((along.min(2) <= reach) & (along.max(2) >= -reach)).all(1)])
         if sum(map(len, found)) > room + len(corners):
             return None

@@ -221,7 +221,7 @@ def minimize_bounded(
                 change, after = trial - x[:, k], ordered @ trial
                 # Armijo's condition; differences of the energy itself would drown in rounding.
                 predicted = float(gradient @ change)
-                if predicted + 0.5 * float(change @ (after - product[:, k])) <= 1e-4 * predicted < 0:
+                if predicted + float(change @ (after - product[:, k])) / 2 <= 1e-4 * predicted < 0:
                     x[:, k], product[:, k], lowered = trial, after, True
                     break
             meter.count()

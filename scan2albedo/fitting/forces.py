@@ -72,7 +72,7 @@ class ScanForces:
         used = np.flatnonzero(self.weight > 0)
         _, back = cKDTree(samples, balanced_tree=False).query(samples[used] + self.offset[used])
         gap = norms(samples[back] - samples[used])
-        reach = 0.5 * norms(self.offset[used])
+        reach = norms(self.offset[used]) / 2
         kept = np.zeros(len(samples), bool)
         kept[used] = gap <= reach + MUTUAL_SPACING * np.sqrt(area[used])
         return kept

@@ -273,7 +273,7 @@ def corner_moves(model: AnnotatedSurface, control_points: FloatArray) -> FloatAr
     if landmarks is None:
         return None
     corners = landmarks[list(CORNERS)]
-    middle, half_width = corners.mean(0), 0.5 * max(float(np.linalg.norm(corners[1] - corners[0])), 1e-6)
+    middle, half_width = corners.mean(0), max(float(np.linalg.norm(corners[1] - corners[0])), 1e-6) / 2
     across, above = (control_points - middle)[:, :2].T
     beside = np.maximum(np.abs(across) - half_width, 0)
     # The skin beside and above the corners follows them, with standard deviations of 15 and 14 mm.

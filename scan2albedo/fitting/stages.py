@@ -92,7 +92,7 @@ class Deformation:
         if level not in self._sampled:
             samples = SurfaceSamples.of(self.model, self.reference, level)
             # The preconditioner assumes springs half as stiff as an open gate's.
-            weight = sparse.diags(0.5 * samples.area)
+            weight = sparse.diags(samples.area / 2)
             self._sampled[level] = samples, (samples.matrix.T @ weight @ samples.matrix).tocsr()
         return self._sampled[level]
 

@@ -97,7 +97,7 @@ class FaceTracker:
         coverage = float(shown.sum() / samples.area.sum())
         if coverage < MIN_COVERAGE:
             raise FitError(f"{scan.name}: only {100 * coverage:.1f} % of the face has scan near it")
-        seen = samples.matrix.T @ shown > 0.5 * (samples.matrix.T @ samples.area)
+        seen = samples.matrix.T @ shown > (samples.matrix.T @ samples.area) / 2
         # Small gaps follow their surroundings: between lips, in holes.
         seen[model.control_faces[seen[model.control_faces].any(1)]] = True
         mouth[0] = self._hinge.angle_deg(rest, control)

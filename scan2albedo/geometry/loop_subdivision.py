@@ -68,9 +68,9 @@ class LoopSubdivision:
         face, barycentric = np.asarray(points.face, int), np.array(points.barycentric, float)
         for _ in range(self.levels):
             row, child = np.arange(len(face)), face % 4
-            outer = 0.5 * barycentric
+            outer = barycentric / 2
             outer[row, np.minimum(child, 2)] += 0.5
-            middle = 0.5 * (1 - barycentric[:, [1, 2, 0]])
+            middle = (1 - barycentric[:, [1, 2, 0]]) / 2
             face, barycentric = face // 4, np.where((child == 3)[:, None], middle, outer)
         return SurfacePoints(face, barycentric)
 

@@ -30,7 +30,7 @@ def face_cross_products(vertices: FloatArray, faces: IntArray) -> FloatArray:
 
 def face_areas(vertices: FloatArray, faces: IntArray) -> FloatArray:
     """Return (F,) areas."""
-    return 0.5 * lengths(face_cross_products(vertices, faces))
+    return lengths(face_cross_products(vertices, faces)) / 2
 
 
 def lengths(vectors: FloatArray) -> FloatArray:

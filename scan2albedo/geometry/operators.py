@@ -30,7 +30,7 @@ def laplacian(
     sine = np.linalg.norm(np.cross(u, v), axis=2)
     cosine = np.einsum("fij,fij->fi", u, v)
     longest = np.maximum(np.einsum("fij,fij->fi", u, u), np.einsum("fij,fij->fi", v, v))
-    weights = 0.5 * np.clip(cosine / np.maximum(sine, 1e-12 * longest + 1e-300), 0.0, MAX_COTANGENT)
+    weights = np.clip(cosine / np.maximum(sine, 1e-12 * longest + 1e-300), 0.0, MAX_COTANGENT) / 2
     if face_weight is not None:
         weights = weights * face_weight[:, None]
     start, end = faces[:, [1, 2, 0]].ravel(), faces[:, [2, 0, 1]].ravel()
@@ -115,7 +115,7 @@ def surface_diffusion(
     # Far beyond the surface's size everything is its mean already, and L would drown M in rounding.
     deviation = min(float(deviation_mm), 1e3 * float(np.ptp(vertices, axis=0).max(initial=0.0)))
     mass = np.where(area > 0, area, 1.0)
-    system = sparse.diags(mass) + 0.5 * deviation**2 * laplacian(vertices, faces)
+    system = sparse.diags(mass) + deviation**2 / 2 * laplacian(vertices, faces)
     factor = splu(system.tocsc(), permc_spec="COLAMD")
 
     def spread(values: ArrayLike) -> FloatArray:

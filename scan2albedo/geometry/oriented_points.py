@@ -52,7 +52,7 @@ def oriented_points(vertices: FloatArray, faces: IntArray, spacing: float) -> Or
     read_stride = int(np.ceil(len(faces) / _MAX_RAW_SAMPLES)) or 1
     faces = faces[::read_stride]
     cross = mesh.face_cross_products(vertices, faces)
-    area = 0.5 * norms(cross)
+    area = norms(cross) / 2
     used = np.flatnonzero(area > 0)
     per_face = np.clip(np.ceil(2 * area[used] / spacing**2), 1, 256).astype(int)
     stride = int(np.ceil(per_face.sum() / _MAX_RAW_SAMPLES)) or 1
@@ -65,7 +65,7 @@ def oriented_points(vertices: FloatArray, faces: IntArray, spacing: float) -> Or
     fold = first + second > 1
     first, second = np.where(fold, 1 - first, first), np.where(fold, 1 - second, second)
     points = np.einsum("nk,nkd->nd", np.stack([1 - first - second, first, second], 1), vertices[faces[owner]])
-    areas, vectors = area[owner] * share, cross[owner] * (0.5 * share)[:, None]
+    areas, vectors = area[owner] * share, cross[owner] * (share / 2)[:, None]
     if len(points) == 0:
         return OrientedPoints(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
     cells = np.floor((points - points.min(0)) / spacing).astype(int)

@@ -60,8 +60,8 @@ def flatten_disc(
     uv = np.ascontiguousarray(igl.slim_solve(data, 30)[:, :2])
     if mirror is None:
         return uv
-    offset = uv - [0.5 * (uv[:, 0].min() + uv[:, 0].max()), 0.0]
-    return 0.5 * (offset + offset[mirror] * [-1.0, 1.0])
+    offset = uv - [(uv[:, 0].min() + uv[:, 0].max()) / 2, 0.0]
+    return (offset + offset[mirror] * [-1.0, 1.0]) / 2
 
 
 def boundary_loop(vertex_count: int, faces: IntArray) -> IntArray:
@@ -104,7 +104,7 @@ def boundary_curve(vertices: FloatArray, loop: IntArray) -> FloatArray:
     unit = np.stack([np.cos(t), np.sin(t)], 1)
     curve = unit * (np.abs(unit) ** SQUARENESS).sum(1, keepdims=True) ** (-1 / SQUARENESS)
     along = norms(np.diff(curve, axis=0))
-    area = 0.5 * np.sum(curve[:-1, 0] * curve[1:, 1] - curve[1:, 0] * curve[:-1, 1])
+    area = np.sum(curve[:-1, 0] * curve[1:, 1] - curve[1:, 0] * curve[:-1, 1]) / 2
     at, length = (arc + phase) % 1.0, np.concatenate([[0.0], np.cumsum(along)]) / along.sum()
     return np.stack([np.interp(at, length, side) for side in (curve / np.sqrt(area)).T], 1)
 
@@ -119,4 +119,4 @@ def tutte(vertex_count: int, faces: IntArray, loop: IntArray, target: FloatArray
 def signed_areas(uv: FloatArray, faces: IntArray) -> FloatArray:
     """Return (F,) signed areas of 2D triangles, positive when counter-clockwise."""
     a, b, c = uv[faces[:, 0]], uv[faces[:, 1]], uv[faces[:, 2]]
-    return 0.5 * ((b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1]))
+    return ((b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1])) / 2

@@ -175,7 +175,7 @@ def seen_colors(
     """
     shown = np.ones(colors.shape[:-1], bool)
     if colors.shape[-1] == 4:
-        shown, colors = colors[..., 3] >= 0.5 * colors[..., 3].max(), np.ascontiguousarray(colors[..., :3])
+        shown, colors = colors[..., 3] >= colors[..., 3].max() / 2, np.ascontiguousarray(colors[..., :3])
     flat = colors.reshape(-1, 3)
     height, width = colors.shape[:2] if uv is not None else (1, 1)
 

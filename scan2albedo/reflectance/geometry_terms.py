@@ -238,7 +238,7 @@ class GeometryPoint:
         self.meter.count()
         precision, numbers = self._prior
         data = sum((term.value(self.vertices) for term in self.terms), start=0.0)
-        return data + 0.5 * float(precision @ numbers**2)
+        return data + float(precision @ numbers**2) / 2
 
     def normal_equations(self) -> NormalEquations:
         """Return the quadratic model by turn, shift and the coefficients that move."""

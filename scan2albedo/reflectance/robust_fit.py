@@ -214,7 +214,7 @@ class RobustFit:
         if self.tilting:
             assert self.data.tilt_sigma is not None
             square = (self.tilt[rows] ** 2).sum(1) / (TILT_FREEDOM * self.data.tilt_sigma[rows] ** 2)
-            self.loss[rows] += 0.5 * (TILT_FREEDOM + 2) * np.log1p(square)
+            self.loss[rows] += (TILT_FREEDOM + 2) / 2 * np.log1p(square)
 
 
 def normal_sigma(

@@ -60,7 +60,7 @@ class DepthDerivativeObjective:
         total = float(self._pixel_weights.sum())
         if total == 0:
             return 1.0
-        limit = 0.5 * self._frame.pixel
+        limit = self._frame.pixel / 2
         with np.errstate(invalid="ignore"):
             off = np.abs(_slopes(self._draw(parameters)) - self._slopes)
         return float(np.vdot(self._pixel_weights, np.fmin(off, limit).sum(0))) / (2 * limit * total)

@@ -59,7 +59,7 @@ def checked_exposure(exposure: float) -> float:
 def portrait_frame(vertices: FloatArray) -> tuple[FloatArray, float, float]:
     """Return the middle (3,) of vertices (V, 3), half their greater width or height, and their depth."""
     low, high = vertices.min(0), vertices.max(0)
-    return (low + high) / 2, 0.5 * float(np.max((high - low)[:2])), float((high - low)[2])
+    return (low + high) / 2, float(np.max((high - low)[:2])) / 2, float((high - low)[2])
 
 
 @dataclass(frozen=True)

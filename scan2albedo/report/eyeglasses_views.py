@@ -128,7 +128,7 @@ def _view_panel(frame: RegisteredEyeglasses, number: int, view: SeenView, head: 
     mask = np.zeros(given_camera.shape, bool) if given_mask is None else given_mask
     shift, size = zoom[[1, 0], 2], (_SIZE, _SIZE)
     map_back = [1 / scale] * 2, -shift / scale, size
-    gray = affine_transform(0.5 * mask, *map_back, order=1, mode="grid-constant", cval=1.0)
+    gray = affine_transform(mask / 2, *map_back, order=1, mode="grid-constant", cval=1.0)
     picture = np.repeat(np.round(255 * gray).astype(np.uint8)[:, :, None], 3, axis=2)
     # Where the frame is seen, and where the head is in front of it.
     shown = seen_samples(frame.vertices, frame.faces, normalized_cameras((zoom @ camera)[None])[0], size)

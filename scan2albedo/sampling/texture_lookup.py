@@ -145,7 +145,7 @@ def sample_colors(
         color, inside, pictured, pixel = _photograph(scan, near, hits, steps)
         # Faces need enough photograph pixels for their area.
         e1, e2 = scan.uv[:, 1] - scan.uv[:, 0], scan.uv[:, 2] - scan.uv[:, 0]
-        texture_area = 0.5 * np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])
+        texture_area = np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0]) / 2
         density = texture_area / np.maximum(mesh.face_areas(scan.vertices, scan.faces), 1e-12)
         used = density[texture_area > 0]
         valid &= (density > (MIN_DENSITY * np.median(used) if len(used) else np.inf))[face] & inside

@@ -112,7 +112,7 @@ def flash_capture(
         # The room: three lamps 3 m away and light from everywhere, half each.
         places_of_lamps = (-35.0, 50.0), (40.0, 35.0), (5.0, 70.0)
         lamps = [person.lit(seen, TARGET_MM + 3000 * toward(*lamp)) / 3 for lamp in places_of_lamps]
-        ambient = room * _ROOM_COLOR * (0.5 * sum(lamps) + 0.5 * seen.diffuse_linear / np.pi)
+        ambient = room * _ROOM_COLOR * (sum(lamps) / 2 + seen.diffuse_linear / 2 / np.pi)
         rooms.append(on_grid(seen.mask, ambient.astype(np.float32)))
         skin.append(on_grid(seen.mask, seen.on_face))
         for strength, position in zip(gain, centers[:flashes], strict=True):

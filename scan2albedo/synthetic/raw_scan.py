@@ -128,7 +128,7 @@ def capture(
     for k, (camera, place) in enumerate(zip(pods, pinhole.camera_centers(pods), strict=True)):
         toward_pod = normalized(place - points)
         hidden = np.asarray((np.abs(pinhole.project(camera, points)[0] - 0.5) > 0.4975).any(1))
-        hidden[~hidden] = scene.occluded((points + 0.5 * toward_pod)[~hidden], toward_pod[~hidden])
+        hidden[~hidden] = scene.occluded((points + toward_pod / 2)[~hidden], toward_pod[~hidden])
         cosine = np.einsum("ij,ij->i", normals, toward_pod[triangles[:, 0]])
         facing[:, k] = np.where(hidden[triangles].any(1), -1.0, cosine)
     kept = (leaning > _LEAST_COSINE) & (facing.max(1) > _LEAST_COSINE)

@@ -168,7 +168,7 @@ def oren_nayar(
     theta_r, phi_r = polar(toward_viewer)
     alpha, beta = np.maximum(theta_i, theta_r), np.minimum(theta_i, theta_r)
     variance = sigma_rad**2
-    a, b = 1 - 0.5 * variance / (variance + 0.33), 0.45 * variance / (variance + 0.09)
+    a, b = 1 - variance / 2 / (variance + 0.33), 0.45 * variance / (variance + 0.09)
     facets = b * np.maximum(0, np.cos(phi_r - phi_i)) * np.sin(alpha) * np.tan(beta)
     return np.cos(theta_i) * (a + facets)
 
