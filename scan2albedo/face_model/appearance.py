@@ -12,6 +12,7 @@ fitted together with the classes by expectation maximisation. Neighbours are lik
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
@@ -167,12 +168,7 @@ def appearance(
             usual_mm = max(float(np.median(rough[likely])), _SMOOTH_MM)
             # Skin itself shows up to 1.5 times its median.
             told[0] -= 2.0 * np.maximum(rough / usual_mm - 1.5, 0)
-    # The shares of the classes, for neighbours that likely agree: log odds of 2 for the class of all of them.
-    logs = log_prior + told
-    shares = np.exp(logs - np.logaddexp.reduce(logs))
-    for _ in range(5):
-        agreeing = logs + 2 * np.stack([local_mean(one, grid.part, 3) for one in shares])
-        shares = np.exp(agreeing - np.logaddexp.reduce(agreeing))
+    shares = _agreeing(log_prior + told, lambda own: np.stack([local_mean(one, grid.part, 3) for one in own]))
     likeliest, labels = _resized(shares[0].astype(np.float32), seen.shape), seen.astype(np.uint8)
     weight = np.where(seen, np.minimum(likeliest / SURE, 1), np.float32(0))
     for number, one in enumerate(shares[1:].astype(np.float32), 2):
@@ -245,15 +241,27 @@ def beyond_chart(
     any_mean, any_covariance = mean[6].copy(), covariance[6].copy()
     for _ in range(3):
         logs = prior + often[:, None] + _POWER * model.log_likelihood(colors)
-        shares = np.exp(logs - np.logaddexp.reduce(logs))
         # The person's own hair, beside one patch of any hair.
-        weight = patch * shares[6]
+        weight = patch * _shares(logs)[6]
         mean[6] = (weight @ colors + any_mean) / (weight.sum() + 1)
         off = colors - mean[6]
         covariance[6] = ((weight * off.T) @ off + any_covariance) / (weight.sum() + 1)
+    return _agreeing(logs, lambda shares: (neighbour_mean @ shares.T).T)
+
+
+def _shares(logs: FloatArray) -> FloatArray:
+    """Return the shares (C, N) of classes with log likelihoods (C, N)."""
+    return np.exp(logs - np.logaddexp.reduce(logs))
+
+
+def _agreeing(logs: FloatArray, around: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """Return the shares (C, N) of classes, for neighbours that likely agree.
+
+    Log odds of 2 for the class of all of them; `around` returns the neighbours' mean of shares.
+    """
+    shares = _shares(logs)
     for _ in range(5):
-        agreeing = logs + 2 * (neighbour_mean @ shares.T).T
-        shares = np.exp(agreeing - np.logaddexp.reduce(agreeing))
+        shares = _shares(logs + 2 * around(shares))
     return shares
 
 
@@ -352,11 +360,15 @@ def _fitted(
     """
     light, often = np.zeros((basis.shape[1], 3)), np.zeros(len(prior))
     light[0], precision = start, 1 / model.covariance[0, 1, 1]
+
+    def explained(wider: float = 1.0) -> tuple[FloatArray, FloatArray]:
+        features = values - np.pad(basis @ light, ((0, 0), (0, values.shape[1] - 3)))
+        return features, (prior + often[:, None]) + _POWER * model.log_likelihood(features, wider)
+
     # Skin is wider in the first rounds: light is known the less at first.
     for wider in (2.0, 1.5, 1.0, 1.0, 1.0):
-        features = values - np.pad(basis @ light, ((0, 0), (0, values.shape[1] - 3)))
-        logs = (prior + often[:, None]) + _POWER * model.log_likelihood(features, wider)
-        shares = np.exp(logs - np.logaddexp.reduce(logs))
+        features, logs = explained(wider)
+        shares = _shares(logs)
         # A cap or a beard is one event, however large: its share is learned here, against one usual patch.
         here, usual = (independent * one.sum(1) + 1 for one in (shares, np.exp(prior)))
         often = np.log(here / usual)
@@ -364,8 +376,7 @@ def _fitted(
         square = _square(features - model.mean[0], wider**2 * model.covariance[0])
         trust = shares[0] * (_FREEDOM + features.shape[1]) / (_FREEDOM + square)
         light = skin_in_light(basis, values[:, :3], trust * independent * precision, start)
-    features = values - np.pad(basis @ light, ((0, 0), (0, values.shape[1] - 3)))
-    logs = (prior + often[:, None]) + _POWER * model.log_likelihood(features)
+    _, logs = explained()
     turned = sum(float((light[1:, c] ** 2 / _LIGHT_SD[c > 0][1:] ** 2).sum()) for c in range(3))
     evidence = np.logaddexp.reduce(logs).sum() * independent + _hue_odds(light[0, 1:]) - turned / 2
     return light, often, float(evidence)
