@@ -2,10 +2,8 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from scan2albedo.albedo.estimate import divided, lit_image
@@ -21,10 +19,18 @@ from scan2albedo.albedo.result import AlbedoEstimate
 from scan2albedo.albedo.shared_light import shared_lights
 from scan2albedo.albedo.texel_light import light_on_texels
 from scan2albedo.albedo.uncertainty import light_uncertainty
-from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
-from scan2albedo.core.arrays import FloatArray
-from scan2albedo.core.geometry_image import GeometryImage
-from scan2albedo.core.plan import Plan, PlanStep
+from scan2albedo.core import (
+    Budget,
+    Float32Array,
+    FloatArray,
+    GeometryImage,
+    Meter,
+    NDArray,
+    Plan,
+    PlanStep,
+    ProgressCallback,
+    Trace,
+)
 from scan2albedo.errors import LightingError
 
 _PASSES = 6
@@ -35,17 +41,17 @@ _PASSES = 6
 class CommonAlbedo:
     """Result of `estimate_common_albedo`; images are zero outside the mask."""
 
-    albedo_linear: NDArray[np.float32]
+    albedo_linear: Float32Array
     """(H, W, 3): up to one global scale, in the mean colours of all cameras."""
-    expected_error: NDArray[np.float32]
+    expected_error: Float32Array
     """(H, W): relative error that two texels in three stay below, best scale removed; 1 where nothing was
     measured. It falls with the number of images that show a texel well lit."""
     coverage: NDArray[np.uint16]
     """(H, W): how many images show each texel."""
-    disagreement: NDArray[np.float32]
+    disagreement: Float32Array
     """(H, W): root mean square by which the images' own albedos differ from it, relative: make-up, a tan,
     another expression or person; 0 where fewer than two images show a texel."""
-    gains: NDArray[np.float64]
+    gains: FloatArray
     """(K, 3): by what the colours of each image's own albedo are multiplied to agree."""
     estimates: tuple[AlbedoEstimate, ...]
     """Each image in its own light, beside the common albedo; empty where `on_estimate` took them."""
@@ -135,8 +141,8 @@ def estimate_common_albedo(
         reason = "the lights of one albedo, found together"
         plan += [PlanStep("albedo.shared", len(best) > 1, reason, f"{len(best)} image(s)")]
         estimates = list[AlbedoEstimate]()
-        logs, weights = list[NDArray[np.float32]](), list[FloatArray]()
-        errors = list[NDArray[np.float32]]()
+        logs, weights = list[Float32Array](), list[FloatArray]()
+        errors = list[Float32Array]()
         for k, (image, found, point) in enumerate(zip(images, searched, best, strict=True)):
             scene, _ = scene_of(image)
             mask, alone = image.mask, found
@@ -172,11 +178,11 @@ def estimate_common_albedo(
 
 
 def _fields(
-    logs: NDArray[np.float32],
+    logs: Float32Array,
     weights: FloatArray,
-    errors: NDArray[np.float32],
+    errors: Float32Array,
     light_variance: FloatArray | None,
-) -> tuple[dict[str, NDArray[Any]], FloatArray]:
+) -> tuple[dict[str, NDArray], FloatArray]:
     """Return the images of a `CommonAlbedo` as values of the N texels, and the gains (K, 3).
 
     `logs` (K, N, 3), `weights` and `errors` (K, N) are of each image's own albedo, `light_variance` (N,) is
@@ -187,7 +193,7 @@ def _fields(
     if light_variance is not None:
         error += light_variance
     shown = (weights > 1.0).sum(0)
-    fields: dict[str, NDArray[Any]] = {
+    fields: dict[str, NDArray] = {
         "albedo_linear": np.exp(mean).astype(np.float32),
         "expected_error": np.minimum(np.sqrt(error), 1.0).astype(np.float32),
         "coverage": shown.astype(np.uint16),
@@ -208,7 +214,7 @@ def _with_shared(found: LightFound, point: Point, options: EstimateOptions) -> L
 
 
 def _averaged(
-    logs: NDArray[np.float32], weights: FloatArray
+    logs: Float32Array, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return the mean (N, 3) of log albedos (K, N, 3), gains (K, 3), weights (K, N) and spread (N,).
 

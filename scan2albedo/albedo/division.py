@@ -3,12 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from scan2albedo.albedo.noise import WINDOW, ChannelNoise, channel_noise, window_mean
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core import BoolArray, FloatArray, NDArray
+from scan2albedo.core.compiled import compiled
 
 _SCALES = (3, 5)
 """Sides, in texels, of the neighbourhoods toward whose means a noisy texel is drawn."""
@@ -49,11 +48,11 @@ def divide_light(
     those that were measured; the others keep the plain quotient, as all do without `shrink`. `usual` is the
     noise of another part of the same image, so that parts join without a seam.
     """
-    channels = texture.reshape(*mask.shape, -1).astype(np.float64)
+    channels = texture.reshape(*mask.shape, -1).astype(float)
     channels -= specular.reshape(*mask.shape, -1)
     light = np.where(light > 0, light, 1.0).reshape(*mask.shape, -1) * np.ones(channels.shape)
     quotient = np.where(mask[..., None], channels / light, 0.0)
-    known = usable.astype(np.float64)
+    known = usable.astype(float)
     around = window_mean(quotient, known, WINDOW)
     around = np.maximum(around, max(1e-6 * float(around.max(initial=0.0)), 1e-12))
     relative = quotient / around
@@ -89,7 +88,7 @@ def _filtered(field: FloatArray, weight: FloatArray, noise: FloatArray) -> Float
     # Running sums may end below 0 by a rounding error.
     noise_here = np.maximum(window_mean(noise, weight, WINDOW), 0.0)
     known = weight > 0
-    whole = np.where(known, field, window_mean(field, known.astype(np.float64), 3))
+    whole = np.where(known, field, window_mean(field, known.astype(float), 3))
     guide = median_filter(whole, 3, mode="nearest")
     # A neighbour that differs by three standard deviations of noise counts a quarter.
     reach = np.maximum(3.0**2 * noise_here, 1e-12)
@@ -109,7 +108,7 @@ def _filtered(field: FloatArray, weight: FloatArray, noise: FloatArray) -> Float
     return np.stack([result + finer, own + finer_share, variance + finer_share * noise_here])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _means_of_alike(field, weight, guide, reach, window):  # type: ignore[no-untyped-def]
     """Return weighted means (H, W) over windows, and the part of white noise's variance that they have.
 

@@ -24,11 +24,18 @@ from scan2albedo.albedo.shadows import FEWEST
 from scan2albedo.albedo.soft_terms import DARKEST
 from scan2albedo.albedo.texel_light import TexelLight, light_on_texels
 from scan2albedo.albedo.uncertainty import expected_error
-from scan2albedo.core import Budget, Meter, ProgressCallback
+from scan2albedo.core import (
+    Budget,
+    FloatArray,
+    GeometryImage,
+    Meter,
+    Plan,
+    PlanStep,
+    ProgressCallback,
+    on_grid,
+)
 from scan2albedo.core.arguments import require_type
-from scan2albedo.core.arrays import FloatArray, on_grid
-from scan2albedo.core.geometry_image import NO_CAMERA, GeometryImage
-from scan2albedo.core.plan import Plan, PlanStep
+from scan2albedo.core.geometry_image import NO_CAMERA
 from scan2albedo.geometry.mesh import lengths
 from scan2albedo.lighting.environment_light import environment_of_shading, open_shading
 from scan2albedo.lighting.harmonics import harmonics
@@ -114,7 +121,7 @@ def estimate_albedo(
         isinstance(lights, bool) or not isinstance(lights, Integral) or not 1 <= int(lights) <= 4
     ):
         raise ValueError(f"lights is {lights!r}, expected 'auto' or an integer from 1 to 4")
-    toward = np.asarray(view_direction, np.float64)
+    toward = np.asarray(view_direction, float)
     length = float(np.linalg.norm(toward)) if toward.shape == (3,) else 0.0
     if not 0 < length < math.inf:
         raise ValueError(f"view_direction is {view_direction!r}, expected three finite numbers, not all zero")

@@ -1,13 +1,12 @@
 """Exemplar synthesis of texels whose colour a highlight has wiped out, and fields rebuilt from gradients."""
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 from scipy.sparse import csr_matrix, identity
 from scipy.sparse.linalg import splu
 
 from scan2albedo.albedo.node_field import FAINT
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core import BoolArray, Float32Array, FloatArray, IntArray, NDArray, finite_rows
+from scan2albedo.core.compiled import compiled
 
 _HOLD = 1e-4
 """Weight by which a copy keeps its own level: felt from 100 texels on, where gradients add up to drift."""
@@ -43,7 +42,7 @@ def resynthesize(
     if not target.any() or not origin.any():
         return albedo
     known = origin if context is None else origin | (context & ~target)
-    if bad := int((~np.isfinite(albedo[known]).all(1)).sum()):
+    if bad := int((~finite_rows(albedo[known])).sum()):
         raise ValueError(f"{bad} of {int(known.sum())} texels to copy from or compare with are not finite")
     radius = max(4, round(RADIUS * max(target.shape)))
     window = surroundings(target, radius)
@@ -72,10 +71,10 @@ def resynthesize(
     return result
 
 
-def continued_smoothly(albedo: NDArray, gaps: BoolArray, known: BoolArray) -> NDArray[np.float32]:
+def continued_smoothly(albedo: NDArray, gaps: BoolArray, known: BoolArray) -> Float32Array:
     """Return an albedo (H, W, 3) whose logarithm goes on from `known` into `gaps` by Laplace's equation."""
     floor = max(FAINT * float(albedo.mean()), float(np.finfo(np.float32).tiny))
-    field = np.log(np.maximum(albedo.astype(np.float64), floor))
+    field = np.log(np.maximum(albedo.astype(float), floor))
     still = np.zeros_like(field)
     filled = integrate_gradients(field, gaps, known, still[:, 1:], still[1:])
     return np.where(gaps[..., None], np.exp(filled), albedo).astype(np.float32)
@@ -105,7 +104,7 @@ def _order(target: BoolArray, known: BoolArray) -> IntArray:
     return np.concatenate(layers)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _fill(field, order, origin, context, offsets, places, jumps, precision, rng):  # type: ignore[no-untyped-def]
     """Return `field` with the texels of `order` filled one after another, and where they came from.
 
@@ -191,7 +190,7 @@ def copied_steps(
         place[..., axis] -= before
         good &= pairs[place[..., 0], place[..., 1]]
         steps[good] = there[place[good][:, 0], place[good][:, 1]]
-    steps[both] = 0.5 * (steps + own)[both]
+    steps[both] = (steps + own)[both] / 2
     return steps
 
 
@@ -219,7 +218,7 @@ def integrate_gradients(
     if not region.any():
         return field
     number, usable = np.arange(region.size).reshape(region.shape), region | known
-    values, pairs, steps = field.reshape(region.size, -1).astype(np.float64), [], []
+    values, pairs, steps = field.reshape(region.size, -1).astype(float), [], []
     for axis, wanted in ((1, across), (0, down)):
         here, there = ((slice(None),) * axis + (part,) for part in (slice(None, -1), slice(1, None)))
         joined = usable[here] & usable[there] & (region[here] | region[there])

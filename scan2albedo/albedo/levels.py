@@ -4,15 +4,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.ndimage import distance_transform_edt, map_coordinates, uniform_filter
 
 from scan2albedo.albedo.noise import WINDOW
 from scan2albedo.albedo.options import MINIMAL_TEXELS, SATURATION_LINEAR
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.core.geometry_image import GeometryImage
+from scan2albedo.core import BoolArray, Float32Array, FloatArray, GeometryImage, IntArray, NDArray, RealArray
+from scan2albedo.core.compiled import compiled
 from scan2albedo.errors import LightingError
 from scan2albedo.geometry.mesh import lengths, normalized
 from scan2albedo.lighting.environment_light import SMALLEST_MM, surface_keys
@@ -59,17 +57,17 @@ class Level:
         found = []
         total = 0
         for shift in (0.0, 0.5):
-            row, column = (np.floor((self.center - low) / side + shift).astype(np.int64)).T
+            row, column = (np.floor((self.center - low) / side + shift).astype(int)).T
             _, index = np.unique(row * 100_000 + column, return_inverse=True)
             found.append(index + total)
             total += int(index.max()) + 1
         return np.stack(found).astype(np.int32), total
 
 
-def brightest_around(texture_linear: NDArray[np.float32], usable: BoolArray) -> FloatArray:
+def brightest_around(texture_linear: Float32Array, usable: BoolArray) -> FloatArray:
     """Return (H, W) the channel that is the brightest on average around each texel: V, but for its noise."""
     chosen = uniform_filter(usable[..., None] * texture_linear, (WINDOW, WINDOW, 1)).argmax(-1)
-    return np.take_along_axis(texture_linear, chosen[..., None], -1)[..., 0].astype(np.float64)
+    return np.take_along_axis(texture_linear, chosen[..., None], -1)[..., 0].astype(float)
 
 
 def usable_texels(image: GeometryImage) -> BoolArray:
@@ -103,7 +101,7 @@ def build_level(
     image: GeometryImage,
     usable: BoolArray,
     size: int,
-    values: NDArray[np.floating] | None = None,
+    values: RealArray | None = None,
     toward: FloatArray | None = None,
 ) -> Level:
     """Average the face's usable texels of V, or of `values` (H, W), into cells, `size` along its side.
@@ -130,7 +128,7 @@ def build_level(
     position, value = mean(image.position), mean(field)[:, 0]
     scale = np.ones(len(value)) if image.specular_scale is None else mean(image.specular_scale)[:, 0]
     toward = image.toward_camera((0.0, 0.0, 1.0)) if toward is None else toward
-    anchor = _closest(index, image.position[usable].astype(np.float64), position)
+    anchor = _closest(index, image.position[usable].astype(float), position)
     unit = max(float(np.median(field[usable])), 1e-12)
     # Hair, eyes and cloth take part by a quarter; of a surface without skin every texel takes part alike.
     part = np.ones(image.shape)
@@ -145,7 +143,7 @@ def build_level(
     return Level(*seen, cell, center, texels, factor)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _closest(index, texels, mean):  # type: ignore[no-untyped-def]
     """Return (N, 3) of the `texels` (T, 3) with each `index` (T,) the one closest to `mean` (N, 3)."""
     found, least = np.empty(mean.shape), np.full(len(mean), np.inf)
@@ -165,7 +163,7 @@ def cell_means(level: Level, values: FloatArray, mask: BoolArray) -> FloatArray:
     row, column = np.nonzero(mask)
     number, cell = row // level.factor * across + column // level.factor, level.cell @ (across, 1)
     sums, count = np.bincount(number, values), np.bincount(number)
-    return np.asarray(sums[cell] / count[cell])
+    return sums[cell] / count[cell]
 
 
 def cell_field(level: Level, values: FloatArray, mask: BoolArray) -> FloatArray:
@@ -181,7 +179,7 @@ def _nearest_cells(level: Level, mask: BoolArray) -> IntArray:
     number = np.full(tuple(-(-side // level.factor) for side in mask.shape), -1)
     number[row, column] = np.arange(len(row))
     nearest = distance_transform_edt(number < 0, return_distances=False, return_indices=True)
-    return np.asarray(number[tuple(nearest)])
+    return number[tuple(nearest)]
 
 
 def along_surface(level: Level, values: FloatArray, image: GeometryImage) -> FloatArray:
@@ -197,7 +195,7 @@ def along_surface(level: Level, values: FloatArray, image: GeometryImage) -> Flo
     return found
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _from_four_cells(at, texels, factor, number, cells, values, smallest, found):  # type: ignore[no-untyped-def]
     """Fill `found` (P, C) at the texels `at` (P, 2); `texels` (P, 6) and `cells` (N, 6) are keys."""
     squares, chosen = np.empty(4), np.empty(4, np.int64)

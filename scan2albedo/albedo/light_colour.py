@@ -11,8 +11,7 @@ from scan2albedo.albedo.light_parameters import HARMONICS
 from scan2albedo.albedo.node_field import inverse, posterior_factor, solved
 from scan2albedo.albedo.posterior import EXTRA, NOISE, Point, Posterior, cell_trust, robust_weights
 from scan2albedo.albedo.soft_terms import DARKEST
-from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.core.plan import PlanStep
+from scan2albedo.core import FloatArray, IntArray, PlanStep
 
 STAGE = "albedo.light_colour"
 _COLOUR_SD = 0.5, 0.1, 0.05
@@ -162,7 +161,7 @@ class _Colours:
         at = np.r_[: len(self.x) - 5, -3, -2]
         x, own = self.x[at], np.linalg.inv(np.linalg.inv(self.precision)[np.ix_(at, at)])
         before = np.linalg.slogdet(self.known[np.ix_(at, at)])[1]
-        odds = 0.5 * float(x @ own @ x - np.linalg.slogdet(own)[1] + before)
+        odds = float(x @ own @ x - np.linalg.slogdet(own)[1] + before) / 2
         step = PlanStep(STAGE, True, "the parts of the light have their own colours", f"log odds {odds:.1f}")
         return replace(found, step=step, gloss=math.exp(self.x[-1]), ratio=log_ratio)
 
@@ -198,4 +197,4 @@ class _Ratio:
         fields = solved(posterior_factor(p.nodes, self.weight, self.precision), onto)
         self.u = fields[:, -1]
         self.weight = robust_weights(rows[:, -1] - p.nodes @ self.u, self.variance, p.repeats)
-        return np.asarray(rows.T @ weighted - onto.T @ fields)
+        return rows.T @ weighted - onto.T @ fields

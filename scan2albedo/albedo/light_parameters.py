@@ -8,8 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from scan2albedo.core.arrays import FloatArray
-from scan2albedo.core.lights import PointLight
+from scan2albedo.core import FloatArray, PointLight
 from scan2albedo.lighting.shading import Reflectance, light_from_direction
 from scan2albedo.lighting.shadow_map import view_frame
 
@@ -116,12 +115,12 @@ class LightModel:
 
     def direction(self, px: float, py: float) -> FloatArray:
         """Return the unit direction (3,) of p."""
-        return np.asarray(_with_tangents(px, py)[0] @ self._frame)
+        return _with_tangents(px, py)[0] @ self._frame
 
     def tangents(self, x: FloatArray) -> FloatArray:
         """Return (L, 2, 3) the derivatives of each light's direction by p."""
         found = [_with_tangents(px, py)[1:] for px, py, _ in x[: 3 * self.lights].reshape(-1, 3).tolist()]
-        return np.asarray(np.reshape(found, (self.lights, 2, 3)) @ self._frame)
+        return np.reshape(found, (self.lights, 2, 3)) @ self._frame
 
     def decode(self, x: FloatArray) -> Hypothesis:
         """Return the hypothesis that x stands for (x clipped to the bounds)."""

@@ -8,8 +8,7 @@ import numpy as np
 from scan2albedo.albedo.light_parameters import HARMONICS, PARTS, LightModel
 from scan2albedo.albedo.node_field import TINY
 from scan2albedo.albedo.options import EstimateOptions
-from scan2albedo.core.arrays import FloatArray
-from scan2albedo.core.plan import PlanStep
+from scan2albedo.core import FloatArray, PlanStep
 
 Rows = list[tuple[int, float, float]]
 """Place in x, mean and standard deviation of parameters."""
@@ -115,7 +114,7 @@ def parts_steps(
         away, own = x[at] - plain, covariance[np.ix_(at, at)]
         prior = -0.5 * float((((plain - mean) / deviation) ** 2).sum()) - float(np.log(deviation).sum())
         own = own + np.diag(1e-9 * deviation**2)
-        posterior = -0.5 * float(away @ np.linalg.solve(own, away)) - 0.5 * float(np.linalg.slogdet(own)[1])
+        posterior = -0.5 * float(away @ np.linalg.solve(own, away)) - float(np.linalg.slogdet(own)[1]) / 2
         evidence = f"log odds {prior - posterior:.1f}"
         steps.append(PlanStep(stage, True, "in the model, as its prior allows", evidence))
     return steps
@@ -130,7 +129,7 @@ def light_prior(
     at = np.array([row[0] for row in rows])
     mean, deviation = np.array([row[1:] for row in rows]).T
     away = (x[at] - mean) / deviation
-    cost = 0.5 * float(away @ away) + float(np.log(deviation * math.sqrt(2 * math.pi)).sum())
+    cost = float(away @ away) / 2 + float(np.log(deviation * math.sqrt(2 * math.pi)).sum())
     # Lamps shine from any direction, in any order, and each more is half as probable.
     cost += model.lights * math.log(8 * math.pi) - math.lgamma(model.lights + 1)
     slope, curvature = np.zeros(len(x)), np.full(len(x), TINY)

@@ -14,8 +14,7 @@ from scan2albedo.albedo.node_field import Scales
 from scan2albedo.albedo.posterior import EXTRA, NOISE, TEMPER, Point, Posterior, Start, descend
 from scan2albedo.albedo.shadows import OUTLINE_BLURS
 from scan2albedo.albedo.uncertainty import Alternative, light_uncertainty
-from scan2albedo.core.arrays import FloatArray
-from scan2albedo.core.plan import PlanStep
+from scan2albedo.core import FloatArray, PlanStep
 from scan2albedo.optimization.least_squares import damped_step
 
 _DARK_STRENGTH = 10.0
@@ -197,7 +196,7 @@ class LightSearch:
             if not dark:
                 equations = point.normal_equations()
                 step = damped_step(equations, _CAUTION)
-                fall = float(step @ equations.gradient) + 0.5 * float(step @ equations.matrix @ step)
+                fall = float(step @ equations.gradient) + float(step @ equations.matrix @ step) / 2
                 cost, x = cost + min(fall, 0.0), x + step
             ranked.append((cost, x))
             if meter.exhausted:

@@ -18,10 +18,7 @@ from scan2albedo.albedo.prior import AlbedoPrior
 from scan2albedo.albedo.shadows import Horizon, ShadowLattice, shadow_caster
 from scan2albedo.albedo.soft_terms import SoftTerms
 from scan2albedo.albedo.uncertainty import LightUncertainty
-from scan2albedo.core import Meter
-from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.core.geometry_image import GeometryImage
-from scan2albedo.core.plan import PlanStep
+from scan2albedo.core import BoolArray, FloatArray, GeometryImage, Meter, PlanStep
 from scan2albedo.geometry.mesh import lengths
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment import distant_directions
@@ -107,7 +104,7 @@ class LitImage:
         """(P, 2) where on the prior's chart each masked texel lies: row and column, from 0 to 1."""
         mask, chart = self.image.mask, self.image.face_chart
         if self.prior.face and chart is not None:
-            return chart[mask].astype(np.float64)
+            return chart[mask].astype(float)
         return (np.argwhere(mask) + 0.5) / np.asarray(mask.shape)
 
     @cached_property
@@ -122,7 +119,7 @@ class LitImage:
         caster, image, mask = self.shadows[0], self.image, self.image.mask
         if caster is None:
             return None
-        surface = image.position[mask], image.normal[mask].astype(np.float64)
+        surface = image.position[mask], image.normal[mask].astype(float)
         return Patches.among(ShadowMap(caster, *surface))
 
     @cached_property

@@ -3,7 +3,6 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from scipy import sparse
 from scipy.linalg import LinAlgError, eigh, solve_triangular
 from scipy.linalg.blas import dtrsv
@@ -11,7 +10,8 @@ from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 
 from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.prior import NODES, AlbedoPrior
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core import FloatArray, IntArray
+from scan2albedo.core.compiled import compiled
 
 UNMODELLED = 0.06
 """Standard deviation of light that no part stands for, as a part of the median light."""
@@ -72,7 +72,7 @@ class NodeField:
 
     def own(self, scales: Scales) -> FloatArray:
         """Return (M,) the precision in the basis."""
-        return np.asarray(1 / (scales.albedo**2 + scales.light**2 * self.ratio))
+        return 1 / (scales.albedo**2 + scales.light**2 * self.ratio)
 
     def precision(self, scales: Scales) -> FloatArray:
         """Return (M, M) the precision; the last is kept."""
@@ -90,7 +90,7 @@ class NodeField:
         size = np.sqrt((onto_nodes @ deviation**2) / count)
         at = np.stack(np.divmod(self.used, NODES), 1) / NODES
         apart = np.linalg.norm(at[:, None] - at[None], axis=2)
-        return np.asarray(np.outer(size, size) * np.exp(-apart / _REACH) + TINY * np.eye(len(at)))
+        return np.outer(size, size) * np.exp(-apart / _REACH) + TINY * np.eye(len(at))
 
 
 def deviation_of_light(light: FloatArray, usual: float) -> FloatArray:
@@ -110,23 +110,23 @@ def posterior_factor(nodes: sparse.csr_matrix, weight: FloatArray, precision: Fl
     factor, failed = dpotrf(matrix, lower=1, clean=0, overwrite_a=1)
     if failed:
         raise LinAlgError("the precision of the nodes is not positive definite")
-    return np.asarray(factor)
+    return factor
 
 
 def solved(factor: FloatArray, values: FloatArray) -> FloatArray:
     """Return the solution (M, ...) of the system with this factor."""
     if values.ndim > 1:
-        return np.asarray(dpotrs(factor, values, lower=1)[0])
-    return np.asarray(dtrsv(factor, dtrsv(factor, values, lower=1), lower=1, trans=1))
+        return dpotrs(factor, values, lower=1)[0]
+    return dtrsv(factor, dtrsv(factor, values, lower=1), lower=1, trans=1)
 
 
 def inverse(factor: FloatArray) -> FloatArray:
     """Return (M, M) the inverse of the matrix with this factor."""
     low = dpotri(factor, lower=1)[0]
-    return np.asarray(np.tril(low) + np.tril(low, -1).T)
+    return np.tril(low) + np.tril(low, -1).T
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def cell_variances(start, node, share, matrix):  # type: ignore[no-untyped-def]
     """Return (N,) s_n^T matrix s_n of the rows s_n of a sparse matrix (N, M): its indptr, indices, data."""
     found = np.zeros(len(start) - 1)
@@ -137,7 +137,7 @@ def cell_variances(start, node, share, matrix):  # type: ignore[no-untyped-def]
     return found
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _add_cells(start, node, share, weight, matrix):  # type: ignore[no-untyped-def]
     """Add w_n s_n s_n^T of cells n to the lower half of `matrix` (M, M); s_n are rows of a sparse matrix."""
     for n in range(len(weight)):

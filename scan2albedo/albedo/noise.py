@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy.optimize import nnls
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core import BoolArray, FloatArray
+from scan2albedo.core.compiled import compiled
 from scan2albedo.io.color import linear_to_srgb, srgb_to_linear
 
 WINDOW = 25
@@ -107,7 +107,7 @@ def white_variance(fields: FloatArray, usable: BoolArray) -> FloatArray:
             sums = np.zeros((*known.shape, values.shape[2] + 1))
             middle, pairs = slice(lag // 2, lag // 2 - lag), known[lag:] & known[:-lag]
             sums[middle, :, -1] = pairs
-            sums[middle, :, :-1] = 0.5 * (values[lag:] - values[:-lag]) ** 2 * pairs[..., None]
+            sums[middle, :, :-1] = (values[lag:] - values[:-lag]) ** 2 / 2 * pairs[..., None]
             sums = _window_sums(sums, WINDOW // 2)
             number = sums[..., -1:]
             # Fewer pairs than the window's side tell nothing.
@@ -125,7 +125,7 @@ def window_mean(field: FloatArray, weight: FloatArray, window: int) -> FloatArra
     return np.where(mass > 1e-9, sums[..., :-1] / np.maximum(mass, 1e-9), 0.0).reshape(field.shape)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _window_sums(values, radius):  # type: ignore[no-untyped-def]
     """Return the sums of `values` (H, W, C) over windows: what enters is added, what leaves is taken off."""
     rows, columns, channels = values.shape
@@ -154,7 +154,7 @@ def additive_deviation(diffuse: FloatArray, light: FloatArray, usable: BoolArray
     depend on the light I, texture t is multiplied by it. Both are fitted, not negative, to the medians over
     groups of texels of equal I. 0 where the light hardly varies, since the two cannot be separated there.
     """
-    second = diffuse[:, 1:-1] - 0.5 * (diffuse[:, :-2] + diffuse[:, 2:])
+    second = diffuse[:, 1:-1] - (diffuse[:, :-2] + diffuse[:, 2:]) / 2
     inner = usable[:, 1:-1] & usable[:, :-2] & usable[:, 2:]
     # A shadow's edge is neither noise nor texture.
     chosen = inner & (np.abs(light[:, 2:] - light[:, :-2]) < 0.1 * light[:, 1:-1])

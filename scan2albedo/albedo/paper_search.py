@@ -4,14 +4,13 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 from scipy.optimize import minimize
 
 from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.light_parameters import PARTS, LightModel, Solution
 from scan2albedo.albedo.lit_image import CONE_RAD, LightFound, LitImage
-from scan2albedo.core.arrays import FloatArray
-from scan2albedo.core.plan import PlanStep
+from scan2albedo.core import FloatArray, PlanStep
+from scan2albedo.core.compiled import compiled
 from scan2albedo.lighting.shading import shade_rows
 from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable, cone_directions
 from scan2albedo.optimization.annealing import simulated_annealing
@@ -28,7 +27,7 @@ _LIGHT_SHARE = 0.1
 """Intensity of one more light beside the strongest one's."""
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def albedo_deviation(value, weight, light, specular, blocks, block_count):  # type: ignore[no-untyped-def]
     """Return sum w |A - mean_b A| / sum w A with A = (T - I_s) / I: the paper's objective, normalised.
 

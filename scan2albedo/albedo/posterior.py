@@ -16,8 +16,7 @@ from scan2albedo.albedo.light_parameters import HARMONICS, LightModel, Solution
 from scan2albedo.albedo.light_priors import light_prior
 from scan2albedo.albedo.shadows import ShadowLattice
 from scan2albedo.albedo.soft_terms import DARKEST, SoftTerms
-from scan2albedo.core import Meter
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core import BoolArray, FloatArray, Meter
 from scan2albedo.lighting.shading import FreeLamps, LitPoints, log_rows, shade_with_derivatives
 from scan2albedo.optimization.least_squares import Damping, LeastSquaresPoint, NormalEquations, minimize
 
@@ -123,7 +122,7 @@ def robust_weights(
     Errors of a sign that is `frequent` (N,) have the tails of one degree of freedom, Cauchy's.
     """
     square = error**2 / variance * np.where(frequent, FREEDOM, 1.0)
-    return np.asarray((FREEDOM + 1) / (FREEDOM + square) / (variance * repeats))
+    return (FREEDOM + 1) / (FREEDOM + square) / (variance * repeats)
 
 
 class Point:
@@ -174,8 +173,8 @@ class Point:
         self.prior = light_prior(self.model, self.x, p.log_level, p.level_sd, p.prior.face, soft)
         far = sum(math.log(scale) ** 2 for scale in (albedo, grain)) / (2 * _MISFIT_SD**2)
         far += sum(math.log(scale) ** 2 for scale in (light, soft)) / (2 * _LIGHT_SD**2)
-        sizes = 0.5 * p.field.log_determinant(known.scales) + len(self.error) / p.repeats * math.log(grain)
-        rough = 0.5 * float(p.field.own(known.scales) @ (self.u @ p.field.basis) ** 2)
+        sizes = p.field.log_determinant(known.scales) / 2 + len(self.error) / p.repeats * math.log(grain)
+        rough = float(p.field.own(known.scales) @ (self.u @ p.field.basis) ** 2) / 2
         self.cost = float(misfit) / p.repeats + rough + self.prior.cost + far + sizes
 
     @property
@@ -186,7 +185,7 @@ class Point:
     def left_of_highlight(self) -> FloatArray:
         """Return (N,) V without the highlight, which leaves some of it."""
         value = np.exp(self.problem.value)
-        return np.asarray(np.maximum(value - self.specular, DARKEST * value))
+        return np.maximum(value - self.specular, DARKEST * value)
 
     def bounced(self) -> FloatArray:
         """Return (N,) the light that the surface throws onto itself."""
@@ -254,7 +253,7 @@ class Point:
         matrix = self.quadratic()[0]
         nodes = 2 * float(np.log(np.diag(self.known.factor)).sum())
         x = float(np.linalg.slogdet(matrix)[1]) - len(matrix) * math.log(2 * math.pi)
-        return -self.cost - 0.5 * (nodes + x)
+        return -self.cost - (nodes + x) / 2
 
     def covariance(self) -> FloatArray:
         """Return (P, P) the covariance of x."""
@@ -273,7 +272,7 @@ class Point:
         covariance = self.covariance()[:-EXTRA, :-EXTRA]
         variance = node_field.cell_variances(p.nodes.indptr, p.nodes.indices, p.nodes.data, nodes)
         variance += ((slopes @ covariance) * slopes).sum(1)
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+        return np.sqrt(np.maximum(variance, 0.0))
 
     def albedo_nodes(self) -> tuple[float, FloatArray]:
         """Return a level and (M,) the nodes' log albedo beside the mean pattern, given this light.
@@ -308,9 +307,7 @@ class Point:
 
 def _shrunk(square: float, count: float, deviation: float) -> float:
     """Return a scale from its mean square over so many values and the normal prior of its logarithm."""
-    return math.exp(
-        0.5 * math.log(max(square, node_field.TINY**2)) * count / (count + 1 / (2 * deviation**2))
-    )
+    return math.exp(math.log(max(square, node_field.TINY**2)) / 2 * count / (count + 1 / (2 * deviation**2)))
 
 
 def descend(start: _State, trials: int, meter: Meter | None) -> _State:

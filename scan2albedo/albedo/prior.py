@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.spatial.distance import cdist
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core import ArrayLike, FloatArray, all_finite
 from scan2albedo.errors import LightingError
 from scan2albedo.geometry.rasterization import bilinear
 from scan2albedo.io.npz import read_npz, write_npz
@@ -122,13 +121,13 @@ class AlbedoPrior:
         for name, shape in _SHAPES.items():
             got = found[name].shape
             alike = len(got) == len(shape) and all(b in (a, None) for a, b in zip(got, shape, strict=True))
-            if not alike or found[name].dtype.kind not in "bf" or not np.isfinite(found[name]).all():
+            if not alike or found[name].dtype.kind not in "bf" or not all_finite(found[name]):
                 expected = str(shape).replace("None", "R")
                 raise LightingError(
                     f"{what} {path}: {name} is {found[name].dtype} of shape {got}, expected finite numbers "
                     f"of shape {expected}; {advice}"
                 )
-            found[name] = found[name].astype(np.float64)
+            found[name] = found[name].astype(float)
         a, b, c = found.pop("level").tolist()
         least = np.linalg.eigvalsh(found["chroma"][1:])[0]
         if not (min(found["deviation"].min(), found["spread"].min(), found["length"], c, least) > 0):
@@ -148,21 +147,21 @@ class AlbedoPrior:
         modes, spread = (field[channel].reshape(-1, NODES**2) for field in (self.modes, self.spread))
         centres = (np.indices((NODES, NODES)).reshape(2, -1).T + 0.5) / NODES
         stationary = spread.T @ spread * np.exp(-cdist(centres, centres) / self.length)
-        return np.asarray(self.shrinkage * modes.T @ modes + (1 - self.shrinkage) * stationary)
+        return self.shrinkage * modes.T @ modes + (1 - self.shrinkage) * stationary
 
     def mean_at(self, places: ArrayLike) -> FloatArray:
         """Return (N, 3), the mean at places (N, 2): row and column on the chart, both from 0 to 1."""
-        return bilinear(self.mean, np.asarray(places, np.float64)[:, ::-1] * MEANS - 0.5)
+        return bilinear(self.mean, np.asarray(places, float)[:, ::-1] * MEANS - 0.5)
 
     def deviation_at(self, places: ArrayLike, channels: slice = slice(None)) -> FloatArray:
         """Return (N, 3), the standard deviation that no node carries; see `mean_at`."""
-        return bilinear(self.deviation[..., channels], np.asarray(places, np.float64)[:, ::-1] * MEANS - 0.5)
+        return bilinear(self.deviation[..., channels], np.asarray(places, float)[:, ::-1] * MEANS - 0.5)
 
     @staticmethod
     def node_weights(places: ArrayLike) -> sparse.csr_matrix:
         """Return (N, NODES^2) bilinear weights of the nodes at places (N, 2); rows sum to 1."""
-        at = np.clip(np.asarray(places, np.float64) * NODES - 0.5, 0, NODES - 1)
-        first = np.minimum(at.astype(np.int64), NODES - 2)
+        at = np.clip(np.asarray(places, float) * NODES - 0.5, 0, NODES - 1)
+        first = np.minimum(at.astype(int), NODES - 2)
         corner = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
         share = (1 - corner + (2 * corner - 1) * (at - first)[:, None]).prod(2)
         index = (first[:, None] + corner) @ [NODES, 1]

@@ -4,14 +4,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from scan2albedo.albedo.uncertainty import LightUncertainty
-from scan2albedo.core import Trace
-from scan2albedo.core.arrays import on_grid
-from scan2albedo.core.geometry_image import GeometryImage
-from scan2albedo.core.lights import EnvironmentLight, PointLight
-from scan2albedo.core.plan import Plan
+from scan2albedo.core import (
+    ArrayLike,
+    EnvironmentLight,
+    Float32Array,
+    GeometryImage,
+    Plan,
+    PointLight,
+    Trace,
+    all_finite,
+    on_grid,
+)
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment_light import environment_light_on
 from scan2albedo.lighting.shading import Reflectance, Shading, shade_points
@@ -22,20 +27,20 @@ from scan2albedo.lighting.shadow_map import ShadowMap
 class AlbedoEstimate:
     """Result of `estimate_albedo`; images are zero outside the mask."""
 
-    albedo_linear: NDArray[np.float32]
+    albedo_linear: Float32Array
     """(H, W, 3): up to one global scale, which no image determines: ambient light is 1."""
     lights: tuple[PointLight, ...]
     """Lamps, strongest first; empty where soft light explains the image, and for spherical harmonics."""
     parameters: dict[str, object]
     """ambient (1), brdf, sigma_rad or minnaert_exponent, specular_strength, specular_exponent,
     light_distance_mm (None for distant lights); for spherical harmonics sh_coefficients (9 rows of 3)."""
-    shading: NDArray[np.float32]
+    shading: Float32Array
     """(H, W, 3): I of each channel (lamps, soft and bounced light), which divided the texture."""
-    specular: NDArray[np.float32]
+    specular: Float32Array
     """(H, W): mean I_s, which was subtracted from the texture in the lamps' colours."""
-    shadow: NDArray[np.float32]
+    shadow: Float32Array
     """(H, W): visibility in [0, 1], the smallest over the lights."""
-    confidence: NDArray[np.float32]
+    confidence: Float32Array
     """(H, W): in [0, 1], how much of the texel's albedo is its own measurement."""
     plan: Plan
     """What ran and what was left out, and why."""
@@ -59,17 +64,17 @@ class AlbedoEstimate:
     """Of the shadow rays."""
     uncertainty: LightUncertainty | None = None
     """How sure the light is; None for spherical harmonics, the paper's search, and where the budget ended."""
-    albedo_deviation: NDArray[np.float32] | None = None
+    albedo_deviation: Float32Array | None = None
     """(H, W): relative standard deviation of the albedo that follows from it, best scale removed."""
     environment: EnvironmentLight | None = None
     """The soft light; None is the constant white ambient light of 1."""
-    expected_error: NDArray[np.float32] | None = None
+    expected_error: Float32Array | None = None
     """(H, W): relative error of the albedo that two texels in three stay below, best scale removed; 1 where
     nothing was measured (`uncertainty.expected_error`)."""
 
     def relit(
         self, lights: Sequence[PointLight], environment: EnvironmentLight | None = None
-    ) -> NDArray[np.float32]:
+    ) -> Float32Array:
         """Return (H, W, 3) the linear texture under other lights in their colours, with shadows.
 
         T = A (I_a + I_d) + I_s with the estimated reflectance, highlights in the colours of their lamps.
@@ -81,7 +86,7 @@ class AlbedoEstimate:
             caster = RayCaster(*self.image.occluder_mesh())
         seen = self.reflectance, self.view_direction, caster, self.shadow_offset_mm
         shading = shade_image(self.image, lights, *seen, environment)
-        albedo = self.albedo_linear[mask].astype(np.float64)
+        albedo = self.albedo_linear[mask].astype(float)
         return on_grid(mask, (albedo * shading.light_linear + shading.specular_linear).astype(np.float32))
 
 
@@ -144,7 +149,7 @@ def albedo_error(estimate: ArrayLike, truth: ArrayLike, mask: ArrayLike) -> Albe
         shapes = f"estimate {ours.shape}, truth {true.shape} and mask {chosen.shape}"
         raise ValueError(f"{shapes} ({int(chosen.sum())} texels) must agree and not be empty")
     ours, true = ours[chosen], true[chosen]
-    if not (np.isfinite(ours).all() and np.isfinite(true).all()):
+    if not (all_finite(ours) and all_finite(true)):
         raise ValueError("estimate or truth holds NaN or infinite values inside the mask")
     square = float(np.sum(ours * ours))
     difference = (float(np.sum(ours * true)) / square if square > 0 else 0.0) * ours - true

@@ -3,29 +3,26 @@
 import math
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 from scipy.ndimage import binary_opening, binary_propagation
 
 from scan2albedo.albedo.inpainting import RADIUS, resynthesize, surroundings
 from scan2albedo.albedo.node_field import FAINT
 from scan2albedo.albedo.options import MINIMAL_TEXELS, SATURATION_LINEAR, EstimateOptions
 from scan2albedo.albedo.texel_light import HALF_STEP
-from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.core.geometry_image import GeometryImage
-from scan2albedo.core.plan import PlanStep
+from scan2albedo.core import BoolArray, Float32Array, FloatArray, GeometryImage, PlanStep
+from scan2albedo.core.compiled import compiled
 
 _LARGEST_HIGHLIGHT = 0.25
 """More white texels than this part of the surface are not highlights but over-exposure."""
 
 
 def inpainted(
-    albedo_linear: NDArray[np.float32],
+    albedo_linear: Float32Array,
     image: GeometryImage,
     usable: BoolArray,
     options: EstimateOptions,
     seed: int,
-) -> tuple[NDArray[np.float32], PlanStep]:
+) -> tuple[Float32Array, PlanStep]:
     """Return the albedo (H, W, 3) with saturated texels rebuilt, or as it is, and the plan's row.
 
     Of the texels that the input clipped, those with a channel left follow from it (`restore_channels`); the
@@ -53,7 +50,7 @@ def inpainted(
     if not touched.any():
         reason = "the annotation forbids it" if saturated else "nothing is saturated"
         return albedo_linear, PlanStep(stage, False, reason, evidence)
-    albedo, source = albedo_linear.astype(np.float64), usable & allowed & ~touched
+    albedo, source = albedo_linear.astype(float), usable & allowed & ~touched
     if int(source.sum()) >= MINIMAL_TEXELS:
         # White light lifts the darkest channel most, which clips last. Clipped texels in which it lies more
         # than four (robust) deviations above the sources' median are a highlight that the light model left,
@@ -116,7 +113,7 @@ def all_channels(image: BoolArray) -> BoolArray:
     return image[..., 0] & image[..., 1] & image[..., 2]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _predict(field, texels, lost, source, radius, pooled, ridge):  # type: ignore[no-untyped-def]
     """Return (T, 3) the regression's value of every channel at `texels` (T, 2)."""
     height, width = source.shape

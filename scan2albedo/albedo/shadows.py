@@ -4,23 +4,19 @@ import math
 from itertools import product
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
 from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.light_parameters import LightModel
 from scan2albedo.albedo.node_field import TINY
 from scan2albedo.albedo.options import EstimateOptions
-from scan2albedo.core import Meter
-from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.core.geometry_image import GeometryImage
-from scan2albedo.core.plan import PlanStep
+from scan2albedo.core import Float32Array, FloatArray, GeometryImage, IntArray, Meter, PlanStep
+from scan2albedo.core.compiled import compiled
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment_light import SKY
 from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable
 
-Visibility = NDArray[np.float32]
+Visibility = Float32Array
 
 OUTLINE_BLURS = 4 / 256, 0.5 / 256
 """How far a traced outline may lie beside the real one (standard deviations, parts of the chart's side): of a
@@ -94,8 +90,8 @@ class Horizon:
 
     def at(self, texels: FloatArray | IntArray) -> FloatArray:
         """Return (N,) the cosines at `texels` (N, 2); infinite beyond the cells."""
-        cells = np.minimum(texels // self._factor, np.array(self._above.shape) - 1).astype(np.int64)
-        return np.asarray(self._above[tuple(cells.T)])
+        cells = np.minimum(texels // self._factor, np.array(self._above.shape) - 1).astype(int)
+        return self._above[tuple(cells.T)]
 
 
 class ShadowLattice:
@@ -120,7 +116,7 @@ class ShadowLattice:
 
     def nearest(self, coordinates: FloatArray) -> FloatArray:
         """Return the node's coordinates (..., 2) nearest to those of directions: its rays serve alone."""
-        return np.asarray(np.round(coordinates / self._least_step) * self._least_step)
+        return np.round(coordinates / self._least_step) * self._least_step
 
     def visibility(
         self, model: LightModel, x: FloatArray, blur: float = 0.0
@@ -182,7 +178,7 @@ class ShadowLattice:
         return self._known[*key, blur]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _add_node(node, weight, by_x, by_y, visible, slopes):  # type: ignore[no-untyped-def]
     """Add a node (N,) to what is blended of a lamp: `visible` (N,), and `slopes` (2, N) by the direction."""
     for n in range(len(node)):

@@ -14,8 +14,7 @@ from scipy.linalg.blas import dtrsm
 
 from scan2albedo.albedo import node_field
 from scan2albedo.albedo.posterior import EXTRA, FREEDOM, NOISE, Point, cell_trust, descend, robust_weights
-from scan2albedo.core import Meter
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core import FloatArray, IntArray, Meter
 from scan2albedo.optimization.least_squares import NormalEquations
 
 
@@ -78,7 +77,7 @@ class SharedLight:
             tail = np.where(e < 0, free, 1.0)
             misfit += float(((free + 1) / tail * np.log1p(tail * e**2 / (free * v)) + np.log(v)).sum())
         rough = float(self.u @ self.precision @ self.u) + float((beside**2 / self.own).sum())
-        self.cost = 0.5 * (misfit / repeats + rough) + sum(point.prior.cost for point in self.points)
+        self.cost = (misfit / repeats + rough) / 2 + sum(point.prior.cost for point in self.points)
 
     @cached_property
     def _equations(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -142,7 +141,7 @@ class SharedLight:
         variance = node_field.cell_variances(
             self.nodes.indptr, self.nodes.indices, self.nodes.data, covariance
         )
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+        return np.sqrt(np.maximum(variance, 0.0))
 
 
 def shared_lights(
@@ -163,7 +162,7 @@ def shared_lights(
     logs = np.mean([np.log(point.known.scales) for point in points], 0)
     scales, likeness = node_field.Scales(*np.exp(logs)), float(np.mean([point.x[-1] for point in points]))
     covariance = scales.albedo**2 * prior.covariance(0)[np.ix_(used, used)]
-    precision = node_field.inverse(np.asarray(np.linalg.cholesky(covariance), np.float64))
+    precision = node_field.inverse(np.asarray(np.linalg.cholesky(covariance), float))
     starts = [Point(p.problem, p.model, np.append(p.x[:-1], likeness), p.known, fixed=True) for p in points]
     shared = SharedLight(starts, cells, (weights[:, used].tocsr(), precision, scales))
     for _ in range(3):

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scan2albedo.albedo.light_parameters import HARMONICS, LightModel
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core import FloatArray
 from scan2albedo.lighting.environment_light import Bounce
 
 DARKEST = 0.03
@@ -27,7 +27,7 @@ class SoftTerms:
 
     def ambient(self, fill: float) -> FloatArray:
         """Return (N,) E0."""
-        return np.asarray(fill + (1 - fill) * self.transfer[:, 0])
+        return fill + (1 - fill) * self.transfer[:, 0]
 
     def add(self, model: LightModel, x: FloatArray, light: FloatArray, slopes: FloatArray) -> None:
         """Turn `light` (N,), lamps under constant ambient light of 1, into I; `slopes` (N, P) follow."""

@@ -3,7 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.ndimage import gaussian_filter
 from scipy.stats import norm
@@ -16,8 +15,15 @@ from scan2albedo.albedo.node_field import TINY, deviation_of_light
 from scan2albedo.albedo.posterior import FREEDOM, Point
 from scan2albedo.albedo.prior import SPREADS
 from scan2albedo.albedo.soft_terms import DARKEST
-from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.core.lights import EnvironmentLight, PointLight
+from scan2albedo.core import (
+    BoolArray,
+    EnvironmentLight,
+    Float32Array,
+    FloatArray,
+    NDArray,
+    PointLight,
+    row_sums,
+)
 from scan2albedo.lighting.environment_light import open_shading, open_transfer
 from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.lighting.shading import Reflectance, Shading, shade_rows
@@ -68,7 +74,7 @@ def _of_solution(
     strength = state.reflectance.specular_strength * unit * colours.gloss
     reflectance = replace(state.reflectance, specular_strength=strength)
     order, lights = np.argsort(-state.rows[:, 4], kind="stable"), list(state.lights())
-    surface = image.position[mask], image.normal[mask].astype(np.float64)
+    surface = image.position[mask], image.normal[mask].astype(float)
     soft_size = scene.at(scene.options.sizes[2]) if point is not None and caster is not None else None
     above = None if soft_size is None else soft_size.horizon.at(np.argwhere(mask))
     hidden, attached = ShadowMap(caster, *surface, open_above=above), ShadowMap(None, *surface)
@@ -77,7 +83,7 @@ def _of_solution(
         at = lamp.direction, lamp.distance_mm, lamp.radius_deg
         visible[k], facing[k] = hidden.reached(*at), attached.reached(*at)
     ones, scaled = np.ones(len(surface[0])), image.specular_scale
-    scale = ones if scaled is None else scaled[mask].astype(np.float64)
+    scale = ones if scaled is None else scaled[mask].astype(float)
     colors = replace(colours, lamps=colours.lamps[order])
 
     def shading(seen: NDArray) -> Shading:
@@ -103,7 +109,7 @@ def _of_solution(
         light *= np.exp(known.nodes @ colors.cast)
         share, stray = _left_over(known, light, (gloss / unit).astype(np.float32))
         gloss, light = gloss * share, light * np.exp(stray)
-    seen, spread = visible.min(0, initial=1).astype(np.float64), np.zeros(len(light))
+    seen, spread = visible.min(0, initial=1).astype(float), np.zeros(len(light))
     return TexelLight(light, gloss, seen, spread, tuple(lights), environment, reflectance)
 
 
@@ -120,7 +126,7 @@ class _Expected:
         mean, self.deviation = field.prior.mean_at(places), field.prior.deviation_at(places, slice(1))
         weights = field.weights(places)
         # Texels beyond the nodes in use have those that are near.
-        whole = np.maximum(np.asarray(weights.sum(1)).ravel(), TINY)
+        whole = np.maximum(row_sums(weights), TINY)
         self.nodes = (sparse.diags(1 / whole) @ weights).tocsr()
         level, nodes = point.albedo_nodes()
         self.level = (level + point.x[-1] * mean[:, 0] + self.nodes @ nodes).astype(np.float32)
@@ -144,12 +150,12 @@ class _Expected:
         """Return (N,) the mean of parts 0 to 1, by what each leaves, `dark` of its variance, and a prior."""
         fits = -0.5 * self.usable * (np.stack(left) ** 2).sum(2) / (SPREADS[0] ** 2 + dark)
         chance = np.exp(np.maximum(fits - fits.max(0), -6.0)) * prior
-        return np.asarray(self.parts @ chance / chance.sum(0))
+        return self.parts @ chance / chance.sum(0)
 
 
 def _seen_shadows(
     known: _Expected, mask: BoolArray, visible: NDArray, facing: NDArray, lamps: FloatArray, soft: FloatArray
-) -> NDArray[np.float32]:
+) -> Float32Array:
     """Return (L, N) the part of each lamp that reaches each texel, as far as is known.
 
     Its prior is the traced shadow, blurred by what the surface may err by: none, all or, beside an outline,
@@ -161,9 +167,9 @@ def _seen_shadows(
     def blurred(values: FloatArray) -> FloatArray:
         field = np.zeros(mask.shape)
         field[mask] = values
-        return np.asarray(gaussian_filter(field, known.point.problem.blur * max(mask.shape))[mask])
+        return gaussian_filter(field, known.point.problem.blur * max(mask.shape))[mask]
 
-    whole, seen = blurred(np.ones(len(soft))), visible.astype(np.float64)
+    whole, seen = blurred(np.ones(len(soft))), visible.astype(float)
     priors = [np.clip(blurred(v) / whole, _LEAST, 1 - _LEAST) for v in np.where(away, 1.0, visible)]
     known.settle(soft + np.einsum("ln,lnc->nc", seen, lamps))
     for _ in range(2):

@@ -5,11 +5,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.albedo.posterior import NOISE, TEMPER, Point
-from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.core.lights import PointLight
+from scan2albedo.core import BoolArray, Float32Array, FloatArray, NDArray, PointLight
 
 _NOT_SKIN = 0.2
 """Relative error of what is not skin, whose shape and reflectance are least known: .68 of the texels of
@@ -65,7 +63,7 @@ class LightUncertainty:
 
 def expected_error(
     noise: FloatArray, deviation: FloatArray | None, mask: BoolArray, skin: NDArray | None = None
-) -> NDArray[np.float32]:
+) -> Float32Array:
     """Return (H, W) the relative error that two texels in three stay below, in [0, 1]; 0 outside the mask.
 
     `noise` (H, W) is the relative standard deviation of the noise that is left, 1 where nothing was measured,

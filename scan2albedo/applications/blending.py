@@ -3,13 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from scan2albedo.applications import face_features
 from scan2albedo.applications.processed_face import ProcessedFace, on_common_chart
 from scan2albedo.applications.texture_swap import continued_skin
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core import FloatArray, NDArray
 from scan2albedo.errors import ApplicationError
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.mesh import normalized
@@ -104,7 +103,7 @@ def matched_skins(
     """
     skins, labels, same = [], [], np.zeros_like(a.mask)
     for face, other, part, wins in ((a, b, weight, weight >= 0.5), (b, a, 1 - weight, weight < 0.5)):
-        skin, share = face.albedo_linear.astype(np.float64), min(part / _OWN_END, 1.0)
+        skin, share = face.albedo_linear.astype(float), min(part / _OWN_END, 1.0)
         if share > 0:
             skin = _between(skin, continued_skin(face, other, model, wins), share)
         skins.append(skin)
@@ -120,4 +119,4 @@ def matched_skins(
 
 
 def _between(a: NDArray, b: NDArray, weight: float) -> NDArray:
-    return np.asarray((1 - weight) * a + weight * b, np.float64)
+    return np.asarray((1 - weight) * a + weight * b, float)

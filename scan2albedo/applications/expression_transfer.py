@@ -7,8 +7,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from scan2albedo.applications.processed_face import SAME_PLACE_MM, FaceMesh, ProcessedFace, on_common_chart
-from scan2albedo.core.arrays import FloatArray
-from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.core import FloatArray, RawScan, norms
 from scan2albedo.errors import ApplicationError
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.face_model.annotation import MOUTH_REGION
@@ -130,7 +129,7 @@ def laid_on_what_is_still(moved: FloatArray, rest: FloatArray) -> FloatArray:
     """
     placed = moved
     for _ in range(20):
-        distance = np.linalg.norm(placed - rest, axis=1)
+        distance = norms(placed - rest)
         scale = max(float(np.percentile(distance, 25)), 2 * SAME_PLACE_MM)
         weights = 1 / (1 + (distance / scale) ** 2) ** 2
         before, placed = placed, transform_points(procrustes(moved, rest, weights=weights), moved)
@@ -163,7 +162,7 @@ def refined_expression(rest: FaceMesh, moved: FloatArray, model: AnnotatedSurfac
     skin = ~model.in_region(MOUTH_REGION)[subdivision.parent]
     scan = RawScan(subdivision.matrix @ as_fitted, rest.faces[skin], name="the face with the expression")
     fitted = fit(scan, start, np.eye(4), options=REFIT)
-    return np.asarray(rest.vertices + subdivision.matrix @ (fitted.control_points - at_rest))
+    return rest.vertices + subdivision.matrix @ (fitted.control_points - at_rest)
 
 
 def personal_model(

@@ -11,14 +11,13 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.optimize import least_squares, minimize
 from scipy.spatial import cKDTree
 from scipy.special import expit
 
 from scan2albedo.applications.face_features import FLOOR, without_catchlights
 from scan2albedo.applications.processed_face import Eyeball, ProcessedFace
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, smoothstep
+from scan2albedo.core import ArrayLike, BoolArray, FloatArray, IntArray, norms, smoothstep
 from scan2albedo.geometry.mesh import grid_faces, normalized
 from scan2albedo.io.glb import GlbPart
 
@@ -214,7 +213,7 @@ class EyeOpening:
         middle = np.array([(ax + bx) / 2, (ay + by) / 2])
 
         def off(globe: FloatArray) -> FloatArray:
-            above = np.linalg.norm(rim - globe[:3], axis=1) - globe[3] - LID_MM
+            above = norms(rim - globe[:3]) - globe[3] - LID_MM
             above[above < 0] /= 3  # scans have dents at eyes, and no bumps
             unusual = (globe[3] - GLOBE_MM) * LID_SD_MM / _GLOBE_SD_MM
             return np.array([*above, *globe[:2] - middle, unusual]) / LID_SD_MM
@@ -287,7 +286,7 @@ def _likeliest(
     def cost(outlines: FloatArray) -> FloatArray:
         mixed = (_members(outlines, texels.xy) * likelihood).sum(-2)
         fits = texels.weight * (np.log(mixed + 1e-12) + top).sum(-1)
-        return 0.5 * (((outlines - usual) / _OUTLINE_SD_MM) ** 2).sum(-1) - fits
+        return (((outlines - usual) / _OUTLINE_SD_MM) ** 2).sum(-1) / 2 - fits
 
     def with_slope(outline: FloatArray) -> tuple[float, FloatArray]:
         values = cost(np.vstack([outline, outline + 1e-4 * np.eye(len(outline))]))

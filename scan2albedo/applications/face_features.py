@@ -4,13 +4,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, grey_opening, label, map_coordinates, maximum_filter, zoom
 from skimage.morphology import disk
 
 from scan2albedo.albedo.inpainting import continued_smoothly
 from scan2albedo.applications.processed_face import ProcessedFace
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core import BoolArray, FloatArray, RealArray, norms
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.face_model.appearance import CLASSES
 from scan2albedo.geometry.rasterization import area_mean
@@ -54,7 +53,7 @@ def named_texels(
     if image.region is not None and face.model_name == template.name:
         known = [template.regions[name].index for name in names if name in template.regions]
         found |= np.isin(image.region, known)
-    return np.asarray(face.mask & found)
+    return face.mask & found
 
 
 def open_features(face: ProcessedFace, model: AnnotatedSurface | None = None) -> dict[str, bool]:
@@ -76,7 +75,7 @@ def open_features(face: ProcessedFace, model: AnnotatedSurface | None = None) ->
         found["eyes"] = bool(np.mean(odds > 0) > _OPEN)
     mouth = named_texels(face, FEATURES["mouth"][1:], model)
     if mouth.any():
-        area = np.linalg.norm(np.cross(*np.gradient(face.image.position, axis=(0, 1))), axis=-1)
+        area = norms(np.cross(*np.gradient(face.image.position, axis=(0, 1))))
         between = grown(named_texels(face, ["between_lips"], model), 0)
         found["mouth"] = bool(area[between].sum() > _OPEN * area[mouth].sum())
     return found
@@ -116,7 +115,7 @@ def mirrored(face: ProcessedFace) -> bool:
 
 def without_catchlights(face: ProcessedFace, model: AnnotatedSurface | None = None) -> FloatArray:
     """Return (H, W, 3) the albedo without reflections of lamps on the eyes: V lowered to its opening."""
-    albedo, eyes = face.albedo_linear.astype(np.float64), named_texels(face, FEATURES["eyes"], model)
+    albedo, eyes = face.albedo_linear.astype(float), named_texels(face, FEATURES["eyes"], model)
     if not eyes.any():
         return albedo
     side, around = max(eyes.shape), face.mask & grown(eyes, AROUND)
@@ -125,7 +124,7 @@ def without_catchlights(face: ProcessedFace, model: AnnotatedSurface | None = No
     # Small spots on eyes are reflections if they are half as bright again as skin.
     most = np.maximum(opened, 1.5 * face.level())
     factor = np.where(around, np.minimum(1.0, most / np.maximum(value, 1e-12)), 1.0)
-    return np.asarray(albedo * factor[..., None])
+    return albedo * factor[..., None]
 
 
 def without_gaps(face: ProcessedFace, model: AnnotatedSurface | None = None) -> ProcessedFace:
@@ -148,13 +147,13 @@ def dark_sides(face: ProcessedFace, model: AnnotatedSurface | None = None) -> Bo
     covered = [np.bincount(part[t], minlength=count + 1) / max(t.sum(), 1) for t in (sides, jaws)]
     at_rim = np.setdiff1d(part[sides & face.image.border], [0])
     hair = np.isin(part, at_rim[covered[0][at_rim] > covered[1][at_rim]])
-    return np.asarray(grown(hair, AROUND) & (sides | jaws))
+    return grown(hair, AROUND) & (sides | jaws)
 
 
 def grown(texels: BoolArray, part: float) -> BoolArray:
     """Return `texels` (H, W) with those closer than this part of the image's side."""
     side = 2 * max(1, round(part * max(texels.shape))) + 1
-    return np.asarray(maximum_filter(texels, side, mode="constant"))
+    return maximum_filter(texels, side, mode="constant")
 
 
 _LEAST_TEXELS = 100
@@ -174,7 +173,7 @@ def skin_gains(source: ProcessedFace, target: ProcessedFace) -> FloatArray:
         if texels.sum() >= _LEAST_TEXELS:
             ours, theirs = (np.median(f.albedo_linear[texels], 0).astype(float) for f in (source, target))
             if min(*ours, *theirs) > 0:
-                return np.asarray(theirs / ours)
+                return theirs / ours
     return np.ones(3)
 
 
@@ -192,10 +191,10 @@ def without_light_left(albedo: FloatArray, face: ProcessedFace, other: Processed
     more, sigma = np.zeros(albedo.shape), LOCAL * max(both.shape)
     more[both] = np.log(skin_gains(other, face) * other.albedo_linear[both] / albedo[both])
     d = blurred_inside(more, both, sigma)
-    ours, others = (blurred_inside(error.astype(np.float64) ** 2, both, sigma) for error in errors)
+    ours, others = (blurred_inside(error.astype(float) ** 2, both, sigma) for error in errors)
     people = max(np.mean(d[both] ** 2) - np.mean((ours + others)[both]), 0.0)
     share = np.divide(ours, ours + others + people, out=np.zeros_like(ours), where=ours > 0)
-    return np.asarray(albedo * np.exp(d * share[..., None]))
+    return albedo * np.exp(d * share[..., None])
 
 
 def displacement(
@@ -252,11 +251,11 @@ def local_contrast(albedo: FloatArray, mask: BoolArray) -> FloatArray:
     """Return (H, W) log V less its local mean, in its robust deviation; 0 outside the mask."""
     value = np.log(np.maximum(albedo.max(-1), 1e-4 * max(float(albedo.max()), 1e-12)))
     rest = np.where(mask, value - blurred_inside(value, mask, LOCAL * max(mask.shape)), 0.0)
-    return np.asarray(rest / max(float(np.std(rest[mask])), 1e-6))
+    return rest / max(float(np.std(rest[mask])), 1e-6)
 
 
-def blurred_inside(field: NDArray[np.floating], mask: BoolArray, sigma: float) -> FloatArray:
+def blurred_inside(field: RealArray, mask: BoolArray, sigma: float) -> FloatArray:
     """Return the Gaussian means of a field (H, W) or (H, W, C) over the texels of `mask` (H, W) alone."""
-    inside = mask.reshape(*mask.shape, *[1] * (field.ndim - 2)).astype(np.float64)
+    inside = mask.reshape(*mask.shape, *[1] * (field.ndim - 2)).astype(float)
     parts = [gaussian_filter(part, sigma, mode="mirror", axes=(0, 1)) for part in (field * inside, inside)]
-    return np.asarray(parts[0] / np.maximum(parts[1], 1e-6))
+    return parts[0] / np.maximum(parts[1], 1e-6)

@@ -11,8 +11,7 @@ from scipy.ndimage import map_coordinates
 
 from scan2albedo.applications.files import ProcessedScan, load_result
 from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, ProcessedFace
-from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.core.lights import PointLight
+from scan2albedo.core import BoolArray, FloatArray, PointLight
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.rasterization import pixels_from_uv
 from scan2albedo.lighting.shading import shade_points
@@ -63,13 +62,13 @@ def reflectance_of_processed(
     face = source if isinstance(source, ProcessedFace) else load_result(source)
     if face.model_name == NO_MODEL:
         raise ApplicationError(f"{face.name}: processed without a model; process it with one")
-    albedo, known = sampled_at_vertices(face.albedo_linear.astype(np.float64), face)
+    albedo, known = sampled_at_vertices(face.albedo_linear.astype(float), face)
     if not known.any():
         raise ApplicationError(f"{face.name}: no vertex of its surface was seen; scan it from other sides")
     scale = 1.0 if level is None else level / face.level()
     skin, given_scale = face.reflectance, face.image.specular_scale
     lobes = lobe_weights_of_phong(skin.specular_strength, skin.exponent)
-    gloss = np.ones(face.image.shape) if given_scale is None else given_scale.astype(np.float64)
+    gloss = np.ones(face.image.shape) if given_scale is None else given_scale.astype(float)
     strength, _ = sampled_at_vertices(gloss[..., None], face)
     lambert_share = 1.0
     if skin.brdf != "lambert":
@@ -95,7 +94,7 @@ def sampled_at_vertices(image: FloatArray, face: ProcessedFace) -> tuple[FloatAr
     at, seen = pixels_from_uv(face.mesh.uv, face.image.shape).T[::-1], face.image.seen
     fields = [face.mask, seen, *np.moveaxis(image * seen[..., None], -1, 0)]
     surface, trusted, *total = (
-        map_coordinates(field.astype(np.float64), at, order=1, mode="grid-constant") for field in fields
+        map_coordinates(field.astype(float), at, order=1, mode="grid-constant") for field in fields
     )
     known = (trusted > 0) & (2 * trusted >= surface)
     means = np.stack(total, 1) / np.where(known, trusted, 1.0)[:, None]

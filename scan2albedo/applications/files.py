@@ -10,9 +10,9 @@ import numpy as np
 
 from scan2albedo.applications.processed_face import NO_MODEL, SAME_PLACE_MM, FaceMesh, ProcessedFace
 from scan2albedo.applications.relighting import relight
+from scan2albedo.core import GeometryImage, PointLight, Values
 from scan2albedo.core.arguments import described
-from scan2albedo.core.geometry_image import GeometryImage
-from scan2albedo.core.lights import LAMP_RADIUS_DEG, PointLight
+from scan2albedo.core.lights import LAMP_RADIUS_DEG
 from scan2albedo.errors import ApplicationError, OutputError, Scan2AlbedoError
 from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.io import geometry_image_files
@@ -90,7 +90,7 @@ def load_result(source: str | Path | ProcessedScan, *, need_albedo: bool = True)
     )
 
 
-def _without_albedo(image: GeometryImage, needed: bool, where: str | Path) -> dict[str, Any]:
+def _without_albedo(image: GeometryImage, needed: bool, where: str | Path) -> Values:
     """Return fields of a `ProcessedFace` in grey; ApplicationError where the albedo is needed."""
     if needed:
         raise ApplicationError(
@@ -107,7 +107,7 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
     if (folder / RESULT_FILE).is_file() or not (folder / APPLICATION_FILE).is_file():
         file = _present(folder, RESULT_FILE)
         scan = read_record(file, ResultRecord)
-        found: dict[str, Any] = {name: getattr(scan, name) for name in ("name", "lights", "environment")}
+        found: Values = {name: getattr(scan, name) for name in ("name", "lights", "environment")}
         found["model_name"] = str(scan.options.get("model", NO_MODEL))
         found["casts_shadows"] = all(step.ran for step in scan.plan if step.stage == "albedo.shadows")
         parameters, chart_mesh = scan.parameters, found["model_name"] == NO_MODEL
@@ -144,8 +144,8 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
     file = _present(folder, "fitted.glb")
     try:
         mesh: Any = trimesh.load(file, process=False, force="mesh")
-        vertices = np.asarray(mesh.vertices, np.float64) / METRES_PER_MM
-        faces, uv = np.asarray(mesh.faces, np.int64), np.asarray(mesh.visual.uv, np.float64)
+        vertices = np.asarray(mesh.vertices, float) / METRES_PER_MM
+        faces, uv = np.asarray(mesh.faces, int), np.asarray(mesh.visual.uv, float)
     except DAMAGE as error:
         raise ApplicationError(f"{file}: is no textured GLB ({error}); process the scan again") from error
     exact = vertices if image.occluder is None else image.occluder[0]

@@ -14,9 +14,7 @@ from scipy.special import logit
 from scan2albedo.albedo import AlbedoEstimate
 from scan2albedo.albedo.result import shade_image
 from scan2albedo.applications.face_features import FLOOR
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.core.geometry_image import GeometryImage
-from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.core import BoolArray, FloatArray, GeometryImage, IntArray, RawScan, row_sums
 from scan2albedo.face_model.appearance import PATCH_MM, beyond_chart
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.closest_points import surface_query
@@ -254,7 +252,7 @@ class SurfaceLight:
     def _continued(self, values: FloatArray, pull: FloatArray, toward: FloatArray) -> FloatArray:
         """Return `values` (N, C) on the face, and beyond it what goes on from there."""
         known, rows = self._on_face, np.flatnonzero(~self._on_face)
-        degree = np.asarray(self._links.sum(1)).ravel()
+        degree = row_sums(self._links)
         system = (sparse.diags(degree + pull) - self._links).tocsr()[rows]
         right = pull[rows, None] * toward[rows] - system[:, known] @ values[known]
         found = values.copy()

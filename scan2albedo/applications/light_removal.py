@@ -6,7 +6,6 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, maximum_filter
 from scipy.special import expit
 from skimage.filters.rank import median
@@ -22,10 +21,8 @@ from scan2albedo.applications.light_beyond_face import (
     LightBeyond,
     SurfaceLight,
 )
+from scan2albedo.core import BoolArray, Float32Array, FloatArray, GeometryImage, IntArray, RawScan, smoothstep
 from scan2albedo.core.arguments import require_type
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, smoothstep
-from scan2albedo.core.geometry_image import GeometryImage
-from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import ApplicationError
 from scan2albedo.face_model.appearance import CLASSES
 from scan2albedo.fitting import FittedFace
@@ -59,10 +56,10 @@ class UnlitScan:
 
     scan: RawScan
     """With its own vertices, faces and coordinates; its texture, or vertex colours, are unlit."""
-    confidence: NDArray[np.float32]
+    confidence: Float32Array
     """(H, W) of the texture, or (V,): how surely the light was taken off: 1 on the face, 0 where it was left
     in, `OUTSIDE_CONFIDENCE` beyond the face."""
-    hair: NDArray[np.float32] | None = None
+    hair: Float32Array | None = None
     """(H, W), or (V,): how surely hair, beard or brows; None where there are none."""
     lit: RawScan | None = None
     """The scan as it came: the colours of `hair` with its light."""
@@ -122,7 +119,7 @@ class LightRemoval:
             unlit = replace(scan, texture_linear=made.color_linear, notes=notes)
         else:
             assert scan.vertex_color_linear is not None
-            taken = light.taken_off(scan.vertex_color_linear.astype(np.float64))
+            taken = light.taken_off(scan.vertex_color_linear.astype(float))
             colors = scan.vertex_color_linear * (usual / taken.divisor)
             made = _Unlit(*(each.astype(np.float32) for each in (colors, taken.known, taken.hair)))
             unlit = replace(scan, vertex_color_linear=made.color_linear, notes=notes)
@@ -144,7 +141,7 @@ class LightRemoval:
         estimate, image, mask = self._estimate, self._estimate.image, self._estimate.image.mask
         # The light that divided the texture, with all repairs; where it was not seen none was divided.
         assert image.texture_linear is not None
-        albedo = estimate.albedo_linear.astype(np.float64)
+        albedo = estimate.albedo_linear.astype(float)
         # The light of black texels is that of the estimate, not the quotient of two colours.
         black = FLOOR * max(float(np.median(albedo[mask])), 1e-12)
         light = (image.texture_linear + black * estimate.shading) / (albedo + black)
@@ -164,9 +161,9 @@ class LightRemoval:
 class _Unlit:
     """Colours (..., 3) without their light, how surely it is off, and how surely (...,) they are hair."""
 
-    color_linear: NDArray[np.float32]
-    confidence: NDArray[np.float32]
-    hair: NDArray[np.float32]
+    color_linear: Float32Array
+    confidence: Float32Array
+    hair: Float32Array
 
 
 @dataclass(frozen=True)
@@ -199,7 +196,7 @@ class _ScanLight:
         """Return it at points of triangles (N, 3) of these places."""
 
         def mixed(values: FloatArray) -> FloatArray:
-            return np.asarray(np.einsum("nk,nk...->n...", barycentric, values[vertices]))
+            return np.einsum("nk,nk...->n...", barycentric, values[vertices])
 
         beyond = self.beyond.interpolated(mixed)
         return replace(self, uv=mixed(self.uv), share=mixed(self.share), beyond=beyond)
@@ -282,7 +279,7 @@ def _unlit_texture(scan: RawScan, light: _ScanLight, brightness: float) -> _Unli
         raster = rasterization.rasterize(places_px, np.zeros(len(places_px)), index, tile.shape[:2])
         there = raster.covered
         of_texels = light.at(scan.faces[inside[raster.face[there]]], raster.barycentric[there])
-        taken = of_texels.taken_off(tile[there].astype(np.float64))
+        taken = of_texels.taken_off(tile[there].astype(float))
         divisor = np.full(tile.shape, brightness)
         known, hair = np.zeros((2, *tile.shape[:2]))
         divisor[there], known[there], hair[there] = taken.divisor, taken.known, taken.hair
@@ -312,7 +309,7 @@ def _tiles(shape: tuple[int, int], face: FloatArray) -> list[tuple[int, int]]:
 
     What is usual there serves for all, so that they join without a seam.
     """
-    places = (np.clip(face[:, ::-1], 0, np.array(shape) - 1) // _TILE).astype(np.int64) * _TILE
+    places = (np.clip(face[:, ::-1], 0, np.array(shape) - 1) // _TILE).astype(int) * _TILE
     count = Counter(map(tuple, places.tolist()))
     tiles = [(top, left) for top in range(0, shape[0], _TILE) for left in range(0, shape[1], _TILE)]
     return sorted(tiles, key=lambda tile: -count[tile])

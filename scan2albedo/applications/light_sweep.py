@@ -6,12 +6,12 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from scan2albedo.applications.processed_face import ProcessedFace
 from scan2albedo.applications.relighting import RelightOptions, relight
-from scan2albedo.core.lights import LAMP_RADIUS_DEG, PointLight
+from scan2albedo.core import ArrayLike, ByteArray, PointLight, all_finite
+from scan2albedo.core.lights import LAMP_RADIUS_DEG
 from scan2albedo.io.atomic import write_bytes
 from scan2albedo.io.images import write_png
 from scan2albedo.io.result_records import RunRecord
@@ -53,7 +53,7 @@ def light_arc(
     """
     if count < 1:
         raise ValueError(f"count must be 1 or more, got {count}")
-    if not np.isfinite([first_rad, last_rad, elevation_rad]).all():
+    if not all_finite([first_rad, last_rad, elevation_rad]):
         raise ValueError(f"angles must be finite, got {first_rad}, {last_rad} and {elevation_rad}")
     return [
         PointLight(float(azimuth), elevation_rad, distance_mm, intensity, radius_deg=radius_deg)
@@ -91,7 +91,7 @@ def sweep(
         yield relit.picture(camera, shape=shape, samples=samples)
 
 
-def frames_srgb(pictures: Sequence[Picture], exposure: float | None = None) -> list[NDArray[np.uint8]]:
+def frames_srgb(pictures: Sequence[Picture], exposure: float | None = None) -> list[ByteArray]:
     """Return (H, W, 3) sRGB bytes of pictures at one exposure: the brightest one's when None.
 
     ValueError without `pictures`, or for an `exposure` that is not finite and above 0.
@@ -102,7 +102,7 @@ def frames_srgb(pictures: Sequence[Picture], exposure: float | None = None) -> l
     return [picture.srgb(factor) for picture in pictures]
 
 
-def write_frames(folder: str | Path, frames: Sequence[NDArray[np.uint8]]) -> list[Path]:
+def write_frames(folder: str | Path, frames: Sequence[ByteArray]) -> list[Path]:
     """Return the files of frames (H, W, 3) uint8, written as ``frame_000.png`` and so on into a folder.
 
     All or none, with ``sweep.json``. Frames of an earlier sweep are removed. OutputError when the folder
@@ -117,9 +117,7 @@ def write_frames(folder: str | Path, frames: Sequence[NDArray[np.uint8]]) -> lis
     return [Path(folder) / name for name in names]
 
 
-def write_gif(
-    path: str | Path, frames: Sequence[NDArray[np.uint8]], *, seconds_per_frame: float = 0.08
-) -> None:
+def write_gif(path: str | Path, frames: Sequence[ByteArray], *, seconds_per_frame: float = 0.08) -> None:
     """Write frames (H, W, 3) uint8 as an animated GIF that plays forward and back for ever, atomically.
 
     Raises `OutputError` when the folder cannot be written; `ValueError` without frames, for frames of

@@ -8,7 +8,7 @@ from scipy.interpolate import CubicSpline
 from scan2albedo.applications.eyes import wet_part
 from scan2albedo.applications.face_features import named_texels
 from scan2albedo.applications.processed_face import ProcessedFace
-from scan2albedo.core.arrays import FloatArray, smoothstep
+from scan2albedo.core import FloatArray, norms, smoothstep
 from scan2albedo.geometry.mesh import grid_faces
 from scan2albedo.io.glb import GlbPart
 
@@ -81,11 +81,11 @@ def _teeth(
     inward = 0.0 if up > 0 else 2.5
     turn = np.radians(np.linspace(-75, 75, 121))
     arch = np.stack([27 * np.sin(turn), 38 * (np.cos(turn) - 1)], -1)
-    along = np.cumsum(np.linalg.norm(np.diff(arch, axis=0, prepend=arch[:1]), axis=1))
+    along = np.cumsum(norms(np.diff(arch, axis=0, prepend=arch[:1])))
     gap = np.exp(-(((along - along[60] + TOOTH_MM / 2) % TOOTH_MM - TOOTH_MM / 2) ** 2))
     rows = []
     for high, thick in ((10, 0.0), (0, 0.0), (0, 2.0), (10, 5.0)):
-        shrunk = arch * (1 - (thick + inward + 0.5 * gap[:, None]) / 30)
+        shrunk = arch * (1 - (thick + inward + gap[:, None] / 2) / 30)
         y = np.full(len(arch), edge_mm + up * high)
         z = min(rim[2, 2], rim[6, 2]) - LIP_MM - thick - inward + shrunk[:, 1]
         rows.append(np.stack([rim.mean(0)[0] + shrunk[:, 0], y, z], -1))

@@ -6,12 +6,20 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, on_grid
-from scan2albedo.core.geometry_image import GeometryImage
-from scan2albedo.core.lights import EnvironmentLight, PointLight
+from scan2albedo.core import (
+    ArrayLike,
+    BoolArray,
+    EnvironmentLight,
+    Float32Array,
+    FloatArray,
+    GeometryImage,
+    IntArray,
+    PointLight,
+    all_finite,
+    on_grid,
+)
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
@@ -106,7 +114,7 @@ class ProcessedFace:
     """For messages and files."""
     image: GeometryImage
     """Position, normal, mask, region, and the texture where there is one."""
-    albedo_linear: NDArray[np.float32]
+    albedo_linear: Float32Array
     """(H, W, 3): zero outside the mask; known up to one global scale."""
     reflectance: Reflectance
     """How the skin reflects, its highlight in the albedo's unit."""
@@ -126,7 +134,7 @@ class ProcessedFace:
     """The soft light of the scan; None is a white ambient light of 1."""
     has_albedo: bool = True
     """False for a shape alone: the albedo is then an even grey."""
-    expected_error: NDArray[np.float32] | None = None
+    expected_error: Float32Array | None = None
     """(H, W): relative error of the albedo, see `AlbedoEstimate`; None where it is not known."""
     landmarks: FloatArray | None = None
     """(68, 3): iBUG-68 order; None where they are not known."""
@@ -143,14 +151,14 @@ class ProcessedFace:
             ("expected_error", self.expected_error, shape, everywhere),
             ("landmarks", self.landmarks, (68, 3), slice(None)),
         ):
-            if given is not None and (given.shape != expected or not np.isfinite(given[where]).all()):
+            if given is not None and (given.shape != expected or not all_finite(given[where])):
                 raise ApplicationError(
                     f"{self.name}: {what} is {given.shape} or holds NaN, expected finite numbers {expected} "
                     "like the geometry image; process the scan again"
                 )
         if (lowest := float(albedo[self.image.mask].min(initial=0.0))) < 0:
             raise ApplicationError(f"{self.name}: the albedo goes down to {lowest:.3g}; albedo is 0 or more")
-        if not (np.isfinite(self.view_direction).all() and np.any(self.view_direction)):
+        if not (all_finite(self.view_direction) and np.any(self.view_direction)):
             raise ApplicationError(f"{self.name}: view_direction {self.view_direction} is not finite or zero")
         self.image.check_normals()
         if not len(self.mesh.faces):

@@ -7,16 +7,14 @@ from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
 from scan2albedo.applications.eyes import WET_EXPONENT, WET_REFLECTANCE
 from scan2albedo.applications.eyes_and_mouth import eyes_and_mouth
 from scan2albedo.applications.face_features import AROUND, feature_texels, without_gaps
 from scan2albedo.applications.processed_face import NO_MODEL, ProcessedFace
+from scan2albedo.core import ArrayLike, EnvironmentLight, Float32Array, FloatArray, PointLight, norms, on_grid
 from scan2albedo.core.arguments import require_linear, require_type
-from scan2albedo.core.arrays import FloatArray, on_grid
-from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.mesh import join, lengths, normalized, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, look_at, normalized_cameras
@@ -65,10 +63,10 @@ class RelitFace:
     face: ProcessedFace
     light: SceneLight
     """`face`, `light`: what is lit, with its gloss and without gaps, and by what."""
-    texture_linear: NDArray[np.float32]
+    texture_linear: Float32Array
     """(H, W, 3): albedo times `diffuse`, plus `specular`; 0 outside the mask, not clipped."""
-    diffuse: NDArray[np.float32]
-    specular: NDArray[np.float32]
+    diffuse: Float32Array
+    specular: Float32Array
     """`diffuse`, `specular`: (H, W, 3)."""
     notes: tuple[str, ...] = ()
     """What was assumed or filled, for people."""
@@ -92,7 +90,7 @@ class RelitFace:
         if min(shape) < 2 or samples < 1:
             raise ValueError(f"shape is {shape}, samples {samples}, expected 2 pixels and 1 sample or more")
         face, mesh, mask = self.face, self.face.mesh, self.face.mask
-        given = default_camera(face, shape) if camera is None else np.asarray(camera, np.float64)
+        given = default_camera(face, shape) if camera is None else np.asarray(camera, float)
         projection = normalized_cameras(given[None])[0]
         seen = pictures.seen_samples(mesh.vertices, mesh.faces, projection, shape, samples)
         normal = seen.interpolated(mesh.normals)
@@ -152,7 +150,7 @@ class RelitFace:
         strength = WET_REFLECTANCE * WET_EXPONENT / 2 * self.face.level() / 0.5
         wet = Reflectance("lambert", 0.0, strength, WET_EXPONENT)
         diffuse, specular = shade(shadows, self.light, wet, toward)
-        return np.asarray(albedo * diffuse + specular)
+        return albedo * diffuse + specular
 
     def write_glb(self, path: str | Path, *, exposure: float | None = None) -> None:
         """Write the face, with eyes and mouth, as a GLB that shines by itself, so no viewer lights it again.
@@ -164,7 +162,7 @@ class RelitFace:
         texture = encode_srgb_bytes(np.clip(factor * filled_from_nearest(self.texture_linear, mask), 0, 1))
         if inside is not None and inside.parts:
             texture = np.dstack([texture, np.where(inside.cut_mm > 0, np.uint8(0), np.uint8(255))])
-            view = normalized(np.asarray(self.face.view_direction, np.float64))
+            view = normalized(np.asarray(self.face.view_direction, float))
             for part in inside.parts:
                 xyz, normals = part.vertices, vertex_normals(part.vertices, part.faces)
                 toward = np.tile(view, (len(xyz), 1))
@@ -216,7 +214,7 @@ def relight(
     require_type(environment, (EnvironmentLight, type(None)), "relight: environment", advice)
     alone = environment_linear is None and environment is None
     base = float(alone) if ambient is None else ambient
-    reach = float(np.linalg.norm(face.mesh.vertices, axis=1).max())
+    reach = float(norms(face.mesh.vertices).max())
     for k, lamp in enumerate(lights):
         if lamp.distance_mm <= reach:
             raise ApplicationError(
@@ -237,14 +235,14 @@ def relight(
     object.__setattr__(face, "inside", inside)
     if inside.eyes and not inside.eyes[0].painted:
         notes = (*notes, f"{inside.reason}; see docs/applications.md")
-    view = np.asarray(face.view_direction, np.float64)
+    view = np.asarray(face.view_direction, float)
     image, mask = face.image, face.mask
     caster = RayCaster(*image.occluder_mesh()) if face.casts_shadows and light.casts else None
     shadows = ShadowMap(caster, image.position[mask], image.normal[mask], face.shadow_offset_mm)
-    scale = None if image.specular_scale is None else image.specular_scale[mask].astype(np.float64)
+    scale = None if image.specular_scale is None else image.specular_scale[mask].astype(float)
     diffuse, specular = shade(shadows, light, face.reflectance, view / np.linalg.norm(view), scale)
     lit = []
-    for values in (face.albedo_linear[mask].astype(np.float64) * diffuse + specular, diffuse, specular):
+    for values in (face.albedo_linear[mask].astype(float) * diffuse + specular, diffuse, specular):
         if np.abs(values).max() > np.finfo(np.float32).max:
             raise ApplicationError(f"{face.name} is lit brighter than 3e38: lower the intensities")
         lit.append(on_grid(mask, values).astype(np.float32))
@@ -270,7 +268,7 @@ def as_lit(face: ProcessedFace, options: RelightOptions) -> tuple[ProcessedFace,
             # The annotation's scale of highlights, lower where the texture shows hair and not skin.
             features = feature_texels(face)
             glossy = [~face.image.seen, *(features[name] for name in ("eyes", "mouth") if name in features)]
-            bare = np.where(np.logical_or.reduce(glossy), 1.0, bare).astype(np.float64)
+            bare = np.where(np.logical_or.reduce(glossy), 1.0, bare).astype(float)
             smooth = gaussian_filter(bare, AROUND / 2 * max(bare.shape), mode="mirror")
             scale = np.asarray(smooth if scale is None else smooth * scale, np.float32)
         face = replace(face, image=replace(face.image, specular_scale=scale))

@@ -4,16 +4,14 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from numbers import Integral
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
 from scan2albedo.applications.light_removal import GUTTER, UnlitScan
+from scan2albedo.core import BoolArray, FloatArray, IntArray, NDArray, RawScan, RealArray
 from scan2albedo.core.arguments import require_type
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import ApplicationError
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry import mesh, rasterization
@@ -37,7 +35,7 @@ LEAST_COSINE = 0.5
 NOISE_RAD = 0.07
 """Averages over neighbours: their noise falls with their number, and so with the square of the angle that
 noise turns a face by over an edge; two suffice up to about this angle a pass."""
-Fields = Mapping[str, tuple[NDArray[np.floating], BoolArray]]
+Fields = Mapping[str, tuple[RealArray, BoolArray]]
 """Values (N, C) of texels by name, and which (N,) of them are known."""
 
 
@@ -54,11 +52,11 @@ class TemplateTile:
 
     number: int
     faces: BoolArray
-    color_linear: NDArray[np.floating]
+    color_linear: RealArray
     seen: BoolArray
-    normal: NDArray[np.floating]
-    maps: Mapping[str, NDArray[np.floating]] = field(default_factory=dict)
-    hair: NDArray[np.floating] | None = None
+    normal: RealArray
+    maps: Mapping[str, RealArray] = field(default_factory=dict)
+    hair: RealArray | None = None
     """(S, S, 4): hair as it was lit, linear, and how surely a texel is hair; None where there is none."""
 
 
@@ -142,7 +140,7 @@ class Appearance:
         )
         found = sample_colors(self._shown, *there)
         fine = tangent_normals(self._shape.normals(place), outward, tangents)
-        fields: dict[str, tuple[NDArray[np.floating], BoolArray]] = {
+        fields: dict[str, tuple[RealArray, BoolArray]] = {
             "color": (found.color_linear, found.seen),
             "normal": fine,
         }
@@ -219,7 +217,7 @@ def painted(blank: TemplateTexture, size: int, look: Callable[..., Fields]) -> T
         points = vertices[split.vertex]
         pixels = rasterization.pixels_from_uv(split.uv - [across, up], (size, size))
         steps = texel_steps(points, split.uv, split.faces, (size, size))
-        fields, known = dict[str, NDArray[np.floating]](), dict[str, BoolArray]()
+        fields, known = dict[str, RealArray](), dict[str, BoolArray]()
         inside = np.zeros((size, size), bool)
         for band in bands:
             below = pixels - [0, band.start]
@@ -254,7 +252,7 @@ def painted(blank: TemplateTexture, size: int, look: Callable[..., Fields]) -> T
             continue  # its faces hold no texel's middle
         color, normal, hair = fields.pop("color"), fields.pop("normal"), fields.pop("hair", None)
         for band in bands:
-            normal[band] = normalized(normal[band].astype(np.float64))
+            normal[band] = normalized(normal[band].astype(float))
         maps = {name: texels[..., 0] for name, texels in fields.items()}
         tiles.append(TemplateTile(number, chosen, color, known["color"], normal, maps, hair))
     return replace(blank, tiles=tuple(tiles))
@@ -266,7 +264,7 @@ def tile_numbers(uv: FloatArray) -> IntArray:
     >>> tile_numbers(np.array([[[0.1, 0.1], [1.0, 0.1], [0.1, 1.0]], [[1.2, 0], [1.4, 0], [1.2, 0.3]]]))
     array([1001, 1002])
     """
-    middle = np.floor(uv.mean(axis=1)).astype(np.int64)
+    middle = np.floor(uv.mean(axis=1)).astype(int)
     inside = (middle >= 0).all(1) & (middle < 10).all(1)
     return np.where(inside, FIRST_TILE + middle[:, 0] + 10 * middle[:, 1], 0)
 
@@ -302,7 +300,7 @@ class FineShape:
         mean = mesh.neighbour_mean(len(vertices), faces)
         for _ in range(passes):
             differs = mean @ differs
-        inner = (~mesh.boundary_vertex_mask(len(vertices), faces)).astype(np.float64)
+        inner = (~mesh.boundary_vertex_mask(len(vertices), faces)).astype(float)
         share = inner
         for _ in range(8):  # the scan's own shape fades at its edges, about three edges of its faces wide
             share = inner * (mean @ share)
@@ -355,18 +353,18 @@ def tangent_normals(
     return found, found[:, 2] >= LEAST_COSINE
 
 
-def normal_bytes(normal: NDArray[np.floating], samples: type = np.uint8) -> NDArray[Any]:
+def normal_bytes(normal: RealArray, samples: type = np.uint8) -> NDArray:
     """Return normals (..., 3) in [-1, 1] as glTF's normal maps store them, linear, in such samples.
 
     >>> normal_bytes(np.array([[0.0, -1.0, 1.0]]))
     array([[128,   0, 255]], dtype=uint8)
     """
-    encoded: NDArray[Any] = np.empty(normal.shape, samples)
+    encoded: NDArray = np.empty(normal.shape, samples)
     for row in range(0, len(normal), 256):  # to spare memory
-        encoded[row : row + 256] = integers(0.5 * (normal[row : row + 256] + 1), samples)
+        encoded[row : row + 256] = integers((normal[row : row + 256] + 1) / 2, samples)
     return encoded
 
 
-def integers(values: NDArray[np.floating], samples: type = np.uint8) -> NDArray[Any]:
+def integers(values: RealArray, samples: type = np.uint8) -> NDArray:
     """Return values from 0 to 1, clipped, as integers that count from 0 to the largest of `samples`."""
-    return np.round(np.iinfo(samples).max * np.clip(values, 0, 1).astype(np.float64)).astype(samples)
+    return np.round(np.iinfo(samples).max * np.clip(values, 0, 1).astype(float)).astype(samples)

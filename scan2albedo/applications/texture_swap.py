@@ -9,8 +9,8 @@ from scan2albedo.albedo.inpainting import integrate_gradients
 from scan2albedo.applications import face_features
 from scan2albedo.applications.face_features import AROUND, blurred_inside, feature_texels, grown
 from scan2albedo.applications.processed_face import ProcessedFace, on_common_chart
+from scan2albedo.core import BoolArray, FloatArray, IntArray
 from scan2albedo.core.arguments import require_type
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.face_model import AnnotatedSurface
 
 _MARGIN = 2
@@ -107,7 +107,7 @@ def continued_skin(
 def trusted(face: ProcessedFace, model: AnnotatedSurface | None = None) -> BoolArray:
     """Return (H, W) texels that were seen, but for those close to others and for hair at the sides."""
     near = maximum_filter(face.mask & ~face.image.seen, 2 * _MARGIN + 1, mode="constant")
-    return np.asarray(face.mask & ~near & ~face_features.dark_sides(face, model))
+    return face.mask & ~near & ~face_features.dark_sides(face, model)
 
 
 def continued(
@@ -125,7 +125,7 @@ def continued(
         return albedo
     floor = face_features.FLOOR * max(other.level(), 1e-12)
     field = np.log(np.maximum(albedo, floor))
-    log_other = np.log(np.maximum(other.albedo_linear.astype(np.float64), floor))
+    log_other = np.log(np.maximum(other.albedo_linear.astype(float), floor))
     distance, (row, column) = distance_transform_edt(~known, return_indices=True)
     # What the border would cut in two fades in from there; detail gets no stronger than the face's own is.
     sigma = AROUND * max(known.shape)
@@ -142,7 +142,7 @@ def continued(
     both = known & (source == 1) & ~grown(whole, AROUND)
     side = 2 * round(face_features.LOCAL * max(known.shape)) + 1
     values = np.where(both[..., None], field - log_other, 0.0)
-    weight, feature = both.astype(np.float64), np.zeros_like(values)
+    weight, feature = both.astype(float), np.zeros_like(values)
     for _ in range(5):
         total = np.dstack([weight[..., None] * values, weight])
         for _ in range(2):

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.batch.manifest import BatchManifest
 from scan2albedo.batch.records import CATALOGUE, FILES, FIXED, METRICS, STAGES, BatchScanRecord, path_column
+from scan2albedo.core import BoolArray, Float32Array, FloatArray, NDArray, Values
 from scan2albedo.errors import BatchError, needs_extra, one_line
 from scan2albedo.geometry.rasterization import area_mean
 from scan2albedo.io.atomic import atomic_path
@@ -36,7 +36,7 @@ def catalogue_table(manifest: BatchManifest, rows: Mapping[str, BatchScanRecord]
     known = set(types) | own
     lines = []
     for scan in manifest.scans:
-        line: dict[str, Any] = {"name": scan.name, "source": scan.source, "status": "not run", "reason": ""}
+        line: Values = {"name": scan.name, "source": scan.source, "status": "not run", "reason": ""}
         line |= scan.extra
         if (row := rows.get(scan.name)) is not None:
             line |= {name: getattr(row, name) for name in FIXED if hasattr(row, name)}
@@ -89,9 +89,7 @@ def load_catalogue(out: str | Path) -> pyarrow.Table:
         raise BatchError(f"{path}: is no whole catalogue ({error}); `batch --resume` redoes it") from error
 
 
-def load_albedos(
-    out: str | Path, size: int | None = None
-) -> tuple[list[str], NDArray[np.float32], NDArray[np.bool_]]:
+def load_albedos(out: str | Path, size: int | None = None) -> tuple[list[str], Float32Array, BoolArray]:
     """Return the albedos of all scans of a batch that are done and have one.
 
     Raises BatchError when there is no such batch, no albedo, scans of several models or sizes, or a file is
@@ -127,8 +125,8 @@ def load_albedos(
             f"{folder}: scans of several models ({', '.join(models)}), whose texels do not correspond; "
             "process them in a batch each"
         )
-    albedos: list[NDArray[np.float32]] = []
-    masks: list[NDArray[np.bool_]] = []
+    albedos: list[Float32Array] = []
+    masks: list[BoolArray] = []
     for row in wanted:
         path = str(row["path_albedo_exr"])
         file = folder / path
@@ -140,7 +138,7 @@ def load_albedos(
             raise BatchError(f"{file.parent}: cannot be read: {one_line(error)}") from error
         albedo, image = read_image_linear(file), file.parent / "geometry_image.npz"
         advice = "run the batch with --resume"
-        more: dict[str, Any] = {"what": "geometry image", "advice": advice, "error": BatchError}
+        more: Values = {"what": "geometry image", "advice": advice, "error": BatchError}
         arrays = read_npz(image, ("mask",), optional=("texture_valid",), **more)
         seen = arrays["mask"] & arrays.get("texture_valid", True)
         if seen.shape != albedo.shape[:2]:
@@ -162,9 +160,9 @@ def load_albedos(
     return [row["name"] for row in wanted], np.stack(albedos), np.stack(masks)
 
 
-def _resized(values: NDArray[Any], size: int) -> NDArray[np.float64]:
+def _resized(values: NDArray, size: int) -> FloatArray:
     if size <= len(values):
         return area_mean(values, (size, size))
     from skimage.transform import resize
 
-    return resize(values.astype(np.float64), (size, size), order=1, mode="edge", anti_aliasing=False)
+    return resize(values.astype(float), (size, size), order=1, mode="edge", anti_aliasing=False)

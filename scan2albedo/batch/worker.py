@@ -16,6 +16,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from scan2albedo.batch.records import BatchOutcome, BatchScanRecord, Layout
+from scan2albedo.core import Values
 from scan2albedo.errors import BatchError, Scan2AlbedoError, one_line
 from scan2albedo.io.load_scan import file_sha256, input_sha256
 from scan2albedo.io.run_folder import RunFolder
@@ -106,7 +107,7 @@ def process_task(task: ScanTask) -> BatchScanRecord:
             signal.setitimer(signal.ITIMER_REAL, task.timeout_s)
         try:
             start, cpu = time.perf_counter(), time.process_time()
-            known: dict[str, Any] = {"worker": f"{platform.node()}:{os.getpid()}"}
+            known: Values = {"worker": f"{platform.node()}:{os.getpid()}"}
             status: BatchOutcome = "done"
             try:
                 known |= _processed(task, layout)
@@ -132,7 +133,7 @@ def process_task(task: ScanTask) -> BatchScanRecord:
             layout.unmark(task.name)
 
 
-def _processed(task: ScanTask, layout: Layout) -> dict[str, Any]:
+def _processed(task: ScanTask, layout: Layout) -> Values:
     from scan2albedo.core.version import VERSION
 
     if task.version != VERSION:

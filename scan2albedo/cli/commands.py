@@ -18,6 +18,7 @@ from scan2albedo.cli.glasses import app as glasses_app
 from scan2albedo.cli.identify import identify
 from scan2albedo.cli.reflectance import app as reflectance_app
 from scan2albedo.cli.relight import relight
+from scan2albedo.core import Values
 from scan2albedo.core.landmarks import AUTO
 from scan2albedo.core.raw_scan import lost_texture, scan_name
 from scan2albedo.core.version import VERSION
@@ -172,7 +173,7 @@ def process(
     for note in template.notes if template is not None else ():
         common.say(f"{options.model}: {note}")
     chosen = options.arguments() | {"model": template or "none"}
-    summaries: list[dict[str, Any]] = []
+    summaries: list[Values] = []
     failures = 0
     lost = False
     for path in scans:
@@ -334,10 +335,10 @@ def validate(
     names = ("hemisphere", "face", "lighting")
     if what not in (*names, "all"):
         raise typer.BadParameter(f"{what!r} is unknown, expected one of {', '.join(names)}, all")
-    results: dict[str, Any] = {}
+    results: Values = {}
     for name in names if what == "all" else (what,):
         with ProgressLines(name) as progress:
-            asked: dict[str, Any] = {"size": size, "seed": seed}
+            asked: Values = {"size": size, "seed": seed}
             asked["on_row"] = lambda row, say=progress.say: common.say(row.text())
             if name == "lighting":
                 results[name] = validation.validate_lighting(**asked)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from scan2albedo.cli import common
+from scan2albedo.core import Values
 from scan2albedo.errors import EyeglassesError, Scan2AlbedoError, one_line
 
 if TYPE_CHECKING:
@@ -145,7 +146,7 @@ def canonicalize(
     except ValueError as error:
         raise typer.BadParameter(one_line(error)) from None
     spend = common.checked_budget(budget, unit)
-    figures: dict[str, dict[str, Any]] = {}
+    figures: dict[str, Values] = {}
     with common.working("glasses", out) as progress:
         check_writable(out)
         RunFolder(out, FILES).check([mesh.stem for mesh in meshes])
@@ -155,7 +156,7 @@ def canonicalize(
             try:
                 marks = None if keypoints is None else keypoints[number]
                 if frame_width is None or number == 0:
-                    scale: dict[str, Any] = {"frame_width_mm": frame_width}
+                    scale: Values = {"frame_width_mm": frame_width}
                 elif not frames:
                     raise EyeglassesError("its scale is that of the first frame, which failed")
                 else:
@@ -193,7 +194,7 @@ def canonicalize(
             progress.say(f"{name}: key points were {bend:.2f} mm rms off {of}; files in {out / name}")
     if json_summary:
         reasons = {failure.file: one_line(failure.reason) for failure in failures}
-        rows: list[dict[str, Any]] = [
+        rows: list[Values] = [
             {"frame": str(mesh), "status": "failed", "reason": reasons[str(mesh)]}
             if str(mesh) in reasons
             else {"frame": str(mesh), "status": "done", "out": str(out / mesh.stem), **figures[mesh.stem]}
@@ -353,8 +354,8 @@ def lenses(
     from scan2albedo.runs.eyeglasses.inputs import material_pair, read_lens_scene
     from scan2albedo.runs.eyeglasses.lenses_run import FILES, run_lenses
 
-    shares: dict[str, Any] = {"alpha": alpha, "beta": beta}
-    files: dict[str, Any] = {"keypoints": keypoints, "views": view or (), "pictures": picture or ()}
+    shares: Values = {"alpha": alpha, "beta": beta}
+    files: Values = {"keypoints": keypoints, "views": view or (), "pictures": picture or ()}
     files |= {"masks": masks, "environment": environment}
     try:
         check_unit(unit)

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from scan2albedo.cli import common
+from scan2albedo.core import Values
 
 if TYPE_CHECKING:
     from scan2albedo.cli.progress import ProgressLines
@@ -260,12 +261,12 @@ def demo(
 @contextmanager
 def _work(
     name: str, out: Path, json_summary: bool = False
-) -> Iterator[tuple[ProgressLines, Callable[[str, dict[str, Any]], None]]]:
+) -> Iterator[tuple[ProgressLines, Callable[[str, Values], None]]]:
     """Give progress lines for work that writes into `out`, and what says how it ended: text and figures."""
     from scan2albedo.io.run_folder import RunFolder
     from scan2albedo.runs.reflectance import FILES
 
-    def report(text: str, figures: dict[str, Any]) -> None:
+    def report(text: str, figures: Values) -> None:
         for note in (*RunFolder(out, FILES).read().notes, f"{text}; files in {out}"):
             progress.say(f"{name}: {note}")
         if json_summary:

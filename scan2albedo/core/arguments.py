@@ -3,7 +3,9 @@
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from scan2albedo.core.arrays import Float32Array
 
 _FAR_ABOVE_WHITE = 8.0
 """Skin has no median brighter than that in linear light, where 1 is display white."""
@@ -48,7 +50,7 @@ def require_linear(name: str, values: ArrayLike) -> None:
         raise TypeError(f"{said}; decode sRGB of 8 bits with scan2albedo.io.color.decode_srgb_integers")
 
 
-def linear_doubt(name: str, values: NDArray[np.float32]) -> str:
+def linear_doubt(name: str, values: Float32Array) -> str:
     """Return a sentence on colours that are hardly linear light, "" when there is no doubt."""
     if values.max(initial=0) <= _FAR_ABOVE_WHITE or (median := float(np.median(values))) <= _FAR_ABOVE_WHITE:
         return ""

@@ -6,8 +6,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 BoolArray = NDArray[np.bool_]
+ByteArray = NDArray[np.uint8]
 FloatArray = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+RealArray = NDArray[np.floating]
 IntArray = NDArray[np.int64]
+
+Values = dict[str, Any]
+"""By name: figures, options, arrays, what becomes an object of JSON."""
+
+EPSILON = np.finfo(float).eps
+"""Relative rounding error of float64."""
+SMALLEST = np.finfo(float).tiny
+"""Smallest number that float64 holds at full precision: keeps quotients finite."""
 
 
 def checked_array(
@@ -18,7 +29,7 @@ def checked_array(
     *,
     kind: type = float,
     finite: type[Exception] | None = None,
-) -> NDArray[Any]:
+) -> NDArray:
     """Return values of a shape, where letters stand for any number; an `error` that names them for others.
 
     It may begin with any axes, `...`. Numbers become float64; of the `kind` bool or int no others are taken.
@@ -59,6 +70,41 @@ def checked_mesh(
     if len(whole) and not (whole.min() >= 0 and whole.max() < len(xyz)):
         raise error(f"{name}: its faces refer to vertices {whole.min()} to {whole.max()} of {len(xyz)}")
     return xyz, whole
+
+
+def all_finite(values: ArrayLike) -> bool:
+    """Return whether no number is NaN or infinite."""
+    return bool(np.isfinite(values).all())
+
+
+def norms(vectors: ArrayLike) -> FloatArray:
+    """Return the Euclidean norms (...) of vectors (..., C)."""
+    return np.linalg.norm(vectors, axis=-1)
+
+
+def triangle_sides(corners: NDArray) -> tuple[NDArray, NDArray]:
+    """Return the vectors (F, C) from the first of triangles' corners (F, 3, C) to the second and third."""
+    return corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+
+
+def arc_lengths(points: FloatArray) -> FloatArray:
+    """Return the way (N,) along a line of points (N, C) to each of them, from 0."""
+    return np.append(0.0, np.cumsum(norms(np.diff(points, axis=0))))
+
+
+def identities(count: int, size: int) -> FloatArray:
+    """Return `count` unit matrices (count, size, size)."""
+    return np.tile(np.eye(size), (count, 1, 1))
+
+
+def row_sums(matrix: Any) -> FloatArray:
+    """Return the sums (R,) of a sparse matrix's rows."""
+    return np.asarray(matrix.sum(1)).ravel()
+
+
+def finite_rows(values: RealArray) -> BoolArray:
+    """Return (...) where all C numbers of values (..., C) are finite."""
+    return np.asarray(np.isfinite(values).all(-1))
 
 
 def smoothstep(x: ArrayLike) -> FloatArray:

@@ -4,10 +4,21 @@ from dataclasses import dataclass
 from numbers import Integral
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from scan2albedo.core.arguments import require_linear
-from scan2albedo.core.arrays import checked_array, checked_mesh
+from scan2albedo.core.arrays import (
+    BoolArray,
+    ByteArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    all_finite,
+    checked_array,
+    checked_mesh,
+    norms,
+    triangle_sides,
+)
 from scan2albedo.errors import GeometryImageError, errors_of
 
 SMALLEST_SIZE = 8
@@ -18,7 +29,7 @@ LARGEST_SIZE = 16384
 NO_CAMERA = 255
 """In `GeometryImage.camera`: it is not known which camera took the texel."""
 
-Occluder = tuple[NDArray[np.float64], NDArray[np.int64]]
+Occluder = tuple[FloatArray, IntArray]
 
 ARRAYS = {
     "position": (np.float64, 3),
@@ -50,43 +61,43 @@ class GeometryImage:
     beyond 0 to 1, a texture in integers, or an occluder that is not a mesh.
     """
 
-    position: NDArray[np.float64]
+    position: FloatArray
     """(H, W, 3): millimetres in the model's frame; zeros outside `mask`."""
-    normal: NDArray[np.float64]
+    normal: FloatArray
     """(H, W, 3): unit outward normals; zeros outside `mask`."""
-    mask: NDArray[np.bool_]
+    mask: BoolArray
     """(H, W): texels that belong to the surface."""
-    texture_linear: NDArray[np.float32] | None = None
+    texture_linear: Float32Array | None = None
     """(H, W, 3): linear colour looked up on the raw scan."""
-    region: NDArray[np.uint8] | None = None
+    region: ByteArray | None = None
     """(H, W): region index of the model's annotation; 255 outside `mask`."""
     occluder: Occluder | None = None
     """(vertices (V, 3), faces (F, 3)): mesh that casts shadows; triangulated from `position` when None."""
-    texture_valid: NDArray[np.bool_] | None = None
+    texture_valid: BoolArray | None = None
     """(H, W): texels whose texture was really seen (not hidden, not at a grazing angle, not far from the
     scan); all of `mask` when None."""
-    specular_scale: NDArray[np.float32] | None = None
+    specular_scale: Float32Array | None = None
     """(H, W): expected relative strength of highlights from the annotation; 1 when None."""
-    inpaint: NDArray[np.bool_] | None = None
+    inpaint: BoolArray | None = None
     """(H, W): texels where the annotation permits inpainting; all of `mask` when None."""
-    skin: NDArray[np.float32] | None = None
+    skin: Float32Array | None = None
     """(H, W): how surely a texel is skin, 0 to 1; 0 on hair, brows, eyes, lips, cloth and glasses, and where
     nothing was seen. When None it was not computed: every seen texel counts as 1."""
-    labels: NDArray[np.uint8] | None = None
+    labels: ByteArray | None = None
     """(H, W): what each texel is, by number in `scan2albedo.face_model.appearance.CLASSES`; 0 is unseen."""
-    camera: NDArray[np.uint8] | None = None
+    camera: ByteArray | None = None
     """(H, W): number of the camera that took each texel; `NO_CAMERA` where it is not known."""
-    camera_positions: NDArray[np.float64] | None = None
+    camera_positions: FloatArray | None = None
     """(K, 3): where the cameras stood, millimetres in the model's frame; given along with `camera`."""
-    face_chart: NDArray[np.float32] | None = None
+    face_chart: Float32Array | None = None
     """(H, W, 2): place (row, column, from 0 to 1) of each texel on the default model's chart, where facial
     features have known places; None: the image is not of a face."""
     texture_log_odds: float = 0.0
     """Natural logarithm of the odds that the texture belongs to this shape, by where brows, eyes and lips
     are; 0: nothing speaks for or against it."""
-    filled: NDArray[np.bool_] | None = None
+    filled: BoolArray | None = None
     """(H, W): texels that no picture showed, whose texture comes from around; none when None."""
-    on_face: NDArray[np.bool_] | None = None
+    on_face: BoolArray | None = None
     """(H, W): texels of the annotated face, where light is sought; all of `mask` when None."""
 
     def __post_init__(self) -> None:
@@ -104,7 +115,7 @@ class GeometryImage:
             if len(grid) != 2 or array.shape != wanted:
                 raise GeometryImageError(f"{field} has shape {array.shape}, expected {wanted} as the mask")
             array = array.astype(dtype, copy=False)
-            if array.dtype.kind == "f" and not np.isfinite(array[mask]).all():
+            if array.dtype.kind == "f" and not all_finite(array[mask]):
                 raise GeometryImageError(f"{field} holds NaN or infinite values inside the mask")
             object.__setattr__(self, field, array)
         if self.skin is not None and not ((self.skin >= 0) & (self.skin <= 1))[self.mask].all():
@@ -130,7 +141,7 @@ class GeometryImage:
         return self.mask.shape
 
     @property
-    def seen(self) -> NDArray[np.bool_]:
+    def seen(self) -> BoolArray:
         """(H, W) texels of the surface whose texture can be trusted."""
         return self.mask if self.texture_valid is None else self.mask & self.texture_valid
 
@@ -142,15 +153,15 @@ class GeometryImage:
         return max(self.shape) * float(self.on_face.sum() / self.mask.sum()) ** 0.5
 
     @property
-    def border(self) -> NDArray[np.bool_]:
+    def border(self) -> BoolArray:
         """(H, W) texels of the surface with a side neighbour outside it: the chart's rim, or its seams."""
         padded = np.pad(self.mask, 1)
         return self.mask & ~(padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:])
 
-    def toward_camera(self, view_direction: ArrayLike) -> NDArray[np.float64]:
+    def toward_camera(self, view_direction: ArrayLike) -> FloatArray:
         """Return (N, 3) unit directions from the texels of `mask` to their cameras, else `view_direction`."""
         position = self.position[self.mask]
-        toward = np.broadcast_to(np.asarray(view_direction, np.float64), position.shape).copy()
+        toward = np.broadcast_to(np.asarray(view_direction, float), position.shape).copy()
         if self.camera is None or self.camera_positions is None:
             return toward
         camera = self.camera[self.mask]
@@ -161,7 +172,7 @@ class GeometryImage:
 
     def check_normals(self) -> None:
         """Raise `GeometryImageError` where normals are neither of length 1 nor 0 (not known): they shade."""
-        length = np.linalg.norm(self.normal[self.mask], axis=-1)
+        length = norms(self.normal[self.mask])
         wrong = (np.abs(length - 1) > _LENGTH) & (length > _LENGTH)
         if wrong.any():
             raise GeometryImageError(
@@ -169,12 +180,12 @@ class GeometryImage:
                 f"{length[wrong].max():.3g}; divide them by their length, or give 0 where none is known"
             )
 
-    def texel_areas_mm2(self) -> NDArray[np.float64]:
+    def texel_areas_mm2(self) -> FloatArray:
         """Return (N,) surface per texel at all 2 x 2 blocks inside the mask: how evenly the chart samples."""
         whole = self.mask[:-1, :-1] & self.mask[:-1, 1:] & self.mask[1:, :-1] & self.mask[1:, 1:]
         down = (self.position[1:, 1:] - self.position[:-1, :-1])[whole]
         up = (self.position[:-1, 1:] - self.position[1:, :-1])[whole]
-        return 0.5 * np.linalg.norm(np.cross(down, up), axis=1)
+        return norms(np.cross(down, up)) / 2
 
     def figures(self) -> dict[str, float]:
         """Return what part of the square is surface, what part of that was seen, or is skin; texel areas."""
@@ -200,7 +211,7 @@ class GeometryImage:
 
         Each 2 x 2 block of masked texels gives two triangles, each wound to agree with `normal`.
         """
-        index = np.full(self.shape, -1, np.int64)
+        index = np.full(self.shape, -1, int)
         index[self.mask] = np.arange(int(self.mask.sum()))
         a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
         faces = []
@@ -212,12 +223,10 @@ class GeometryImage:
         return vertices, wound_like(vertices, np.concatenate(faces), self.normal[self.mask])
 
 
-def wound_like(
-    vertices: NDArray[np.float64], faces: NDArray[np.int64], normals: NDArray[np.float64]
-) -> NDArray[np.int64]:
+def wound_like(vertices: FloatArray, faces: IntArray, normals: FloatArray) -> IntArray:
     """Return the triangles (F, 3), each wound to agree with the normals (V, 3) at its corners."""
     corners = vertices[faces]
-    outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    outward = np.cross(*triangle_sides(corners))
     against = np.einsum("ij,ij->i", outward, normals[faces].sum(1)) < 0
     return np.where(against[:, None], faces[:, ::-1], faces)
 

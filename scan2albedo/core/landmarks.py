@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, all_finite
 from scan2albedo.errors import ScanError, errors_of
 
 LARGEST_COORDINATE = 1e30
@@ -45,7 +45,7 @@ class PlacedLandmarks:
     """(68,): standard deviation along each axis."""
 
     def __post_init__(self) -> None:
-        points, sigma_mm = np.array(self.points, np.float64), np.array(self.sigma_mm, np.float64)
+        points, sigma_mm = np.array(self.points, float), np.array(self.sigma_mm, float)
         if points.shape != (COUNT, 3) or sigma_mm.shape != (COUNT,):
             said = f"landmarks have shape {points.shape} and deviations {sigma_mm.shape}"
             raise ScanError(f"{said}, expected ({COUNT}, 3) and ({COUNT},); leave NaN where none was placed")
@@ -55,7 +55,7 @@ class PlacedLandmarks:
             raise ScanError(f"landmark {partly[0]} is {points[partly[0]].tolist()}, not three finite numbers")
         if unknown.all():
             raise ScanError("no landmark among the 68 is given; give at least one, or leave them out")
-        if not (sigma_mm > 0).all() or not np.isfinite(sigma_mm).all():
+        if not (sigma_mm > 0).all() or not all_finite(sigma_mm):
             raise ScanError("a landmark's standard deviation must be finite and above 0 mm")
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "sigma_mm", sigma_mm)
@@ -78,7 +78,7 @@ class PlacedLandmarks:
                 points[int(number)] = point
         elif isinstance(given, np.ndarray | list | tuple):
             with errors_of("landmarks are not a (68, 3) array of numbers", ScanError, ValueError, TypeError):
-                points = np.asarray(given, np.float64)
+                points = np.asarray(given, float)
         else:
             said = f"landmarks are of type {type(given).__name__}"
             raise TypeError(f"{said}, expected a file, {{number: (x, y, z)}} or a (68, 3) array")

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import checked_array
+from scan2albedo.core.arrays import FloatArray, checked_array
 
 LAMP_RADIUS_DEG = 4.0
 """Angular radius of a usual lamp for portraits: 30 cm across, two metres away."""
@@ -54,7 +53,7 @@ class PointLight:
         return self.color_linear == (1.0, 1.0, 1.0)
 
     @property
-    def direction(self) -> NDArray[np.float64]:
+    def direction(self) -> FloatArray:
         """(3,) unit vector from the origin toward the light."""
         horizontal, up = math.cos(self.elevation_rad), math.sin(self.elevation_rad)
         right, forward = horizontal * math.sin(self.azimuth_rad), horizontal * math.cos(self.azimuth_rad)
@@ -74,7 +73,7 @@ class EnvironmentLight:
     [1.0, 1.0, 1.0]
     """
 
-    coefficients: NDArray[np.float64]
+    coefficients: FloatArray
     """(9, 3): c of each channel, in the order of `lighting.harmonics`; stored as float64."""
     occluded: bool = True
     """Whether the surface hides part of it from itself."""

@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.core.arguments import linear_doubt, require_linear
-from scan2albedo.core.arrays import IntArray
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from scan2albedo.core.landmarks import LARGEST_COORDINATE, PlacedLandmarks
 from scan2albedo.errors import ScanError, one_line, printable
 
@@ -71,12 +70,12 @@ class TextureTile:
     width: int
     height: int
 
-    def holds(self, uv: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.bool_]:
+    def holds(self, uv: FloatArray, shape: tuple[int, int]) -> BoolArray:
         """Return (F,) which faces, by their corners' coordinates (F, 3, 2), lie on it in a texture (H, W)."""
         across, down = self.own_uv(uv.mean(1), shape).T
-        return np.asarray((across >= 0) & (across <= 1) & (down >= 0) & (down <= 1))
+        return (across >= 0) & (across <= 1) & (down >= 0) & (down <= 1)
 
-    def own_uv(self, uv: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float64]:
+    def own_uv(self, uv: FloatArray, shape: tuple[int, int]) -> FloatArray:
         """Return coordinates of the texture (H, W) as those of this picture alone."""
         across = (uv[..., 0] * shape[1] - self.left) / self.width
         down = ((1 - uv[..., 1]) * shape[0] - self.top) / self.height
@@ -92,17 +91,17 @@ class RawScan:
     integers. Warns of colours that are hardly linear light, and says so in `notes`, once.
     """
 
-    vertices: NDArray[np.float64]
+    vertices: FloatArray
     """(V, 3): millimetres, any pose."""
-    faces: NDArray[np.int64]
+    faces: IntArray
     """(F, 3): indices into `vertices`."""
-    uv: NDArray[np.float64] | None = None
+    uv: FloatArray | None = None
     """(F, 3, 2): texture coordinates of each face's corners; v = 0 is the bottom row of the texture."""
-    texture_linear: NDArray[np.float32] | None = None
+    texture_linear: Float32Array | None = None
     """(H, W, 3): linear colour, 1 = display white; row 0 is the top."""
-    vertex_color_linear: NDArray[np.float32] | None = None
+    vertex_color_linear: Float32Array | None = None
     """(V, 3): linear colour of each vertex, for scans without a texture."""
-    color_seen: NDArray[np.bool_] | None = None
+    color_seen: BoolArray | None = None
     """Which colours a picture showed: (H, W) of the texture, else (V,) of the vertices; all when None. The
     others are transparent, or were filled in: nothing is concluded from them."""
     name: str = "scan"
@@ -180,7 +179,7 @@ class RawScan:
         """Return the scan with every triangle reversed."""
         return replace(self, faces=self.faces[:, ::-1], uv=None if self.uv is None else self.uv[:, ::-1])
 
-    def without_faces(self, gone: NDArray[np.bool_]) -> Self:
+    def without_faces(self, gone: BoolArray) -> Self:
         """Return the scan without the faces marked in `gone` (F,); vertices stay."""
         return replace(self, faces=self.faces[~gone], uv=None if self.uv is None else self.uv[~gone])
 

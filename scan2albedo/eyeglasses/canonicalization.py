@@ -5,10 +5,20 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
-from scan2albedo.core.arrays import FloatArray, IntArray, checked_array
+from scan2albedo.core import (
+    ArrayLike,
+    Budget,
+    FloatArray,
+    IntArray,
+    Meter,
+    Plan,
+    PlanStep,
+    ProgressCallback,
+    Trace,
+    checked_array,
+    finite_rows,
+)
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import mean_keypoints as means
 from scan2albedo.eyeglasses import unbending
@@ -277,13 +287,13 @@ class _Frame:
         xyz = checked_array(vertices, ("V", 3), f"vertices of frame {number}", finite=ValueError)
         shares = None if weights is None else checked_weights(f"weights {number}", weights, len(xyz))
         marks = checked_keypoints(f"keypoints {number}", keypoints)
-        return cls(number, getattr(mesh, "name", None), xyz, np.asarray(faces, np.int64), marks, shares)
+        return cls(number, getattr(mesh, "name", None), xyz, np.asarray(faces, int), marks, shares)
 
     def weighted(self, spacing: str | float, left: int, meter: Meter) -> Self:
         """Return it with weights, solved, unless given, in an even share of the budget for `left` frames."""
         if self.weights is not None:
             return self
-        seen = np.flatnonzero(np.isfinite(self.points).all(1))
+        seen = np.flatnonzero(finite_rows(self.points))
         own = meter.sub_meter(f"eyeglasses.weights.{self.number}", "scaled KKT residual")
         seconds, evaluations = own.budget.seconds, own.budget.evaluations
         own.budget = Budget(seconds and seconds / left, evaluations and max(evaluations // left, 1))
@@ -344,7 +354,7 @@ class _Frame:
             canonical_from_frame=rigid,
             scale=scale,
             handle_transforms=transforms,
-            residual=float(np.sqrt((off[np.isfinite(off).all(1)] ** 2).sum(1).mean())),
+            residual=float(np.sqrt((off[finite_rows(off)] ** 2).sum(1).mean())),
             unbent=options.mode == "unbend",
             converged=self.converged,
             plan=self.plan + rows,

@@ -9,8 +9,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist, squareform
 
-from scan2albedo.core import Plan, PlanStep
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core import SMALLEST, FloatArray, IntArray, Plan, PlanStep
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.lattice import Lattice, enclosed_cells, join_parts, surface_cells, unique_cells
 from scan2albedo.geometry.closest_points import ClosestPointQuery
@@ -96,7 +95,7 @@ def embed(
     placed, groups = (handles - origin) / used, [[k] for k in range(len(handles))]
     while True:
         middles = np.array([placed[group].mean(0) for group in groups])
-        owners = np.floor(middles).astype(np.int64)
+        owners = np.floor(middles).astype(int)
         touch = _distances(owners.astype(float), "chebyshev") < 2
         apart = np.where(touch, _distances(middles, "euclidean"), np.inf)
         a, b = sorted(int(k) for k in np.unravel_index(int(np.argmin(apart)), apart.shape))
@@ -115,7 +114,7 @@ def embed(
     local = (vertices - origin) / used
     # Vertices of parts out of reach follow that of their part which is nearest to the lattice.
     corner = np.unique(faces)
-    follower = corner[lattice.find(np.floor(local[corner]).astype(np.int64)) < 0]
+    follower = corner[lattice.find(np.floor(local[corner]).astype(int)) < 0]
     leader, stage = follower, "eyeglasses.weights.rigid_parts"
     left_out = PlanStep(stage, False, "every part is in reach of a key point")
     if len(follower):
@@ -169,11 +168,11 @@ def _divided_handles(
     Shares fall with the square of the distance (Shepard's interpolation): each is 1 at its own key point, and
     far away they are equal.
     """
-    handle, shares = np.zeros(len(handles), np.int64), np.empty((len(vertices), len(handles)))
+    handle, shares = np.zeros(len(handles), int), np.empty((len(vertices), len(handles)))
     for number, group in enumerate(map(sorted, groups)):
         handle[group] = number
         square = ((vertices[:, None] - handles[group]) ** 2).sum(2)
-        nearness = square.min(1, keepdims=True) / np.maximum(square, np.finfo(float).tiny)
+        nearness = square.min(1, keepdims=True) / np.maximum(square, SMALLEST)
         nearness[square == 0] = 1.0
         shares[:, group] = nearness / nearness.sum(1, keepdims=True)
     return handle, shares
@@ -182,7 +181,7 @@ def _divided_handles(
 def _distances(places: FloatArray, metric: str) -> FloatArray:
     apart = squareform(pdist(places, metric))
     np.fill_diagonal(apart, np.inf)
-    return np.asarray(apart)
+    return apart
 
 
 def _origin(low: FloatArray, spacing: float) -> FloatArray:

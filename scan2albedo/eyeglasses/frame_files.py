@@ -9,11 +9,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
 from pydantic import AfterValidator, Field, WithJsonSchema, model_validator
 
-from scan2albedo.core import Plan
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core import ArrayLike, FloatArray, Plan, Values, all_finite, finite_rows
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import keypoints as places
 from scan2albedo.eyeglasses.canonicalization import CanonicalEyeglasses
@@ -108,7 +106,7 @@ def write_keypoints(
     path, keypoints, unit, deviations_mm
     """
     entries = {
-        name: (float(p[0]), float(p[1]), float(p[2])) if np.isfinite(p).all() else None
+        name: (float(p[0]), float(p[1]), float(p[2])) if all_finite(p) else None
         for name, p in zip(KEY_POINT_NAMES, checked_keypoints("keypoints", keypoints), strict=True)
     }
     write_record(path, KeyPointsFile(unit=unit, key_points=entries, deviations_mm=dict(deviations_mm or {})))
@@ -133,7 +131,7 @@ def read_keypoints_with_unit(path: str | Path) -> tuple[FloatArray, LengthUnitIf
         hint="`scan2albedo glasses key-points` says which key points to place, and where",
     )
     nothing = (np.nan, np.nan, np.nan)
-    points = np.array([entry.key_points.get(name) or nothing for name in KEY_POINT_NAMES], np.float64)
+    points = np.array([entry.key_points.get(name) or nothing for name in KEY_POINT_NAMES], float)
     if exchanged := "; ".join(exchanged_key_points(points)):
         advice = "`scan2albedo glasses key-points` shows where each belongs; temples must be open, not folded"
         raise EyeglassesError(f"key points {path}: names seem exchanged: {exchanged}. {advice}")
@@ -147,7 +145,7 @@ def exchanged_key_points(points: FloatArray) -> list[str]:
     first, then the next. It counts where the way from one to the other is opposite to the typical one and
     half as long or more; of all left and right ones, where the residual halves.
     """
-    known = np.asarray(np.isfinite(points).all(1))
+    known = finite_rows(points)
     # Fewer place no frame.
     if known.sum() < 6:
         return []
@@ -158,7 +156,7 @@ def exchanged_key_points(points: FloatArray) -> list[str]:
         pairs += [(number[f"{side}_{a}"], number[f"{side}_{b}"]) for a, b in _SAME_SIDE]
 
     def laid(current: FloatArray) -> tuple[FloatArray, float]:
-        seen = np.isfinite(current).all(1)
+        seen = finite_rows(current)
         placed = transform_points(procrustes(typical[seen], current[seen], scale=True), typical)
         return placed, float(np.nansum((placed - current) ** 2))
 
@@ -194,7 +192,7 @@ def _read(path: str | Path, kind: Callable[..., Value]) -> Value:
     usual, layout = _KINDS[kind]
     what = f"{usual} frame"
     arrays = read_npz(path, layout, what=what, advice=f"give a {usual}.npz", error=EyeglassesError)
-    lengths: dict[str, Any] = {"K": len(KEY_POINT_NAMES), "3": 3, "4": 4}
+    lengths: Values = {"K": len(KEY_POINT_NAMES), "3": 3, "4": 4}
     for name, (_, *shape) in layout.items():
         got = arrays[name].shape
         wanted = tuple(lengths.setdefault(side, *got[k : k + 1]) or side for k, side in enumerate(shape))
@@ -202,7 +200,7 @@ def _read(path: str | Path, kind: Callable[..., Value]) -> Value:
             said = f"{name} has shape {got} of {arrays[name].dtype}, expected numbers of shape"
             raise EyeglassesError(f"{what} {path}: {said} ({', '.join(map(str, wanted))}); write it again")
     vertices, faces = arrays["vertices"], arrays["faces"]
-    if not np.isfinite(vertices).all():
+    if not all_finite(vertices):
         raise EyeglassesError(f"{what} {path}: vertices are not finite; write it again")
     if faces.dtype.kind not in "iu" or len(faces) == 0 or faces.min() < 0 or faces.max() >= len(vertices):
         raise EyeglassesError(f"{what} {path}: faces are not those of its vertices; write it again")
@@ -272,7 +270,7 @@ def write_start(path: str | Path, world_from_glasses: ArrayLike, unit: LengthUni
     ----------
     path, world_from_glasses, unit
     """
-    content = StartFile(unit=unit, world_from_glasses=plain_json(np.asarray(world_from_glasses, np.float64)))
+    content = StartFile(unit=unit, world_from_glasses=plain_json(np.asarray(world_from_glasses, float)))
     write_record(path, content)
 
 

@@ -4,12 +4,10 @@ import itertools
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import breadth_first_order
 
-from scan2albedo.core import arrays
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core import ArrayLike, FloatArray, IntArray, arrays
 from scan2albedo.errors import EyeglassesError
 
 
@@ -82,7 +80,7 @@ PARENTS = tuple(np.maximum(breadth_first_order(_JOINED + _JOINED.T, 0)[1], -1).t
 
 def typical_key_points() -> FloatArray:
     """Return the key points (20, 3) of a typical frame in mm: x to the left, y up, z to the front."""
-    left = np.array([place.typical_mm for place in KEY_POINT_PLACES], np.float64)
+    left = np.array([place.typical_mm for place in KEY_POINT_PLACES], float)
     return np.concatenate([left, left[2:] * [-1, 1, 1]])
 
 

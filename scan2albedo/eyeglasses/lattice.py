@@ -7,11 +7,11 @@ import numpy as np
 from scipy import ndimage, sparse
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core import FloatArray, IntArray, norms, row_sums
 from scan2albedo.geometry.mesh import vertex_components
 from scan2albedo.geometry.rays import blocks
 
-CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)], np.int64)
+CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)], int)
 """(8, 3) offsets of a cell's corners: corner 4 i + 2 j + k lies at (i, j, k)."""
 _EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if np.abs(CORNERS[a] - CORNERS[b]).sum() == 1]
 """The 12 edges of a cell as pairs of its corners."""
@@ -55,7 +55,7 @@ class Lattice:
 
         A point outside all cells takes the value at the nearest place of the cell whose centre is nearest.
         """
-        cell = self.find(np.floor(points).astype(np.int64))
+        cell = self.find(np.floor(points).astype(int))
         outside = np.flatnonzero(cell < 0)
         if len(outside):
             cell[outside] = cKDTree(self.cells + 0.5).query(points[outside])[1]
@@ -81,7 +81,7 @@ def lattice_laplacian(lattice: Lattice) -> sparse.csr_matrix:
     shape = (len(lattice.nodes),) * 2
     half = sparse.csr_matrix((np.full(len(ends), 1 / 4), (ends[:, 0], ends[:, 1])), shape=shape)
     links = half + half.T
-    return (sparse.diags(np.asarray(links.sum(1)).ravel()) - links).tocsr()
+    return (sparse.diags(row_sums(links)) - links).tocsr()
 
 
 def biharmonic_energy(lattice: Lattice) -> sparse.csr_matrix:
@@ -108,7 +108,7 @@ def join_parts(cells: IntArray, reach: float) -> IntArray:
             part = label[nearest]
             # A straight walk through shared faces: the axis that lags most behind the line goes next.
             here, way = cells[partner[nearest]].copy(), cells[nearest] - cells[partner[nearest]]
-            walked, total = np.zeros(3, np.int64), np.abs(way)
+            walked, total = np.zeros(3, int), np.abs(way)
             while (walked < total).any():
                 axis = int(np.argmax(np.where(walked < total, total - walked, 0) / np.maximum(total, 1)))
                 here[axis] += np.sign(way[axis])
@@ -133,11 +133,11 @@ def surface_cells(triangles: FloatArray, limit: int) -> IntArray | None:
     without area contributes the cells of its corners.
     """
     # Every cell is found by the few triangles that touch it; 64 times the limit is beyond any mesh's share.
-    room, corners = 64 * limit, np.floor(triangles.reshape(-1, 3)).astype(np.int64)
+    room, corners = 64 * limit, np.floor(triangles.reshape(-1, 3)).astype(int)
     sides = np.roll(triangles, -1, 1) - triangles
     normal = np.cross(sides[:, 0], sides[:, 1])
     # A surface of area a touches a / sqrt(3) cells at least, once overlaps are left out of account.
-    if np.linalg.norm(normal, axis=1).sum() > 2 * room:
+    if norms(normal).sum() > 2 * room:
         return None
     left = triangles[np.abs(normal).max(1) > _TIE * (sides**2).sum(2).max(1)]
     small, found = [left[:0]], [corners]
@@ -154,7 +154,7 @@ def surface_cells(triangles: FloatArray, limit: int) -> IntArray | None:
     pieces = np.concatenate(small)
     for block in blocks(len(pieces), 2**14):
         piece = pieces[block]
-        low, high = (np.floor(side).astype(np.int64) for side in (piece.min(1) - _TIE, piece.max(1) + _TIE))
+        low, high = (np.floor(side).astype(int) for side in (piece.min(1) - _TIE, piece.max(1) + _TIE))
         owner, offset = np.nonzero(((high - low)[:, None] >= _NEAR).all(2))
         cells = low[owner] + _NEAR[offset]
         # From the cell's middle. Axes: the normal, and edge x coordinate axis, in each of three projections.
@@ -162,7 +162,7 @@ def surface_cells(triangles: FloatArray, limit: int) -> IntArray | None:
         sides = np.roll(corner, -1, 1) - corner
         axes = np.cross(sides[:, :, None], np.eye(3)).reshape(-1, 9, 3)
         axes = np.concatenate([axes, np.cross(sides[:, 0], sides[:, 1])[:, None]], 1)
-        along, reach = axes @ corner.transpose(0, 2, 1), 0.5 * np.abs(axes).sum(2) * (1 + _TIE)
+        along, reach = axes @ corner.transpose(0, 2, 1), np.abs(axes).sum(2) / 2 * (1 + _TIE)
         found.append(cells[((along.min(2) <= reach) & (along.max(2) >= -reach)).all(1)])
         if sum(map(len, found)) > room + len(corners):
             return None
@@ -179,7 +179,7 @@ def _distinct(places: IntArray) -> tuple[IntArray, IntArray]:
     low = places.min(0)
     shape = tuple(places.max(0) - low + 1)
     keys, number = np.unique(np.ravel_multi_index(tuple((places - low).T), shape), return_inverse=True)
-    return np.stack(np.unravel_index(keys, shape), 1).astype(np.int64) + low, number.astype(np.int64)
+    return np.stack(np.unravel_index(keys, shape), 1).astype(int) + low, number.astype(int)
 
 
 def enclosed_cells(cells: IntArray) -> IntArray:
@@ -187,7 +187,7 @@ def enclosed_cells(cells: IntArray) -> IntArray:
     low = cells.min(0) - 1
     shape = cells.max(0) - low + 2
     if float(np.prod(shape.astype(float))) > 2**26:
-        return np.zeros((0, 3), np.int64)
+        return np.zeros((0, 3), int)
     walls = np.zeros(tuple(shape), bool)
     walls[tuple((cells - low).T)] = True
-    return np.argwhere(ndimage.binary_fill_holes(walls) & ~walls).astype(np.int64) + low
+    return np.argwhere(ndimage.binary_fill_holes(walls) & ~walls).astype(int) + low

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan2albedo.core import Meter
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core import EPSILON, FloatArray, Meter, finite_rows, norms
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR, SKELETON, typical_key_points
 from scan2albedo.geometry.rigid import procrustes, transform_points
@@ -39,7 +38,7 @@ _LEFT_OUTER = np.array([KEY_POINT_NAMES.index(name) for name in ("left_hinge", "
 def require_posable(points: FloatArray, owner: str = "") -> None:
     """Raise EyeglassesError, naming their owner, unless key points (20, 3) fix a pose and a size."""
     of = f"{owner}: " if owner else ""
-    seen = points[np.isfinite(points).all(1)]
+    seen = points[finite_rows(points)]
     if not is_posable(seen):
         cause = f"{len(seen)} key points are known"
         if len(seen) >= 3:
@@ -76,14 +75,14 @@ def mean_key_points(keypoints: Sequence[FloatArray], meter: Meter) -> tuple[Floa
     while not settled and iteration < 200 and not (iteration and meter.exhausted):
         iteration += 1
         aligned = np.array([transform_points(align_key_points(p, mean), p) for p in keypoints])
-        seen = np.isfinite(aligned).all(2)
+        seen = finite_rows(aligned)
         count = seen.sum(0)[:, None]
         total = np.where(seen[..., None], aligned, 0.0).sum(0)
         new = np.where(count > 0, total / np.maximum(count, 1), np.nan)
-        both = np.isfinite(mean).all(1)
+        both = finite_rows(mean)
         change = float(np.abs((new - transform_points(align_key_points(mean, new), mean))[both]).max())
         # Up to rounding.
-        settled = bool(change <= 400 * np.finfo(float).eps * size and (both == (count[:, 0] > 0)).all())
+        settled = bool(change <= 400 * EPSILON * size and (both == (count[:, 0] > 0)).all())
         mean = new
         meter.count()
         meter.record(change / size)
@@ -97,14 +96,14 @@ def fullest(keypoints: Sequence[FloatArray]) -> FloatArray:
 
 def align_key_points(source: FloatArray, target: FloatArray) -> FloatArray:
     """Return the rigid `target_from_source` (4, 4) of the key points that both have, three or more."""
-    both = np.isfinite(source).all(1) & np.isfinite(target).all(1)
+    both = finite_rows(source) & finite_rows(target)
     return procrustes(source[both], target[both])
 
 
 def key_point_size(points: FloatArray) -> float:
     """Return the median length of the bones between known key points (20, 3); 0 where there is none."""
     bones = np.array(SKELETON)
-    lengths = np.linalg.norm(points[bones[:, 0]] - points[bones[:, 1]], axis=1)
+    lengths = norms(points[bones[:, 0]] - points[bones[:, 1]])
     lengths = lengths[np.isfinite(lengths)]
     return float(np.median(lengths)) if len(lengths) else 0.0
 
@@ -114,14 +113,14 @@ def own_axes(points: FloatArray) -> FloatArray:
 
     Its rows are the ways to the wearer's left, up and to the front; those of 1 where the points fix none.
     """
-    if not is_posable(points[np.isfinite(points).all(1)]):
+    if not is_posable(points[finite_rows(points)]):
         return np.eye(3)
     return align_key_points(points, typical_key_points())[:3, :3]
 
 
 def in_own_axes(points: FloatArray) -> FloatArray:
     """Return key points (20, 3) turned by `own_axes`, the centroid at 0."""
-    return np.asarray((points - np.nanmean(points, axis=0)) @ own_axes(points).T)
+    return (points - np.nanmean(points, axis=0)) @ own_axes(points).T
 
 
 def front_width(points: FloatArray, vertices: FloatArray | None = None) -> float:
@@ -130,11 +129,11 @@ def front_width(points: FloatArray, vertices: FloatArray | None = None) -> float
     With the mesh's `vertices` (V, 3), that of those nearest to one. NaN unless either pair is known.
     """
     apart = points[_LEFT_OUTER] - points[MIRROR[_LEFT_OUTER]]
-    lengths = np.linalg.norm(apart, axis=1)
+    lengths = norms(apart)
     width = float(np.fmax.reduce(lengths))
     if vertices is None or not width > 0:
         return width
-    known = np.flatnonzero(np.isfinite(points).all(1))
+    known = np.flatnonzero(finite_rows(points))
     distance, nearest = cKDTree(points[known]).query(vertices)
     front = vertices[~BEHIND[known[nearest]] & (distance < _REACH * width)]
     along = front @ (apart[np.nanargmax(lengths)] / width)

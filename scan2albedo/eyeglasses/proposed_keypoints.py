@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from skimage.measure import find_contours
 from skimage.morphology import convex_hull_image
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core import BoolArray, FloatArray, IntArray, arc_lengths, finite_rows, norms
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, checked_mesh, typical_key_points
 from scan2albedo.geometry import rigid
@@ -219,7 +219,7 @@ class _Seen:
             apart = np.ptp(sizes.get(name.partition("_")[2], [0]), axis=0)
             k = KEY_POINT_NAMES.index(name)
             points[k], deviation[k] = place, np.hypot(sd, np.linalg.norm(apart) / 2)
-        if (known := np.isfinite(points).all(1)).sum() < 6:
+        if (known := finite_rows(points)).sum() < 6:
             return points, deviation, -np.inf
         typical = typical_key_points()[known]
         laid = rigid.transform_points(rigid.procrustes(points[known], typical, scale=True), points[known])
@@ -272,7 +272,7 @@ def _depth_of(ring: FloatArray) -> FloatArray:
 
 def _run(line: FloatArray) -> FloatArray:
     """Return (N,) how far along a line of points (N, K) each is."""
-    return np.append(0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1)))
+    return arc_lengths(line)
 
 
 def _at_run(place: FloatArray, run: FloatArray, line: FloatArray) -> FloatArray:
@@ -303,13 +303,13 @@ def _rim_points(edge: FloatArray, outer: FloatArray, bridge: float, cost: float)
     along = normalized(np.roll(edge, -12, 0) - np.roll(edge, 12, 0))
     for name, arc, up in (("rim_inner", (_side(edge, -1) + 30) % 360, -1), ("rim_outer", 330, 1)):
         turned = (along @ [1, up * 3**0.5]).argmax()
-        at = np.linalg.norm(outer - (outer[arc] + outer[turned]) / 2, axis=1).argmin()
+        at = norms(outer - (outer[arc] + outer[turned]) / 2).argmin()
         found[name] = outer[at], float(np.hypot(3.5, np.linalg.norm(outer[arc] - outer[turned]) / 2))
     if np.isfinite(bridge):
         nose = edge[90:270]
-        near = nose[np.linalg.norm(nose - [0, bridge], axis=1).argmin()]
+        near = nose[norms(nose - [0, bridge]).argmin()]
         level = nose[(nose[:, 0] + 9 * np.abs(nose[:, 1] - bridge)).argmin()]
-        at = np.linalg.norm(nose - (near + level) / 2, axis=1).argmin()
+        at = norms(nose - (near + level) / 2).argmin()
         found["rim_bridge"] = nose[at], float(np.hypot(1.0, np.linalg.norm(near - level) / 2))
     return {name: (place, float(np.hypot(sd, cost))) for name, (place, sd) in found.items()}
 
@@ -338,7 +338,7 @@ def _temple_points(cloud: FloatArray, height: FloatArray, outer: FloatArray) -> 
     hinge = corner[outward > outward.max() - _SPACING].mean(0)
     hinge[1] = level
     found: _Places = {"hinge": (hinge, 1.5)}
-    reach = np.linalg.norm(temple - hinge, axis=1)
+    reach = norms(temple - hinge)
     shell = np.digitize(reach, np.arange(6, reach.max(), 2))
     line = np.array([hinge - [0, 0, 1], *(temple[shell == k].mean(0) for k in np.unique(shell)[1:-1])])
     if len(line) < 12:
@@ -358,7 +358,7 @@ def _temple_points(cloud: FloatArray, height: FloatArray, outer: FloatArray) -> 
     sd = np.sqrt(share @ (run - knee) ** 2)
     for name, part, own in (("temple_middle", 0.5, _SPACING), ("ear_bend", 1, 2)):
         at = _at_run(knee * part, run, line)
-        at[0] = temple[np.linalg.norm(temple[:, 1:] - at[1:], axis=1) < 1.5 * _SPACING, 0].max(initial=at[0])
+        at[0] = temple[norms(temple[:, 1:] - at[1:]) < 1.5 * _SPACING, 0].max(initial=at[0])
         found[name] = at, float(np.hypot(sd * part, own))
     return found | {"temple_tip": (tip, _SPACING)}
 
@@ -405,7 +405,7 @@ def propose_keypoints(mesh: Any) -> ProposedKeyPoints:
     none = np.exp(min(HARDLY_A_FRAME - most, 50.0))
     deviation = np.sqrt(deviation**2 + (share @ apart + none * 60**2) / (share.sum() + none))
     points = frame.middle + frame.unit * points
-    known = np.isfinite(points).all(1)
+    known = finite_rows(points)
     worn = rigid.procrustes(points[known], typical_key_points()[known], scale=True)
     log_mm = float(np.log(np.linalg.norm(worn[0, :3])))
     units = {"inch": 25.4, **MM_PER_UNIT}

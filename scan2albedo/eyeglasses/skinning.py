@@ -1,10 +1,9 @@
 """Linear blend skinning, and the transforms of key points that it blends (supplement, section S2)."""
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core.arrays import FloatArray, IntArray, checked_array
+from scan2albedo.core import EPSILON, ArrayLike, FloatArray, IntArray, checked_array, finite_rows, identities
 from scan2albedo.eyeglasses.keypoints import SKELETON
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import procrustes
@@ -41,12 +40,12 @@ def skin(vertices: ArrayLike, weights: ArrayLike, transforms: ArrayLike) -> Floa
     xyz = checked_array(vertices, ("V", 3), "vertices", finite=ValueError)
     shares = checked_array(weights, (len(xyz), len(maps)), "weights", finite=ValueError)
     blended = (shares @ maps[:, :3].reshape(-1, 12)).reshape(-1, 3, 4)
-    return np.asarray(np.einsum("vij,vj->vi", blended[:, :, :3], xyz) + blended[:, :, 3])
+    return np.einsum("vij,vj->vi", blended[:, :, :3], xyz) + blended[:, :, 3]
 
 
 def translations(source: FloatArray, target: FloatArray) -> FloatArray:
     """Return (K, 4, 4) translations from `source` (K, 3) to `target` (K, 3): v' = v + W (target - source)."""
-    result = np.tile(np.eye(4), (len(source), 1, 1))
+    result = identities(len(source), 4)
     result[:, :3, 3] = target - source
     return result
 
@@ -61,7 +60,7 @@ def turned_translations(source: FloatArray, target: FloatArray) -> FloatArray:
     a and b the bones' unit directions before and after: by sweeps from the best rotation of all points, then
     by Newton's steps to where `turn_conditions` are symmetric. Bones with NaN do not count.
     """
-    bones, known = known_bones(source + target), np.isfinite(source + target).all(1)
+    bones, known = known_bones(source + target), finite_rows(source + target)
     k, j = bones.T
     before, after = (normalized(points[j] - points[k]) for points in (source, target))
     own = np.zeros((len(source), 3, 3))
@@ -82,7 +81,7 @@ def turned_translations(source: FloatArray, target: FloatArray) -> FloatArray:
         turn = np.linalg.solve(system, off.ravel()).reshape(-1, 3)
         rotations = Rotation.from_rotvec(turn).as_matrix() @ rotations
         # The next step would be about the square of this one.
-        if np.abs(turn).max() < np.sqrt(np.finfo(float).eps):
+        if np.abs(turn).max() < np.sqrt(EPSILON):
             break
     result = translations(np.einsum("kij,kj->ki", rotations, source), target)
     result[:, :3, :3] = rotations
@@ -110,13 +109,13 @@ def turn_conditions(
     pulls[np.bincount(k, minlength=count) == 0] = np.eye(3)
     system = np.zeros((count, count, 3, 3))
     # Damped: nothing fixes how a straight temple without its hinge is turned about itself.
-    system[np.arange(count), np.arange(count)] = _spin(pulls) + np.sqrt(np.finfo(float).eps) * np.eye(3)
+    system[np.arange(count), np.arange(count)] = _spin(pulls) + np.sqrt(EPSILON) * np.eye(3)
     np.add.at(system, (k, j), -_spin(relative))
     return pulls, system.transpose(0, 2, 1, 3).reshape(3 * count, 3 * count)
 
 
 def _prior(k: IntArray) -> FloatArray:
-    return np.asarray(PRIOR / np.bincount(k)[k])
+    return PRIOR / np.bincount(k)[k]
 
 
 def _spin(matrices: FloatArray) -> FloatArray:

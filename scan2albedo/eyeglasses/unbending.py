@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core import SMALLEST, FloatArray, IntArray, all_finite, finite_rows, identities, norms
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR
 from scan2albedo.eyeglasses.mean_keypoints import FRONT, RIMS, SIDES, align_key_points, is_posable
 from scan2albedo.eyeglasses.skinning import turned_translations
@@ -49,7 +49,7 @@ class FrontHalves:
         turn = (Rotation.from_matrix(self.left_from_mirrored[:3, :3]) ** 0.5).as_matrix()
         half = compose(turn, np.linalg.solve(np.eye(3) + turn, self.left_from_mirrored[:3, 3]))
         mirror = self.reflection
-        return np.asarray(np.linalg.inv(half), np.float64), mirror @ half @ np.linalg.inv(mirror)
+        return np.asarray(np.linalg.inv(half), float), mirror @ half @ np.linalg.inv(mirror)
 
     @property
     def bend_deg(self) -> float:
@@ -68,7 +68,7 @@ def front_halves(
     reflection = _reflection(points)
     if reflection is None:
         return None
-    rim = RIMS[0][np.asarray(np.isfinite(points + points[MIRROR]).all(1))[RIMS[0]]]
+    rim = RIMS[0][finite_rows(points + points[MIRROR])[RIMS[0]]]
     source, target = transform_points(reflection, points[MIRROR[rim]]), points[rim]
     if not is_posable(target):
         return FrontHalves(reflection, np.eye(4), np.nan)
@@ -87,7 +87,7 @@ def front_halves(
         hits = query.query(placed[held == 0])
         # Tukey's weights: what one rim has and the other lacks does not pull.
         reach = 3 * float(np.median(hits.distance))
-        trust = np.clip(1 - (hits.distance / max(reach, np.finfo(float).tiny)) ** 2, 0, None) ** 2
+        trust = np.clip(1 - (hits.distance / max(reach, SMALLEST)) ** 2, 0, None) ** 2
         pull = np.full(len(source), _LABEL_SHARE * trust.sum() / len(source))
         goal = np.concatenate([hits.points, target])
         normal = np.concatenate([normals[hits.face], np.zeros_like(source)])
@@ -98,7 +98,7 @@ def front_halves(
     given = own, np.ones(len(held)), pairs, Similarity(start[:3, :3], first)
     found = align(*given, steps=30, scale_range=(1.0, 1.0), settled=1e-6 * size).pose
     pose = compose(found.rotation, found.translation - found.rotation @ center)
-    moved = np.linalg.norm(transform_points(pose, source) - transform_points(start, source), axis=1)
+    moved = norms(transform_points(pose, source) - transform_points(start, source))
     if moved.max() > _FARTHEST * size:
         return FrontHalves(reflection, start, np.nan)
     distance = query.query(transform_points(pose, moving)).distance
@@ -113,7 +113,7 @@ def unbent_transforms(points: FloatArray, halves: FrontHalves | None) -> FloatAr
     take the mean direction of both sides.
     """
     if halves is None:
-        return np.tile(np.eye(4), (len(points), 1, 1))
+        return identities(len(points), 4)
     sides, targets = halves.sides, points.copy()
     for side, rim, temple in zip(sides, RIMS, _TEMPLES, strict=True):
         for part in (rim, temple):
@@ -122,9 +122,9 @@ def unbent_transforms(points: FloatArray, halves: FrontHalves | None) -> FloatAr
     # Temples run in the mean direction of both sides; one whose counterpart is not known stays.
     reflect, bent = halves.reflection[:3, :3], targets.copy()
     for temple in _TEMPLES:
-        for a, b in itertools.pairwise(temple[np.isfinite(bent[temple]).all(1)]):
+        for a, b in itertools.pairwise(temple[finite_rows(bent[temple])]):
             bone, other = bent[b] - bent[a], reflect @ (bent[MIRROR[b]] - bent[MIRROR[a]])
-            if np.isfinite(other).all():
+            if all_finite(other):
                 bone = np.linalg.norm(bone) * normalized(normalized(bone) + normalized(other))
             targets[b] = targets[a] + bone
     rigid = align_key_points(points, targets)
@@ -135,7 +135,7 @@ def unbent_transforms(points: FloatArray, halves: FrontHalves | None) -> FloatAr
     for side, rim, temple in zip(sides, RIMS, _TEMPLES, strict=True):
         result[rim] = result[temple[0]] = side
     # Key points that the frame lacks weigh nothing; NaN times nothing would still be NaN.
-    result[~np.isfinite(points).all(1)] = rigid
+    result[~finite_rows(points)] = rigid
     return result
 
 
@@ -152,7 +152,7 @@ def common_bend(points_mm: FloatArray, reflection: FloatArray) -> str:
     side = np.sign(np.nansum(out[RIMS[0]]) + np.nansum(out[_TEMPLES[0]]))
     top, _, inner, bottom, outer = even[RIMS[0]]
     wrap = float(np.rad2deg(np.arcsin(side * normalized(np.cross(outer - inner, top - bottom)) @ across)))
-    said, temple = [], _TEMPLES[0][np.isfinite(even[_TEMPLES[0]]).all(1)]
+    said, temple = [], _TEMPLES[0][finite_rows(even[_TEMPLES[0]])]
     if np.isfinite(wrap):
         spread, bend = f"+- {deviation[0]:.1f}", f"so the bend is {wrap - usual[0]:+.1f}"
         designs = f"of designs {usual[0]:.1f} {spread}, {bend} {spread} degrees"
@@ -160,7 +160,7 @@ def common_bend(points_mm: FloatArray, reflection: FloatArray) -> str:
     if len(temple) > 1:
         place, way = even[temple], side * (out[temple] - out[temple[0]])
         length = float(np.linalg.norm(place[-1] - place[0]))
-        run = np.cumsum(np.linalg.norm(np.diff(place[:3], axis=0), axis=1))
+        run = np.cumsum(norms(np.diff(place[:3], axis=0)))
         bow = f", bowed outward by {way[1] - way[2] * run[0] / run[1]:.1f} mm" if len(temple) > 2 else ""
         said.append(
             f"the temples lean {np.rad2deg(np.arcsin(way[-1] / length)):.1f} degrees outward, "
@@ -186,7 +186,7 @@ def symmetric_key_points(points: FloatArray, reflection: FloatArray | None = Non
 def _reflection(points: FloatArray) -> FloatArray | None:
     """Return the (4, 4) that mirrors key points (20, 3); None where too few have a counterpart."""
     image = (points * [-1.0, 1.0, 1.0])[MIRROR]
-    both = np.isfinite(image).all(1) & np.isfinite(points).all(1)
+    both = finite_rows(image) & finite_rows(points)
     if not is_posable(points[both]):
         return None
     return procrustes(image[both], points[both]) @ np.diag([-1.0, 1, 1, 1])

@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, checked_array
+from scan2albedo.core import ArrayLike, BoolArray, FloatArray, NDArray, all_finite, checked_array, norms
 from scan2albedo.errors import EyeglassesError, ScanError, errors_of
 from scan2albedo.eyeglasses.frame_files import KeyPointName, LengthUnit, named_key_points, read_json
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
@@ -34,7 +33,7 @@ class Camera:
     def __post_init__(self) -> None:
         checked_name(self.name)
         matrix = checked_array(self.matrix, (3, 4), f"camera {self.name!r}: its matrix", finite=ValueError)
-        rows = np.linalg.norm(matrix[:, :3], axis=1)
+        rows = norms(matrix[:, :3])
         # The volume that the rows' unit vectors span: 0 where space is mapped onto a line.
         if not (rows.min() > 0 and abs(np.linalg.det(matrix[:, :3] / rows[:, None])) > 1e-9):
             raise ValueError(f"camera {self.name!r}: its matrix's left 3x3 part is singular; give K [R | t]")
@@ -84,7 +83,7 @@ class CameraEntry(BaseModel):
 
     def camera(self, mm_per_unit: float) -> Camera:
         """Return the camera that takes points in mm."""
-        matrix = np.array(self.matrix, np.float64)
+        matrix = np.array(self.matrix, float)
         matrix[:, :3] /= mm_per_unit
         return Camera(self.name, matrix, (self.height, self.width))
 
@@ -130,7 +129,7 @@ def read_cameras(path: str | Path) -> tuple[Camera, ...]:
     return tuple(entry.camera(MM_PER_UNIT[content.unit]) for entry in content.cameras)
 
 
-def write_masks(folder: str | Path, masks: Sequence[NDArray[np.generic]], cameras: Sequence[Camera]) -> None:
+def write_masks(folder: str | Path, masks: Sequence[NDArray], cameras: Sequence[Camera]) -> None:
     """Write masks (H, W), one a camera, nonzero where glasses are, as ``folder / "<camera>.png"``.
 
     Raises ValueError when masks do not fit the cameras, OutputError when the folder cannot be written.
@@ -220,7 +219,7 @@ def write_labels(path: str | Path, labels: ArrayLike, camera_names: Sequence[str
     require_distinct_names(camera_names)
     views = {
         name: {
-            key_point: (float(p[0]), float(p[1])) if np.isfinite(p).all() else None
+            key_point: (float(p[0]), float(p[1])) if all_finite(p) else None
             for key_point, p in zip(KEY_POINT_NAMES, view, strict=True)
         }
         for name, view in zip(camera_names, pixels, strict=True)
@@ -237,4 +236,4 @@ def read_labels(path: str | Path) -> ViewLabels:
     nothing = (np.nan, np.nan)
     pixels = [[view.get(name) or nothing for name in KEY_POINT_NAMES] for view in content.views.values()]
     shape = (len(content.views), KEY_POINT_COUNT, 2)
-    return ViewLabels(tuple(content.views), np.array(pixels, np.float64).reshape(shape))
+    return ViewLabels(tuple(content.views), np.array(pixels, float).reshape(shape))

@@ -5,12 +5,20 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
-from scan2albedo.core import Budget, Meter, Plan, ProgressCallback, Trace
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core import (
+    EPSILON,
+    ArrayLike,
+    Budget,
+    FloatArray,
+    IntArray,
+    Meter,
+    Plan,
+    ProgressCallback,
+    Trace,
+)
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.embedding import MAX_NODES, embed
 from scan2albedo.eyeglasses.keypoints import checked_mesh, checked_points
@@ -168,7 +176,7 @@ def solve_lattice(
     weights[fixed] = values
     free = np.setdiff1d(np.arange(nodes), fixed)
     if len(free) == 0:
-        return BoundedMinimum(weights, np.zeros(count), np.zeros(count, np.int64))
+        return BoundedMinimum(weights, np.zeros(count), np.zeros(count, int))
     energy = biharmonic_energy(lattice)
     matrix, right = energy[free][:, free].tocsr(), -(energy[free][:, fixed] @ values)
     found = minimize_bounded(matrix, right, tolerance=tolerance, meter=meter)
@@ -200,7 +208,7 @@ def minimize_bounded(
     b = np.asfortranarray(right[order])
     product = np.asfortranarray(ordered @ x)
     residual = optimality_residual(x, product - b, diagonal)
-    steps = np.zeros(b.shape[1], np.int64)
+    steps = np.zeros(b.shape[1], int)
     for k in range(b.shape[1]):
         held = (x[:, k] <= 0) | (x[:, k] >= 1)
         while not meter.exhausted and residual[k] > tolerance and steps[k] < max_steps:
@@ -213,7 +221,7 @@ def minimize_bounded(
                 change, after = trial - x[:, k], ordered @ trial
                 # Armijo's condition; differences of the energy itself would drown in rounding.
                 predicted = float(gradient @ change)
-                if predicted + 0.5 * float(change @ (after - product[:, k])) <= 1e-4 * predicted < 0:
+                if predicted + float(change @ (after - product[:, k])) / 2 <= 1e-4 * predicted < 0:
                     x[:, k], product[:, k], lowered = trial, after, True
                     break
             meter.count()
@@ -221,7 +229,7 @@ def minimize_bounded(
             if not lowered and steps[k] > 1:
                 break
             # Below rounding a gradient has no sign.
-            gradient, least = product[:, k] - b[:, k], 400 * np.finfo(float).eps * diagonal
+            gradient, least = product[:, k] - b[:, k], 400 * EPSILON * diagonal
             held = ((x[:, k] <= 0) & (gradient > least)) | ((x[:, k] >= 1) & (gradient < -least))
             residual[k] = optimality_residual(x[:, k], gradient, diagonal)
             meter.record(residual.max())

@@ -8,13 +8,12 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core import BoolArray, ByteArray, FloatArray, IntArray, Values, triangle_sides
 from scan2albedo.errors import ModelError
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints
 from scan2albedo.geometry.mesh import normalized
@@ -83,7 +82,7 @@ class AnnotatedSurface:
     control_vertices: FloatArray
     control_faces: IntArray
     uv: FloatArray
-    region: NDArray[np.uint8]
+    region: ByteArray
     regions: Mapping[str, Region]
     landmark_points: SurfacePoints | None = None
     template_points: SurfacePoints | None = None
@@ -137,7 +136,7 @@ class AnnotatedSurface:
         }.items():
             if name in arrays and not ((arrays[name] >= 0) & (arrays[name] < limit)).all():
                 raise ModelError(f"face model: {name} in {file} points outside 0 ... {limit - 1}")
-        found: dict[str, Any] = {
+        found: Values = {
             name: arrays[name].astype(np.int64 if kind is np.int32 else kind)
             for name, (kind, _) in _STORED.items()
             if name in arrays
@@ -237,7 +236,7 @@ class AnnotatedSurface:
         """Return (F_C,) which control faces lie in the region `name`; none where there is no such region."""
         if name not in self.regions:
             return np.zeros(len(self.control_faces), bool)
-        return np.asarray(self.region == self.regions[name].index)
+        return self.region == self.regions[name].index
 
 
 @dataclass(frozen=True)
@@ -250,7 +249,7 @@ class FittedSurface:
     """(F, 3)."""
     uv: FloatArray
     """(V, 2): chart coordinates of `vertices`."""
-    region: NDArray[np.uint8]
+    region: ByteArray
     """(F,): region index of each face."""
     residual_mm: FloatArray
     """(V,): distance of each vertex to the scan; NaN where the scan has no surface near (hole, outside)."""
@@ -267,7 +266,7 @@ def surface_frames(corners: FloatArray) -> FloatArray:
 
     A zero-area triangle gives zeros in the columns that are undefined, never NaN.
     """
-    edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    edge, other = triangle_sides(corners)
     edge, normal = normalized(edge), normalized(np.cross(edge, other))
     return np.stack([edge, np.cross(normal, edge), normal], axis=2)
 

@@ -12,16 +12,16 @@ fitted together with the classes by expectation maximisation. Neighbours are lik
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.ndimage import map_coordinates, median_filter, uniform_filter
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core import BoolArray, ByteArray, Float32Array, FloatArray, RealArray, norms
 from scan2albedo.geometry.rasterization import area_mean
 
 CLASSES = ("unseen", "skin", "brow", "eye", "lip", "nostril", "beard", "hair", "cloth")
@@ -67,7 +67,7 @@ _SMOOTH_MM = 0.05
 _HAIR_AND_CLOTH = np.array([[0, 0.8, -0.6], [0, -1, 0]]) / 30
 """By how much log odds of hair, and of cloth, grow in a mm along x, y and z of the model's frame: a guess."""
 
-Image = NDArray[np.float32]
+Image = Float32Array
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class AppearanceModel:
             share, mean, covariance = (arrays[n].astype(float) for n in ("share", "mean", "covariance"))
             return cls(share, mean, covariance, float(arrays["shaded"]))
 
-    def at_places(self, place: NDArray[np.floating]) -> FloatArray:
+    def at_places(self, place: RealArray) -> FloatArray:
         """Return the shares (C, ...) of the classes at places (..., 2), before they sum to one."""
         spot = (np.moveaxis(place, -1, 0) * len(self.share[0])) - 0.5
         return np.maximum([map_coordinates(one, spot, order=1, mode="nearest") for one in self.share], 1e-6)
@@ -103,7 +103,7 @@ class AppearanceModel:
         found = -(np.linalg.slogdet(spread)[1][:, None] + width) / 2
         found[0] += np.log1p(-self.shaded)
         found[0] = np.logaddexp(found[0], found[-1] + np.log(self.shaded))
-        return np.asarray(found[:-1])
+        return found[:-1]
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ class Appearance:
 
     skin: Image
     """How surely skin, 0 to 1; 0 where the surface was not seen."""
-    labels: NDArray[np.uint8]
+    labels: ByteArray
     """The likeliest of `CLASSES`."""
     log_odds: float
     """Of a texture that belongs to the places where it lies on a face, against one that does not; 0 where
@@ -123,10 +123,10 @@ def appearance(
     position: FloatArray,
     normal: FloatArray,
     seen: BoolArray,
-    texture_linear: NDArray[np.float32] | None = None,
+    texture_linear: Float32Array | None = None,
     *,
-    place: NDArray[np.floating] | None = None,
-    share: NDArray[np.floating] | None = None,
+    place: RealArray | None = None,
+    share: RealArray | None = None,
     residual_mm: FloatArray | None = None,
     model: AppearanceModel | None = None,
 ) -> Appearance:
@@ -168,12 +168,7 @@ def appearance(
             usual_mm = max(float(np.median(rough[likely])), _SMOOTH_MM)
             # Skin itself shows up to 1.5 times its median.
             told[0] -= 2.0 * np.maximum(rough / usual_mm - 1.5, 0)
-    # The shares of the classes, for neighbours that likely agree: log odds of 2 for the class of all of them.
-    logs = log_prior + told
-    shares = np.exp(logs - np.logaddexp.reduce(logs))
-    for _ in range(5):
-        agreeing = logs + 2 * np.stack([local_mean(one, grid.part, 3) for one in shares])
-        shares = np.exp(agreeing - np.logaddexp.reduce(agreeing))
+    shares = _agreeing(log_prior + told, lambda own: np.stack([local_mean(one, grid.part, 3) for one in own]))
     likeliest, labels = _resized(shares[0].astype(np.float32), seen.shape), seen.astype(np.uint8)
     weight = np.where(seen, np.minimum(likeliest / SURE, 1), np.float32(0))
     for number, one in enumerate(shares[1:].astype(np.float32), 2):
@@ -234,7 +229,7 @@ def beyond_chart(
     mean, covariance = learned.mean[:, :3].copy(), learned.covariance[:, :3, :3].copy()
     model = replace(learned, mean=mean, covariance=covariance)
     prior = np.log(model.at_places(place))
-    prior[1:6] -= np.linalg.norm(offset_mm, axis=1) / 10
+    prior[1:6] -= norms(offset_mm) / 10
     prior[6:] += _HAIR_AND_CLOTH @ offset_mm.T
     prior -= np.logaddexp.reduce(prior)
     colors = np.column_stack([log_color.max(-1), log_color[:, ::2] - log_color[:, 1:2]])
@@ -246,15 +241,27 @@ def beyond_chart(
     any_mean, any_covariance = mean[6].copy(), covariance[6].copy()
     for _ in range(3):
         logs = prior + often[:, None] + _POWER * model.log_likelihood(colors)
-        shares = np.exp(logs - np.logaddexp.reduce(logs))
         # The person's own hair, beside one patch of any hair.
-        weight = patch * shares[6]
+        weight = patch * _shares(logs)[6]
         mean[6] = (weight @ colors + any_mean) / (weight.sum() + 1)
         off = colors - mean[6]
         covariance[6] = ((weight * off.T) @ off + any_covariance) / (weight.sum() + 1)
+    return _agreeing(logs, lambda shares: (neighbour_mean @ shares.T).T)
+
+
+def _shares(logs: FloatArray) -> FloatArray:
+    """Return the shares (C, N) of classes with log likelihoods (C, N)."""
+    return np.exp(logs - np.logaddexp.reduce(logs))
+
+
+def _agreeing(logs: FloatArray, around: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """Return the shares (C, N) of classes, for neighbours that likely agree.
+
+    Log odds of 2 for the class of all of them; `around` returns the neighbours' mean of shares.
+    """
+    shares = _shares(logs)
     for _ in range(5):
-        agreeing = logs + 2 * (neighbour_mean @ shares.T).T
-        shares = np.exp(agreeing - np.logaddexp.reduce(agreeing))
+        shares = _shares(logs + 2 * around(shares))
     return shares
 
 
@@ -264,7 +271,7 @@ def _fitting(log_prior: FloatArray, likelihood: FloatArray, hue: float, independ
     here = np.logaddexp.reduce(log_prior + likelihood)
     # Places weigh three times as much as the colours' own evidence, by right and wrong textures.
     told = np.array([3 * (here - anywhere), likelihood[0] - anywhere, here]).sum(1)
-    return np.asarray(independent * told + (hue, np.log(_HIDDEN), 0.0))
+    return independent * told + (hue, np.log(_HIDDEN), 0.0)
 
 
 def features_of(
@@ -276,7 +283,7 @@ def features_of(
     """
     known = part > 0.25
     white = float(np.percentile(texture_linear[known].max(-1), 95))
-    logarithm = np.log(np.maximum(texture_linear, max(_DARKEST * white, 1e-9))).astype(np.float64)
+    logarithm = np.log(np.maximum(texture_linear, max(_DARKEST * white, 1e-9))).astype(float)
     bright = np.where(known, logarithm.max(-1), 0)
     colors = np.stack([bright, *(logarithm[..., c] - logarithm[..., 1] for c in (0, 2))], axis=-1)
     # Contrast is against the mean and the median around: edges, of shadows or of moles, have it against one.
@@ -289,9 +296,9 @@ def features_of(
     return colors, np.log((grain + _FAINT) / (1.3 * np.clip(own, _FAINT, 0.06) + _FAINT))
 
 
-def light_basis(normal: NDArray[np.floating]) -> FloatArray:
+def light_basis(normal: RealArray) -> FloatArray:
     """Return (..., 9) the constant, linear and quadratic functions of normals (..., 3)."""
-    x, y, z = np.moveaxis(np.asarray(normal, np.float64), -1, 0)
+    x, y, z = np.moveaxis(np.asarray(normal, float), -1, 0)
     return np.stack([np.ones_like(x), x, y, z, x * y, y * z, x * z, x * x - y * y, 3 * z * z - 1], axis=-1)
 
 
@@ -326,7 +333,7 @@ def _explained(
     near = np.exp(-0.5 * distance / _SAME_MATERIAL**2) * likely
     typical = _square(candidates[:, 1:] - TYPICAL_CHROMA, np.diag(TYPICAL_SPREAD**2))
     order = np.argsort(-near.sum(1) * np.exp(-0.5 * typical))
-    apart = np.linalg.norm(candidates[order, 1:] - candidates[order[0], 1:], axis=1) > 3 * _SAME_MATERIAL
+    apart = norms(candidates[order, 1:] - candidates[order[0], 1:]) > 3 * _SAME_MATERIAL
     fits = []
     for k in (order[0], *order[apart][:1]):
         bright = np.average(shown[:, 0], weights=near[k] + 1e-9)
@@ -353,11 +360,15 @@ def _fitted(
     """
     light, often = np.zeros((basis.shape[1], 3)), np.zeros(len(prior))
     light[0], precision = start, 1 / model.covariance[0, 1, 1]
+
+    def explained(wider: float = 1.0) -> tuple[FloatArray, FloatArray]:
+        features = values - np.pad(basis @ light, ((0, 0), (0, values.shape[1] - 3)))
+        return features, (prior + often[:, None]) + _POWER * model.log_likelihood(features, wider)
+
     # Skin is wider in the first rounds: light is known the less at first.
     for wider in (2.0, 1.5, 1.0, 1.0, 1.0):
-        features = values - np.pad(basis @ light, ((0, 0), (0, values.shape[1] - 3)))
-        logs = (prior + often[:, None]) + _POWER * model.log_likelihood(features, wider)
-        shares = np.exp(logs - np.logaddexp.reduce(logs))
+        features, logs = explained(wider)
+        shares = _shares(logs)
         # A cap or a beard is one event, however large: its share is learned here, against one usual patch.
         here, usual = (independent * one.sum(1) + 1 for one in (shares, np.exp(prior)))
         often = np.log(here / usual)
@@ -365,8 +376,7 @@ def _fitted(
         square = _square(features - model.mean[0], wider**2 * model.covariance[0])
         trust = shares[0] * (_FREEDOM + features.shape[1]) / (_FREEDOM + square)
         light = skin_in_light(basis, values[:, :3], trust * independent * precision, start)
-    features = values - np.pad(basis @ light, ((0, 0), (0, values.shape[1] - 3)))
-    logs = (prior + often[:, None]) + _POWER * model.log_likelihood(features)
+    _, logs = explained()
     turned = sum(float((light[1:, c] ** 2 / _LIGHT_SD[c > 0][1:] ** 2).sum()) for c in range(3))
     evidence = np.logaddexp.reduce(logs).sum() * independent + _hue_odds(light[0, 1:]) - turned / 2
     return light, often, float(evidence)
@@ -396,12 +406,12 @@ class _Grid:
     def of(cls, position: FloatArray, seen: BoolArray) -> _Grid:
         every = max(1, len(seen) // 32)
         steps = (position[::every, 1:] - position[::every, :-1])[seen[::every, 1:] & seen[::every, :-1]]
-        side = float(np.median(np.linalg.norm(steps, axis=1))) if len(steps) else TEXEL_MM
+        side = float(np.median(norms(steps))) if len(steps) else TEXEL_MM
         factor = max(1, round(TEXEL_MM / max(side, TEXEL_MM / min(seen.shape))))
         shape = tuple(-(-texels // factor) for texels in seen.shape)
         return cls(seen, _resized(seen.astype(np.float32), shape), side * factor)
 
-    def mean(self, field: NDArray[np.floating]) -> Image:
+    def mean(self, field: RealArray) -> Image:
         """Return the means over the seen texels of each coarse one; 0 where there is none."""
         flat = field.ndim == 2
         kept = np.where(self.seen if flat else self.seen[..., None], field, 0).astype(np.float32)
@@ -412,7 +422,7 @@ class _Grid:
 
 def _square(off: FloatArray, covariance: FloatArray) -> FloatArray:
     """Return the squared Mahalanobis distance of `off` (..., K)."""
-    return np.asarray(np.einsum("...i,ij,...j->...", off, np.linalg.inv(covariance), off))
+    return np.einsum("...i,ij,...j->...", off, np.linalg.inv(covariance), off)
 
 
 def _resized(field: Image, shape: tuple[int, ...]) -> Image:
@@ -429,7 +439,7 @@ def odd_side(texels: float) -> int:
     return max(3, 2 * round((texels - 1) / 2) + 1)
 
 
-def local_mean(field: NDArray[np.floating], weight: Image, side: int) -> FloatArray:
+def local_mean(field: RealArray, weight: Image, side: int) -> FloatArray:
     """Return the weighted mean of `field` (H, W) over squares of `side` texels; 0 without any weight."""
     sums, total = (uniform_filter(f, side, mode="constant") for f in (field * weight, weight))
-    return np.asarray(sums / np.maximum(total, np.float32(1e-6 / side**2)))
+    return sums / np.maximum(total, np.float32(1e-6 / side**2))

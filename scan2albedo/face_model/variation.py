@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core import FloatArray
 from scan2albedo.face_model.annotation import AnnotatedSurface
 from scan2albedo.geometry.mesh import vertex_normals
 
@@ -131,7 +131,7 @@ def expression_variance(model: AnnotatedSurface) -> FloatArray:
         return np.zeros(len(rest))
     none, landmarks = np.zeros_like(rest), model.landmarks
     moved = [sum((_EXPRESSION_SD * displacement(b, rest, landmarks) for b in bumps), none) for bumps in faces]
-    return np.asarray(np.mean(np.square(moved), axis=(0, 2)))
+    return np.mean(np.square(moved), axis=(0, 2))
 
 
 def shape_modes(model: AnnotatedSurface, weights: FloatArray) -> FloatArray:

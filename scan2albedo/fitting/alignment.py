@@ -10,8 +10,7 @@ from scipy import sparse
 from scipy.interpolate import BSpline
 from scipy.linalg import block_diag
 
-from scan2albedo.core import Meter
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core import FloatArray, Meter
 from scan2albedo.fitting.forces import ForceGates, ScanForces, scan_forces
 from scan2albedo.fitting.landmark_pull import LandmarkPull
 from scan2albedo.fitting.options import GATE_MM, FitOptions, between
@@ -112,7 +111,7 @@ def proportioned(
     modes = np.zeros((len(reference), 3, 3 * KNOTS))
     modes[:, 1, :KNOTS] = spline
     modes[:, 2, KNOTS : 2 * KNOTS] = spline
-    modes[:, 2, 2 * KNOTS :] = 0.5 * (centred[:, 0, None] / 60) ** 2 * spline
+    modes[:, 2, 2 * KNOTS :] = (centred[:, 0, None] / 60) ** 2 / 2 * spline
     difference = np.diff(np.eye(KNOTS), axis=0)
     one = difference.T @ difference / STEP_MM**2 + np.eye(KNOTS) / LEVEL_MM**2
     steps = 0 if meter.exhausted else options.proportion_iterations

@@ -6,7 +6,7 @@ from typing import Self
 
 import numpy as np
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core import EPSILON, SMALLEST, FloatArray, IntArray, identities
 from scan2albedo.face_model.annotation import AnnotatedSurface
 from scan2albedo.face_model.variation import expression_variance, identity_modes, similarity_modes
 from scan2albedo.fitting.result import NEAR_MM, UNSEEN_MM, FittedFace
@@ -68,9 +68,9 @@ def common_shape(fits: Iterable[FittedFace]) -> PersonShape:
     patches, loose = area / (4 * np.pi * NEAR_MM**2), UNSEEN_MM**2
     modes, similarities = identity_modes(model), similarity_modes(rest)
     basis = np.concatenate([modes, similarities]).reshape(-1, rest.size)
-    ridge = np.diag([1.0] * len(modes) + [np.finfo(float).eps] * len(similarities))
+    ridge = np.diag([1.0] * len(modes) + [EPSILON] * len(similarities))
     variance = FIT_MM**2 + expression_variance(model) + (1 - shown) * loose
-    precision, poses = 1 / variance, np.tile(np.eye(4), (len(points), 1, 1))
+    precision, poses = 1 / variance, identities(len(points), 4)
     neutral, likely, known = rest, rest, np.ones(len(rest))
     for step in range(50):
         seen, pulled, before = np.zeros(len(rest)), np.zeros_like(rest), neutral
@@ -145,7 +145,7 @@ class _Takes:
                 )
             area, spread = vertex_areas(fit.vertices, fit.faces), model.subdivision(levels).matrix.T
             points.append(fit.control_points)
-            around_mm2 = np.maximum(spread @ area, np.finfo(float).tiny)
+            around_mm2 = np.maximum(spread @ area, SMALLEST)
             shown.append(spread @ (area * ~np.isnan(fit.residual_mm)) / around_mm2)
         if model is None:
             raise ValueError("no fits were given; common_shape needs one or more")

@@ -9,8 +9,7 @@ how rare covers are against it. A cover leaves a hole, over which the model keep
 import numpy as np
 from scipy.stats import norm
 
-from scan2albedo.core import Meter
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core import BoolArray, FloatArray, Meter, norms
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.variation import shape_modes
 from scan2albedo.fitting.forces import ForceGates, scan_forces
@@ -126,7 +125,7 @@ def _covers(scan: ScanSurface, model: AnnotatedSurface, person: FloatArray) -> B
     # A cover ends as a thing does: at the scan's border, or by jumps. A brow rises gradually.
     edges, _ = mesh.edges_with_faces(scan.faces)
     one, other = edges[cover[edges[:, 0]] != cover[edges[:, 1]]].T
-    length_mm = np.linalg.norm(scan.vertices[one] - scan.vertices[other], axis=1)
+    length_mm = norms(scan.vertices[one] - scan.vertices[other])
     jumps = np.abs(before_mm[one] - before_mm[other]) > STEEP * length_mm
     share = np.append(jumps, np.ones(1 + np.count_nonzero(scan.boundary & cover))).mean()
     log_odds = min(told - RARE, 0.0) + PER_JUMPS * (share - JUMPS_AT_END)

@@ -7,7 +7,7 @@ from cholespy import CholeskySolverD, MatrixType
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core import FloatArray, all_finite
 from scan2albedo.errors import FitError
 
 Springs = Callable[[FloatArray], FloatArray]
@@ -87,7 +87,7 @@ def factorized(matrix: sparse.spmatrix) -> Callable[[FloatArray], FloatArray]:
     """
     csc = sparse.csc_matrix(matrix)
     diagonal = csc.diagonal()
-    if not np.isfinite(csc.data).all() or not (diagonal > 0).all():
+    if not all_finite(csc.data) or not (diagonal > 0).all():
         raise FitError(
             "the fit's system matrix is not positive definite: stiffness, mass, damping and time step "
             "must be finite and not all zero"
@@ -95,7 +95,7 @@ def factorized(matrix: sparse.spmatrix) -> Callable[[FloatArray], FloatArray]:
     scale = 1 / np.sqrt(diagonal)
     scaled = (sparse.diags(scale) @ csc @ sparse.diags(scale)).tocsc()
     coo = scaled.tocoo()
-    entries = coo.row.astype(np.int32), coo.col.astype(np.int32), coo.data.astype(np.float64)
+    entries = coo.row.astype(np.int32), coo.col.astype(np.int32), coo.data.astype(float)
     try:
         cholesky = CholeskySolverD(len(scale), *entries, MatrixType.COO)
     except ValueError:

@@ -5,10 +5,8 @@ from typing import Protocol
 
 import numpy as np
 
-from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback
+from scan2albedo.core import Budget, FloatArray, Meter, Plan, PlanStep, ProgressCallback, RawScan
 from scan2albedo.core.arguments import described, require_type
-from scan2albedo.core.arrays import FloatArray
-from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import FitError
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.fitting.alignment import SIZE_SD, aligned, proportioned
@@ -88,7 +86,7 @@ def fit(
             f"fit: reg is {described(reg)}, expected a Registration or a (4, 4) array; register(scan, model) "
             "returns one"
         )
-    pose = np.asarray(reg if isinstance(reg, np.ndarray) else reg.model_from_scan, np.float64)
+    pose = np.asarray(reg if isinstance(reg, np.ndarray) else reg.model_from_scan, float)
     if pose.shape != (4, 4):
         raise ValueError(f"model_from_scan has shape {pose.shape}, expected (4, 4)")
     if not is_rigid(pose, 1e-3):

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numba import njit
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core import BoolArray, FloatArray, IntArray, norms
+from scan2albedo.core.compiled import compiled, triple
 from scan2albedo.fitting.options import GATE_MM, FitOptions, between
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.geometry.closest_points import nearest_around, walk_downhill
@@ -71,8 +71,8 @@ class ScanForces:
         """
         used = np.flatnonzero(self.weight > 0)
         _, back = cKDTree(samples, balanced_tree=False).query(samples[used] + self.offset[used])
-        gap = np.linalg.norm(samples[back] - samples[used], axis=1)
-        reach = 0.5 * np.linalg.norm(self.offset[used], axis=1)
+        gap = norms(samples[back] - samples[used])
+        reach = norms(self.offset[used]) / 2
         kept = np.zeros(len(samples), bool)
         kept[used] = gap <= reach + MUTUAL_SPACING * np.sqrt(area[used])
         return kept
@@ -131,7 +131,7 @@ def robust_weights(
     return np.where(residual > 0, (1 - rim) * weight + rim * geman_mcclure(RIM_ROBUST_MM), weight)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def pulled(points, vertex, xyz, faces, ring, ring_start, near, near_start, normals, boundary):  # type: ignore[no-untyped-def]
     """Find the point of the scan's surface closest to each point (N, 3).
 
@@ -142,13 +142,13 @@ def pulled(points, vertex, xyz, faces, ring, ring_start, near, near_start, norma
     offset, normal = np.empty((count, 3)), np.empty((count, 3))
     distance, border = np.empty(count), np.empty(count, np.bool_)
     for i in range(count):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        x, y, z = triple(points, i)
         v = walk_downhill(x, y, z, vertex[i], xyz, near, near_start)
         vertex[i] = v
         best, nearest, k0, k1, k2, px, py, pz = nearest_around(x, y, z, v, xyz, faces, ring, ring_start)
         offset[i, 0], offset[i, 1], offset[i, 2] = px, py, pz
         distance[i] = np.sqrt(best)
-        a, b, c = faces[nearest, 0], faces[nearest, 1], faces[nearest, 2]
+        a, b, c = triple(faces, nearest)
         nx = k0 * normals[a, 0] + k1 * normals[b, 0] + k2 * normals[c, 0]
         ny = k0 * normals[a, 1] + k1 * normals[b, 1] + k2 * normals[c, 1]
         nz = k0 * normals[a, 2] + k1 * normals[b, 2] + k2 * normals[c, 2]
@@ -158,7 +158,7 @@ def pulled(points, vertex, xyz, faces, ring, ring_start, near, near_start, norma
     return offset, normal, distance, border
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def springs(offset, normal, across, along):  # type: ignore[no-untyped-def]
     """Return the forces (N, 3) H offset and the stiffness H = across n n^T + along I of N springs.
 
@@ -166,7 +166,7 @@ def springs(offset, normal, across, along):  # type: ignore[no-untyped-def]
     """
     force, stiffness = np.empty((len(offset), 3)), np.empty((len(offset), 6))
     for i in range(len(offset)):
-        x, y, z = normal[i, 0], normal[i, 1], normal[i, 2]
+        x, y, z = triple(normal, i)
         pull = across[i] * (x * offset[i, 0] + y * offset[i, 1] + z * offset[i, 2])
         force[i, 0] = pull * x + along[i] * offset[i, 0]
         force[i, 1] = pull * y + along[i] * offset[i, 1]

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core import BoolArray, FloatArray, IntArray, norms
 from scan2albedo.core.landmarks import PlacedLandmarks
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import LANDMARK_LEVELS
@@ -131,13 +131,13 @@ class LandmarkPull:
             offset = kept.offsets(control_points)
             influence = kept.matrix @ solve(spread.toarray())
             alone = (offset - influence @ offset) / (1 - np.diag(influence))[:, None]
-            distance = np.linalg.norm(alone, axis=1) / kept.wrong_mm
+            distance = norms(alone) / kept.wrong_mm
             worst = int(np.argmax(distance))
             if distance[worst] < 1:
-                return kept, np.array(sorted(wrong), np.int64)
+                return kept, np.array(sorted(wrong), int)
             wrong.append(int(kept.numbers[worst]))
             if len(kept.numbers) == 1:
-                return None, np.array(sorted(wrong), np.int64)
+                return None, np.array(sorted(wrong), int)
             kept = kept.only(np.arange(len(kept.numbers)) != worst)
 
     def only(self, used: BoolArray) -> LandmarkPull:
@@ -150,7 +150,7 @@ class LandmarkPull:
         The displacement u has the least sum |B u - d|^2 / sigma^2 + int m |u|^2 + D |laplacian u|^2.
         """
         solve, spread = self._smoother(model, control_points)
-        return np.asarray(control_points + solve(spread @ self.offsets(control_points)))
+        return control_points + solve(spread @ self.offsets(control_points))
 
     def held(self, control_points: FloatArray, scan: ScanSurface) -> LandmarkPull:
         """Return the pull that holds landmarks where they are now along the scan, but lays them onto it."""
@@ -162,7 +162,7 @@ class LandmarkPull:
 
     def force(self, control_points: FloatArray) -> FloatArray:
         """Return (C, 3) forces on control points toward the targets."""
-        return np.asarray(self.matrix.T @ (self._springs[:, None] * self.offsets(control_points)))
+        return self.matrix.T @ (self._springs[:, None] * self.offsets(control_points))
 
     def with_springs(self, product: Springs) -> Springs:
         """Return x -> H x with the stiffness of these springs added."""
@@ -236,7 +236,7 @@ class _Holes:
         middles, ends, sizes = [], [], []
         for one in np.unique(label):
             border = scan.vertices[edges[label == one]]
-            lengths = np.linalg.norm(border[:, 1] - border[:, 0], axis=1)
+            lengths = norms(border[:, 1] - border[:, 0])
             points = border.reshape(-1, 3)
             middles.append(lengths @ border.mean(1) / max(float(lengths.sum()), 1e-12))
             ends.append(points[[np.argmin(points[:, 0]), np.argmax(points[:, 0])]])
@@ -246,7 +246,7 @@ class _Holes:
     def near(self, place: FloatArray, ranges: tuple[tuple[float, float], tuple[float, float]]) -> list[int]:
         """Return the holes near a place whose width and height lie in their ranges."""
         low, high = np.array(ranges).T
-        close = np.linalg.norm(self.middle - place, axis=1) < _REACH_MM
+        close = norms(self.middle - place) < _REACH_MM
         return np.flatnonzero(close & ((low < self.size) & (self.size < high)).all(1)).tolist()
 
     def eyes(self, landmarks: FloatArray) -> tuple[int, int] | None:
@@ -260,7 +260,7 @@ class _Holes:
             alike = np.maximum(one, other) < _ALIKE * np.minimum(one, other)
             level = np.hypot(up / _LEVEL_MM, aside / _ASIDE_MM) < 1
             if _APART_MM[0] < apart < _APART_MM[1] and level and alike.all():
-                off = np.linalg.norm([self.middle[right] - right_eye, self.middle[left] - left_eye], axis=1)
+                off = norms([self.middle[right] - right_eye, self.middle[left] - left_eye])
                 pairs.append((float(off.sum()), right, left))
         return min(pairs, key=lambda pair: pair[0])[1:] if pairs else None
 

@@ -9,8 +9,18 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist
 
-from scan2albedo.core import Budget, Meter, PlanStep, ProgressCallback, RawScan, Trace
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core import (
+    EPSILON,
+    BoolArray,
+    Budget,
+    FloatArray,
+    IntArray,
+    Meter,
+    PlanStep,
+    ProgressCallback,
+    RawScan,
+    Trace,
+)
 from scan2albedo.errors import FitError
 from scan2albedo.fitting.alignment import SIZE_SD
 from scan2albedo.fitting.options import GATE_MM, FitOptions
@@ -137,7 +147,7 @@ class _Term:
     def settled(self, points: FloatArray, counts: FloatArray) -> _Term:
         """Return the term with the scale likeliest by `counts` (N,) and the share that correlations leave."""
         residual, square = self.residuals(points)
-        level = max(float(np.sqrt(counts @ square / counts.sum())), np.finfo(float).eps)
+        level = max(float(np.sqrt(counts @ square / counts.sum())), EPSILON)
         term = replace(self, scale=level)
         for _ in range(30):  # expectation maximisation
             mean = counts @ (term.trust(square) * square) / (counts.sum() * residual.shape[1])
@@ -206,7 +216,7 @@ class _State:
         matrix = np.diag(np.concatenate([np.zeros(6), precision]))
         gradient = np.concatenate([np.zeros(6), precision * value])
         _, blend, slopes = self._posed
-        turns, small = list[FloatArray](), np.cbrt(np.finfo(float).eps)  # rad; truncation and rounding alike
+        turns, small = list[FloatArray](), np.cbrt(EPSILON)  # rad; truncation and rounding alike
         for joint, axis in [(joint, axis) for joint in self.free for axis in range(3)]:
             moved = self.rotations.copy()
             moved[joint, axis] += small
@@ -377,7 +387,7 @@ class _Task:
         placed = np.flatnonzero(self.known & (self.counts > 0))
         counts = self.counts[placed]
         start = procrustes(unit * model.mean[self.index][placed], self.target[placed], weights=counts)
-        free = np.array([model.joints.index(name) for name in FREE_JOINTS if name in model.joints], np.int64)
+        free = np.array([model.joints.index(name) for name in FREE_JOINTS if name in model.joints], int)
         some = placed[::4]
         # Places err together over NEAR_MM: `common_shape` counts as many patches.
         patches = counts.sum() * self.mean_mm2 * self.used / len(self.index) / (4 * np.pi * NEAR_MM**2)

@@ -14,7 +14,7 @@ from typing import Self
 import numpy as np
 from scipy import sparse
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core import FloatArray, norms
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.fitting.dynamics import factorized
@@ -184,7 +184,7 @@ class MouthSearch:
     def shown_by(self, landmarks: LandmarkPull) -> float:
         """Return the angle that brings landmarks nearest to their targets; 0 where that is off the scan."""
         every = (0.0, *ANGLES_DEG)
-        apart = [np.linalg.norm(landmarks.offsets(self.opened(angle)), axis=1).mean() for angle in every]
+        apart = [norms(landmarks.offsets(self.opened(angle))).mean() for angle in every]
         nearest = every[int(np.argmin(apart))]
         still, open_ = (self.cost(self.opened(angle)) for angle in (0.0, nearest))
         return nearest if open_ < still else 0.0
@@ -273,14 +273,14 @@ def corner_moves(model: AnnotatedSurface, control_points: FloatArray) -> FloatAr
     if landmarks is None:
         return None
     corners = landmarks[list(CORNERS)]
-    middle, half_width = corners.mean(0), 0.5 * max(float(np.linalg.norm(corners[1] - corners[0])), 1e-6)
+    middle, half_width = corners.mean(0), max(float(np.linalg.norm(corners[1] - corners[0])), 1e-6) / 2
     across, above = (control_points - middle)[:, :2].T
     beside = np.maximum(np.abs(across) - half_width, 0)
     # The skin beside and above the corners follows them, with standard deviations of 15 and 14 mm.
     share = np.minimum(np.abs(across) / half_width, 1) * np.exp(-0.5 * (beside / 15) ** 2)
     share = share * np.exp(-0.5 * (above / 14) ** 2)
     toward = normalized(landmarks[[0, 16]] - corners)
-    return np.asarray((share * [across < 0, across > 0]).T[:, None] * toward.T)
+    return (share * [across < 0, across > 0]).T[:, None] * toward.T
 
 
 def mouth_distances(
@@ -290,7 +290,7 @@ def mouth_distances(
 
     Scan whose normal disagrees is left out, distances are cut off at REACH_MM; NaN on a side without any.
     """
-    near = np.linalg.norm(scan.vertices - middle, axis=1) < ZONE_MM
+    near = norms(scan.vertices - middle) < ZONE_MM
     surface, faces = samples.matrix @ control_points, samples.faces
     hits = NearestSurface(surface, faces).query(scan.vertices[near])
     across = normalized(hits.interpolated(surface_normals(surface, faces)[0], faces))

@@ -14,15 +14,14 @@ from functools import cache
 from typing import Self
 
 import numpy as np
-from numba import njit
 from scipy.linalg import block_diag
 from scipy.ndimage import gaussian_filter
 from scipy.special import logsumexp
 from scipy.stats import norm, qmc
 from skimage.measure import points_in_poly
 
-from scan2albedo.core.arrays import FloatArray
-from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.core import FloatArray, RawScan
+from scan2albedo.core.compiled import compiled
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import LANDMARK_LEVELS
 from scan2albedo.face_model.appearance import light_basis
@@ -102,7 +101,7 @@ class _Places:
         rise = np.stack([np.ones(len(motions)), np.exp(below), np.exp(above), bend])[:, None]
         axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
         factors = [np.exp(wide) * axes[:1], rise * axes[1], [middle[:, None] + [right, up]]]
-        return np.asarray(np.stack(parts, axis=1) @ np.concatenate(factors).transpose(2, 0, 1))
+        return np.stack(parts, axis=1) @ np.concatenate(factors).transpose(2, 0, 1)
 
 
 @dataclass(frozen=True)
@@ -245,7 +244,7 @@ def evenly_lit(picture: FrontPicture, brightness: FloatArray) -> FloatArray:
         light = np.linalg.solve(weighted.T @ rows + 1e-4 * len(values) * np.eye(9), weighted.T @ values)
         off = np.abs(values - rows @ light) / np.maximum(rows @ light, darkest)
         weight = 1 / (1 + (off / max(1.5 * float(np.median(off)), _EVEN)) ** 2)
-    return np.asarray(np.where(picture.seen, brightness / np.maximum(basis @ light, darkest), 0.0))
+    return np.where(picture.seen, brightness / np.maximum(basis @ light, darkest), 0.0)
 
 
 def _axes(name: str) -> FloatArray:
@@ -307,7 +306,7 @@ def _around(line: FloatArray, margin: float) -> FloatArray:
 
 
 def _place(points: FloatArray) -> FloatArray:
-    return np.asarray((points - points.mean(0)) / points.std(0))
+    return (points - points.mean(0)) / points.std(0)
 
 
 def _closed(line: FloatArray) -> FloatArray:
@@ -322,7 +321,7 @@ def _shared(one: _Template, other: _Template) -> FloatArray:
     """
     variance = np.minimum(_DEVIATIONS[one.name], _DEVIATIONS[other.name]) ** 2
     place = (np.arange(_MOTIONS) < 2) & ("lips" not in (one.name, other.name))
-    return np.asarray(variance * (place | (one.name == other.name)) + _ALONE**2 * (one is other))
+    return variance * (place | (one.name == other.name)) + _ALONE**2 * (one is other)
 
 
 def _posterior(
@@ -388,10 +387,10 @@ def _draws() -> FloatArray:
     """Return (_SAMPLES, _MOTIONS) normal numbers, evenly spread, always the same: mean 0, covariance 1."""
     draws = norm.ppf(np.clip(qmc.Sobol(_MOTIONS, seed=1).random(_SAMPLES), 1e-6, 1 - 1e-6))
     draws -= draws.mean(axis=0)
-    return np.asarray(np.linalg.solve(np.linalg.cholesky(draws.T @ draws / _SAMPLES), draws.T).T)
+    return np.linalg.solve(np.linalg.cholesky(draws.T @ draws / _SAMPLES), draws.T).T
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _grams(channel, moved, used, low, step_mm, known, root):  # type: ignore[no-untyped-def]
     """Return (M, 5, 5), sums over the points seen of products of `known` (N, 4) and colour, times root^2."""
     rows, columns = channel.shape

@@ -8,8 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan2albedo.core import PlanStep
-from scan2albedo.core.arrays import BoolArray
+from scan2albedo.core import SMALLEST, BoolArray, PlanStep, norms
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.fitting.result import FittedFace
@@ -67,9 +66,7 @@ def face_coverage(fitted: FittedFace) -> float:
     if counted.all():
         return fitted.metrics["coverage"]
     area = face_areas(fitted.vertices, fitted.faces) * counted
-    return float(
-        area @ (~np.isnan(fitted.residual_mm))[fitted.faces].mean(1) / max(area.sum(), np.finfo(float).tiny)
-    )
+    return float(area @ (~np.isnan(fitted.residual_mm))[fitted.faces].mean(1) / max(area.sum(), SMALLEST))
 
 
 def missing_parts(fitted: FittedFace) -> tuple[str, ...]:
@@ -83,8 +80,8 @@ def missing_parts(fitted: FittedFace) -> tuple[str, ...]:
     seen = ~np.isnan(fitted.residual_mm)
 
     def covered(numbers: tuple[int, ...], radius_mm: float) -> float:
-        near = np.linalg.norm(rest - landmarks[list(numbers)].mean(0), axis=1) < radius_mm
-        return float(area[near & seen].sum() / max(area[near].sum(), np.finfo(float).tiny))
+        near = norms(rest - landmarks[list(numbers)].mean(0)) < radius_mm
+        return float(area[near & seen].sum() / max(area[near].sum(), SMALLEST))
 
     return tuple(name for name, part in PARTS.items() if covered(*part) < LEAST_OF_A_PART)
 
@@ -122,11 +119,11 @@ def asymmetry(fitted: FittedFace) -> tuple[float, str] | None:
     def unlike_mm(where: BoolArray, patch_mm: float) -> float:
         """RMS of the patches' means over the left half, weighted by seen area; 0 where too few are seen."""
         half = where & (rest[:, 0] > 0)
-        cell = np.floor(np.column_stack([side, height])[half] / patch_mm).astype(np.int64)
+        cell = np.floor(np.column_stack([side, height])[half] / patch_mm).astype(int)
         patch = np.unique(cell, axis=0, return_inverse=True)[1].ravel()
         whole, shown = area[half], area[half] * seen[half]
         known = np.bincount(patch, shown)
-        mean = np.bincount(patch, shown * distance[half]) / np.maximum(known, np.finfo(float).tiny)
+        mean = np.bincount(patch, shown * distance[half]) / np.maximum(known, SMALLEST)
         used = known > LEAST_OF_A_PATCH * np.bincount(patch, whole)
         if known[used].sum() < LEAST_OF_A_REGION * whole.sum():
             return 0.0

@@ -5,8 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan2albedo.core import Plan, PlanStep, Trace
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core import EPSILON, SMALLEST, BoolArray, FloatArray, IntArray, Plan, PlanStep, Trace, norms
 from scan2albedo.errors import FitError
 from scan2albedo.face_model import default_model
 from scan2albedo.face_model.annotation import FittedSurface
@@ -93,8 +92,7 @@ def fitted_face(
     # The strain is the RMS logarithm of how the edges of the control mesh were stretched.
     edges, _ = edges_with_faces(model.control_faces)
     before, after = (
-        np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
-        for points in (deformation.reference, control)
+        norms(points[edges[:, 0]] - points[edges[:, 1]]) for points in (deformation.reference, control)
     )
     floor = 1e-6 * float(before.mean())
     strain = float(np.sqrt(np.mean(np.log(np.maximum(after, floor) / np.maximum(before, floor)) ** 2)))
@@ -102,7 +100,7 @@ def fitted_face(
         "residual_mean_mm": float(known.mean()),
         "residual_median_mm": float(np.median(known)),
         "residual_p95_mm": float(np.percentile(known, 95)),
-        "coverage": float(area[seen].sum() / max(area.sum(), np.finfo(float).tiny)),
+        "coverage": float(area[seen].sum() / max(area.sum(), SMALLEST)),
         "imbalance_mm": imbalance_mm(deformation, q),
         "openings": 0.0 if held is None else float(held.openings),
         "painted_landmarks": 0.0 if held is None else float(held.painted),
@@ -187,7 +185,7 @@ def mirror_distance_mm(scan: ScanSurface, points: FloatArray) -> float:
         hits = scan.nearest.query(image)
         offset, normal = hits.points - image, normalized(scan.normals_at(hits))
         plane_mm = np.einsum("ij,ij->i", offset, normal)
-        spread = np.median(plane_mm**2) + np.finfo(float).eps
+        spread = np.median(plane_mm**2) + EPSILON
         return Pairs(offset, normal, (spread / (spread + plane_mm**2)) ** 2)
 
     image = scan.nearest.query(points).points * [-1.0, 1.0, 1.0]

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numba import njit
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core import FloatArray, IntArray
+from scan2albedo.core.compiled import compiled, triple
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.geometry.mesh import boundary_vertex_mask, normalized, vertex_areas
@@ -58,7 +58,7 @@ class SurfaceSamples:
 
     def normals(self, points: FloatArray) -> FloatArray:
         """Return (N, 3) unit normals of the sampled surface at positions (N, 3)."""
-        return np.asarray(surface_normals(points, self.faces)[0])
+        return surface_normals(points, self.faces)[0]
 
     def relief(self, points: FloatArray) -> FloatArray:
         """Return (N,) 1 - cosine, limited, between each normal and the mean of those within 15 mm."""
@@ -69,7 +69,7 @@ class SurfaceSamples:
         # The matrix leaves out distances of zero: each sample itself.
         around = sparse.coo_matrix((self.area[near.col], (near.row, near.col)), shape).tocsr()
         mean = normalized(around @ normals + self.area[:, None] * normals)
-        return np.asarray(_LEAST_RELIEF + np.minimum(1 - np.einsum("ij,ij->i", normals, mean), _MOST_RELIEF))
+        return _LEAST_RELIEF + np.minimum(1 - np.einsum("ij,ij->i", normals, mean), _MOST_RELIEF)
 
     def product(self, stiffness: FloatArray) -> Callable[[FloatArray], FloatArray]:
         """Return x -> S^T H S x for displacements x (C, 3), H the stiffness (N, 6) at the samples."""
@@ -77,12 +77,12 @@ class SurfaceSamples:
         return lambda x: spring_product(x, matrix.indptr, matrix.indices, matrix.data, stiffness)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def surface_normals(points, faces):  # type: ignore[no-untyped-def]
     """Return (N, 3) unit vertex normals and (F, 3) unit face normals; zero where there is no area."""
     vertex, face = np.zeros((len(points), 3)), np.zeros((len(faces), 3))
     for f in range(len(faces)):
-        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+        i, j, k = triple(faces, f)
         ax, ay, az = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], points[j, 2] - points[i, 2]
         bx, by, bz = points[k, 0] - points[i, 0], points[k, 1] - points[i, 1], points[k, 2] - points[i, 2]
         x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
@@ -101,12 +101,12 @@ def surface_normals(points, faces):  # type: ignore[no-untyped-def]
     return vertex, face
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def spring_product(x, start, column, value, stiffness):  # type: ignore[no-untyped-def]
     """Return S^T H S x for x (C, 3), S (N, C) in CSR form, H the stiffness (N, 6) of each sample."""
     result = np.zeros_like(x)
     for i in range(len(stiffness)):
-        xx, yy, zz = stiffness[i, 0], stiffness[i, 1], stiffness[i, 2]
+        xx, yy, zz = triple(stiffness, i)
         if xx + yy + zz == 0.0:
             continue
         xy, xz, yz = stiffness[i, 3], stiffness[i, 4], stiffness[i, 5]

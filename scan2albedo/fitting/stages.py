@@ -6,8 +6,7 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from scan2albedo.core import Meter
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core import BoolArray, FloatArray, IntArray, Meter, norms
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.fitting.dynamics import ImplicitSystem
 from scan2albedo.fitting.forces import ForceGates, ScanForces, scan_forces
@@ -61,7 +60,7 @@ class FoldFinder:
 
     def _cosine(self, vertices: FloatArray) -> FloatArray:
         normals = surface_normals(vertices, self._faces)[1]
-        return np.asarray(np.einsum("ij,ij->i", normals[self._pairs[:, 0]], normals[self._pairs[:, 1]]))
+        return np.einsum("ij,ij->i", normals[self._pairs[:, 0]], normals[self._pairs[:, 1]])
 
 
 @dataclass(frozen=True)
@@ -93,7 +92,7 @@ class Deformation:
         if level not in self._sampled:
             samples = SurfaceSamples.of(self.model, self.reference, level)
             # The preconditioner assumes springs half as stiff as an open gate's.
-            weight = sparse.diags(0.5 * samples.area)
+            weight = sparse.diags(samples.area / 2)
             self._sampled[level] = samples, (samples.matrix.T @ weight @ samples.matrix).tocsr()
         return self._sampled[level]
 
@@ -204,7 +203,7 @@ def imbalance_mm(deformation: Deformation, q: FloatArray) -> float:
     forces = scan_forces(deformation.scan, points, normals, ForceGates.at(options, 1.0), rim=samples.rim)
     force, springs = forces.springs(samples.area, forces.mutual(points, samples.area))
     moved = system.step(q, np.zeros_like(q), samples.matrix.T @ force, samples.product(springs))
-    return float(samples.area @ np.linalg.norm(samples.matrix @ moved, axis=1) / samples.area.sum())
+    return float(samples.area @ norms(samples.matrix @ moved) / samples.area.sum())
 
 
 def run_stage(

@@ -6,9 +6,7 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from scan2albedo.core import Budget, Meter, ProgressCallback
-from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.core import SMALLEST, BoolArray, Budget, FloatArray, Meter, ProgressCallback, RawScan
 from scan2albedo.errors import FitError
 from scan2albedo.fitting.alignment import aligned
 from scan2albedo.fitting.fit import scan_beside
@@ -99,7 +97,7 @@ class FaceTracker:
         coverage = float(shown.sum() / samples.area.sum())
         if coverage < MIN_COVERAGE:
             raise FitError(f"{scan.name}: only {100 * coverage:.1f} % of the face has scan near it")
-        seen = samples.matrix.T @ shown > 0.5 * (samples.matrix.T @ samples.area)
+        seen = samples.matrix.T @ shown > (samples.matrix.T @ samples.area) / 2
         # Small gaps follow their surroundings: between lips, in holes.
         seen[model.control_faces[seen[model.control_faces].any(1)]] = True
         mouth[0] = self._hinge.angle_deg(rest, control)
@@ -134,7 +132,7 @@ def smoothed_in_time(values: FloatArray, seen: BoolArray) -> tuple[FloatArray, F
         factor = cholesky_banded(ratio * penalty + [seen, 0 * seen, 0 * seen], lower=True)
         found = cho_solve_banded((factor, True), measured)
         rest = np.einsum("tk,tk->k", measured, measured - np.where(seen[:, None], found, 0.0))
-        noise = np.maximum(rest / free, np.finfo(float).tiny)
+        noise = np.maximum(rest / free, SMALLEST)
         cost = free * np.log(noise) + 2 * np.log(factor[0]).sum() - free * np.log(ratio)
         if (better := cost < best).any():
             best[better], curves[:, better] = cost[better], found[:, better]

@@ -5,11 +5,10 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core import FloatArray, NDArray
+from scan2albedo.core.compiled import compiled
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import Similarity, dot, rotation_from_vector
 from scan2albedo.optimization.least_squares import SMALLEST_DIAGONAL, NormalEquations, damped_step
@@ -132,10 +131,10 @@ class NearestGrid:
         low, high = samples.points.min(0) - margin, samples.points.max(0) + margin
         cell = max(cell, float(np.cbrt(np.prod(high - low) / 1_500_000)))
         place = (samples.points - low) / cell
-        inside = place.astype(np.int64)
+        inside = place.astype(int)
         # Of the samples in a cell the one nearest to its centre; in the others that of the nearest such cell.
         order = np.argsort(-np.sum((place - inside - 0.5) ** 2, axis=1), kind="stable")
-        nearest = np.full(np.ceil((high - low) / cell).astype(np.int64) + 1, -1, np.int32)
+        nearest = np.full(np.ceil((high - low) / cell).astype(int) + 1, -1, np.int32)
         nearest[tuple(inside[order].T)] = order
         cells = distance_transform_edt(nearest < 0, return_distances=False, return_indices=True)
         return cls(samples, nearest[tuple(cells)], low, cell)
@@ -170,7 +169,7 @@ def align_on_grid(
     return scores
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _align_all(grid, model, rotations, translations, sigmas, scores):  # type: ignore[no-untyped-def]
     matrix, gradient = np.zeros((6, 6)), np.zeros(6)
     for start in range(len(rotations)):
@@ -202,17 +201,17 @@ def _align_all(grid, model, rotations, translations, sigmas, scores):  # type: i
                 rotation[2, column] = v[2] * cos + across[2] * sin + axis[2] * along
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _cross(a, b):  # type: ignore[no-untyped-def]
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _row(array, i):  # type: ignore[no-untyped-def]
     return array[i, 0], array[i, 1], array[i, 2]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _linearize(grid, model, rotation, translation, sigma, matrix, gradient):  # type: ignore[no-untyped-def]
     """Fill in the normal equations (6, 6), (6,) of one pose, and return its score."""
     nearest, origin, cell, q, qn = grid
@@ -259,7 +258,7 @@ def _linearize(grid, model, rotation, translation, sigma, matrix, gradient):  # 
     return score
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _add_plane(matrix, gradient, row, weight, residual):  # type: ignore[no-untyped-def]
     """Add the distance from a plane to the lower half of the normal equations."""
     for a in range(6):
@@ -268,7 +267,7 @@ def _add_plane(matrix, gradient, row, weight, residual):  # type: ignore[no-unty
             matrix[a, b] += weight * row[a] * row[b]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _add_axes(matrix, gradient, x, e, weight):  # type: ignore[no-untyped-def]
     """Add the planes of the three axes, rows (x cross e_i, e_i), summed in closed form."""
     for a in range(3):

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
-from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core import ArrayLike, FloatArray, IntArray, NDArray, norms, triangle_sides
+from scan2albedo.core.compiled import compiled, triple
 from scan2albedo.geometry.mesh import RayHits, face_lists, face_normals, neighbour_lists, vertex_mask
 
 _FARTHEST = 1e100
@@ -34,7 +33,7 @@ class ClosestPointQuery:
     def __init__(self, vertices: ArrayLike, faces: ArrayLike) -> None:
         import igl
 
-        self._vertices = np.ascontiguousarray(vertices, np.float64)
+        self._vertices = np.ascontiguousarray(vertices, float)
         self._faces = checked_faces(faces)
         self._tree = igl.AABB()
         self._tree.init(self._vertices, self._faces)
@@ -53,7 +52,7 @@ class ClosestPointQuery:
         the nearest compatible face of the 32 nearest is taken, if any.
         """
         min_cosine = 0.3
-        targets, facing = np.asarray(points, np.float64), np.asarray(normals, np.float64)
+        targets, facing = np.asarray(points, float), np.asarray(normals, float)
         hits, across = self.query(targets), face_normals(self._vertices, self._faces)
         agreement = np.einsum("ij,ij->i", across[hits.face], facing)
         wrong = np.flatnonzero((agreement < min_cosine) & (np.abs(facing).sum(1) > 0))
@@ -68,7 +67,7 @@ class ClosestPointQuery:
                 triangles = self._vertices[self._faces[fit]]
                 weights = barycentric_coordinates(np.broadcast_to(targets[row], (len(fit), 3)), triangles)
                 places = np.einsum("nk,nkj->nj", weights, triangles)
-                distance = np.linalg.norm(places - targets[row], axis=1)
+                distance = norms(places - targets[row])
                 best = int(np.argmin(distance))
                 hits.points[row], hits.face[row] = places[best], fit[best]
                 hits.barycentric[row], hits.distance[row] = weights[best], distance[best]
@@ -77,7 +76,7 @@ class ClosestPointQuery:
 
 def checked_points(points: ArrayLike) -> FloatArray:
     """Return points (N, 3) as float64; ValueError for NaN, infinity or squared distances that overflow."""
-    targets = np.ascontiguousarray(points, np.float64)
+    targets = np.ascontiguousarray(points, float)
     if bad := int((~(np.abs(targets) < _FARTHEST)).any(axis=-1).sum()):
         said = f"{bad} of {len(targets)} points are NaN, infinite or beyond {_FARTHEST:g}"
         raise ValueError(f"{said}; no surface point is closest to them")
@@ -86,7 +85,7 @@ def checked_points(points: ArrayLike) -> FloatArray:
 
 def checked_faces(faces: ArrayLike) -> IntArray:
     """Return faces (F, 3) as contiguous int64. Raises ValueError when there is none."""
-    index = np.ascontiguousarray(faces, np.int64)
+    index = np.ascontiguousarray(faces, int)
     if len(index) == 0:
         raise ValueError("a surface without faces has no closest points")
     return index
@@ -97,7 +96,7 @@ def barycentric_coordinates(points: FloatArray, triangles: FloatArray) -> FloatA
 
     A degenerate triangle gives all weight to its first corner.
     """
-    e0, e1 = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    e0, e1 = triangle_sides(triangles)
     d = points - triangles[:, 0]
     a, b, c = (np.einsum("ij,ij->i", p, q) for p, q in ((e0, e0), (e0, e1), (e1, e1)))
     p, q = np.einsum("ij,ij->i", d, e0), np.einsum("ij,ij->i", d, e1)
@@ -123,7 +122,7 @@ class NearestSurface:
     """
 
     def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
-        self._vertices = np.ascontiguousarray(vertices, np.float64)
+        self._vertices = np.ascontiguousarray(vertices, float)
         self._faces = checked_faces(faces)
         self._used = np.flatnonzero(vertex_mask(len(self._vertices), self._faces))
         self._tree = cKDTree(self._vertices[self._used], balanced_tree=False)
@@ -131,7 +130,7 @@ class NearestSurface:
         self._near_start, self._near = neighbour_lists(len(self._vertices), self._faces)
 
     @property
-    def arrays(self) -> tuple[NDArray[np.generic], ...]:
+    def arrays(self) -> tuple[NDArray, ...]:
         """Return the kernels' arguments: vertices (V, 3), faces (F, 3), ring, ring_start, near, near_start.
 
         The faces around vertex v are ring[ring_start[v] : ring_start[v + 1]], its neighbours
@@ -141,24 +140,24 @@ class NearestSurface:
 
     def nearest_vertices(self, points: FloatArray) -> IntArray:
         """Return the index (N,) of the vertex nearest to each of the (N, 3) points."""
-        return np.asarray(self._used[self._tree.query(points)[1]], np.int64)
+        return np.asarray(self._used[self._tree.query(points)[1]], int)
 
     def query(self, points: FloatArray) -> ClosestHits:
         """Return the closest surface points of points (N, 3)."""
         targets = checked_points(points)
         count = len(targets)
-        closest, face = np.empty((count, 3)), np.empty(count, np.int64)
+        closest, face = np.empty((count, 3)), np.empty(count, int)
         weights, distance = np.empty((count, 3)), np.empty(count)
         nearest = self.nearest_vertices(targets), *self.arrays[:4]
         _closest_around(targets, *nearest, closest, face, weights, distance)
         return ClosestHits(face, weights, distance, closest)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _closest_around(p, vertex, xyz, faces, ring, ring_start, closest, face, weights, gap):  # type: ignore[no-untyped-def]
     """Take for each point p the best of the triangles around its nearest `vertex`."""
     for i in range(len(p)):
-        x, y, z = p[i, 0], p[i, 1], p[i, 2]
+        x, y, z = triple(p, i)
         best, f, w0, w1, w2, px, py, pz = nearest_around(x, y, z, vertex[i], xyz, faces, ring, ring_start)
         face[i] = f
         weights[i, 0], weights[i, 1], weights[i, 2] = w0, w1, w2
@@ -166,7 +165,7 @@ def _closest_around(p, vertex, xyz, faces, ring, ring_start, closest, face, weig
         gap[i] = np.sqrt(best)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def nearest_around(x, y, z, v, xyz, faces, ring, ring_start):  # type: ignore[no-untyped-def]
     """Return squared distance, triangle, corner weights and offset of the closest point around vertex v."""
     best = np.inf
@@ -179,7 +178,7 @@ def nearest_around(x, y, z, v, xyz, faces, ring, ring_start):  # type: ignore[no
     oz = 0.0
     for r in range(ring_start[v], ring_start[v + 1]):
         f = ring[r]
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        a, b, c = triple(faces, f)
         ax, ay, az = xyz[a, 0] - x, xyz[a, 1] - y, xyz[a, 2] - z
         bx, by, bz = xyz[b, 0] - x, xyz[b, 1] - y, xyz[b, 2] - z
         cx, cy, cz = xyz[c, 0] - x, xyz[c, 1] - y, xyz[c, 2] - z
@@ -195,7 +194,7 @@ def nearest_around(x, y, z, v, xyz, faces, ring, ring_start):  # type: ignore[no
     return best, nearest, k0, k1, k2, ox, oy, oz
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def walk_downhill(x, y, z, v, xyz, near, near_start):  # type: ignore[no-untyped-def]
     """Return the vertex from which no neighbour is nearer to (x, y, z), starting at v."""
     here = (xyz[v, 0] - x) ** 2 + (xyz[v, 1] - y) ** 2 + (xyz[v, 2] - z) ** 2
@@ -210,7 +209,7 @@ def walk_downhill(x, y, z, v, xyz, near, near_start):  # type: ignore[no-untyped
     return v
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def weights_nearest_origin(ax, ay, az, bx, by, bz, cx, cy, cz):  # type: ignore[no-untyped-def]
     """Weights of the point of triangle abc nearest to the origin (Ericson, Real-Time Collision Detection)."""
     ux, uy, uz = bx - ax, by - ay, bz - az

@@ -6,8 +6,8 @@ from typing import Self
 import numpy as np
 from scipy import sparse
 
-from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.geometry.mesh import adjacency, edges_with_faces, vertex_mask
+from scan2albedo.core import FloatArray, IntArray, row_sums
+from scan2albedo.geometry.mesh import adjacency, edges_with_faces, face_edges, vertex_mask
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class LoopSubdivision:
     def of(cls, vertex_count: int, faces: IntArray, levels: int) -> Self:
         """Build the matrices for a control mesh with `vertex_count` vertices."""
         matrix = sparse.identity(vertex_count, format="csr")
-        refined = np.asarray(faces, np.int64)
+        refined = np.asarray(faces, int)
         for _ in range(levels):
             step, refined = refine(matrix.shape[0], refined)
             matrix = step @ matrix
@@ -48,7 +48,7 @@ class LoopSubdivision:
 
     def points_matrix(self, points: SurfacePoints) -> sparse.csr_matrix:
         """Return the (N, C) matrix that evaluates the refined limit mesh at `points`, linear inside faces."""
-        face, barycentric = np.asarray(points.face, np.int64), np.array(points.barycentric, float)
+        face, barycentric = np.asarray(points.face, int), np.array(points.barycentric, float)
         for _ in range(self.levels):
             # The child that holds the point: corner child k keeps corner k and its two edges' middles, the
             # middle one has corners (mid 01, mid 12, mid 20), each weight 1 - 2 b of the opposite corner.
@@ -65,12 +65,12 @@ class LoopSubdivision:
 
     def control_points(self, points: SurfacePoints) -> SurfacePoints:
         """Return points given on the refined faces as points on the control faces; undoes `points_matrix`."""
-        face, barycentric = np.asarray(points.face, np.int64), np.array(points.barycentric, float)
+        face, barycentric = np.asarray(points.face, int), np.array(points.barycentric, float)
         for _ in range(self.levels):
             row, child = np.arange(len(face)), face % 4
-            outer = 0.5 * barycentric
+            outer = barycentric / 2
             outer[row, np.minimum(child, 2)] += 0.5
-            middle = 0.5 * (1 - barycentric[:, [1, 2, 0]])
+            middle = (1 - barycentric[:, [1, 2, 0]]) / 2
             face, barycentric = face // 4, np.where((child == 3)[:, None], middle, outer)
         return SurfacePoints(face, barycentric)
 
@@ -88,7 +88,7 @@ def refine(vertex_count: int, faces: IntArray) -> tuple[sparse.csr_matrix, IntAr
 
     .. [1] C. Loop, "Smooth Subdivision Surfaces Based on Triangles", 1987.
     """
-    ends = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2).astype(np.int64)
+    ends = face_edges(faces).reshape(-1, 2).astype(int)
     numbers = ends.min(1) * vertex_count + ends.max(1)
     keys, edge_of, uses = np.unique(numbers, return_inverse=True, return_counts=True)
     edges = np.stack([keys // vertex_count, keys % vertex_count], 1)
@@ -125,11 +125,11 @@ def limit_matrix(vertex_count: int, faces: IntArray) -> sparse.csr_matrix:
 def _one_ring_rule(vertex_count, faces, boundary, weight_of, boundary_neighbour):  # type: ignore[no-untyped-def]
     """Rows (1 - sum w) v + w sum over the one-ring, and the two-neighbour rule on the boundary."""
     ring = adjacency(vertex_count, faces)
-    valence = np.asarray(ring.sum(1)).ravel()
+    valence = row_sums(ring)
     on_boundary = vertex_mask(vertex_count, boundary)
     # An unreferenced vertex has no ring and stays where it is.
     interior = sparse.diags(np.where(on_boundary, 0.0, weight_of(np.maximum(valence, 1.0)))) @ ring
     ends = np.concatenate([boundary, boundary[:, ::-1]])
     along = sparse.csr_matrix((np.full(len(ends), boundary_neighbour), ends.T), shape=(vertex_count,) * 2)
     total = (interior + along).tocsr()
-    return (total + sparse.diags(1 - np.asarray(total.sum(1)).ravel())).tocsr()
+    return (total + sparse.diags(1 - row_sums(total))).tocsr()

@@ -3,11 +3,10 @@
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.sparse.linalg import splu, spsolve
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core import ArrayLike, FloatArray, IntArray, all_finite, norms, row_sums
 from scan2albedo.geometry import mesh
 from scan2albedo.geometry.loop_subdivision import refine
 
@@ -31,13 +30,13 @@ def laplacian(
     sine = np.linalg.norm(np.cross(u, v), axis=2)
     cosine = np.einsum("fij,fij->fi", u, v)
     longest = np.maximum(np.einsum("fij,fij->fi", u, u), np.einsum("fij,fij->fi", v, v))
-    weights = 0.5 * np.clip(cosine / np.maximum(sine, 1e-12 * longest + 1e-300), 0.0, MAX_COTANGENT)
+    weights = np.clip(cosine / np.maximum(sine, 1e-12 * longest + 1e-300), 0.0, MAX_COTANGENT) / 2
     if face_weight is not None:
         weights = weights * face_weight[:, None]
     start, end = faces[:, [1, 2, 0]].ravel(), faces[:, [2, 0, 1]].ravel()
     directed = sparse.csr_matrix((weights.ravel(), (start, end)), shape=(len(vertices), len(vertices)))
     symmetric = directed + directed.T
-    return (sparse.diags(np.asarray(symmetric.sum(1)).ravel()) - symmetric).tocsr()
+    return (sparse.diags(row_sums(symmetric)) - symmetric).tocsr()
 
 
 def bending(
@@ -76,7 +75,7 @@ def linear_refinement(vertex_count: int, faces: IntArray, levels: int) -> sparse
     The vertices are numbered as in `LoopSubdivision`; a flip-free chart stays flip-free under it.
     """
     matrix = sparse.identity(vertex_count, format="csr")
-    current = np.asarray(faces, np.int64)
+    current = np.asarray(faces, int)
     for _ in range(levels):
         count, (ends, _) = matrix.shape[0], mesh.edges_with_faces(current)  # in the order of `refine`
         rows = np.repeat(np.arange(len(ends)), 2)
@@ -110,20 +109,20 @@ def surface_diffusion(
     """
     if not (np.isfinite(deviation_mm) and deviation_mm >= 0):
         raise ValueError(f"deviation_mm must be finite and 0 or more, got {deviation_mm}")
-    if not np.isfinite(vertices).all():
+    if not all_finite(vertices):
         raise ValueError(f"{int((~np.isfinite(vertices)).any(1).sum())} vertices are NaN or infinite")
     area = mesh.vertex_areas(vertices, faces)
     # Far beyond the surface's size everything is its mean already, and L would drown M in rounding.
     deviation = min(float(deviation_mm), 1e3 * float(np.ptp(vertices, axis=0).max(initial=0.0)))
     mass = np.where(area > 0, area, 1.0)
-    system = sparse.diags(mass) + 0.5 * deviation**2 * laplacian(vertices, faces)
+    system = sparse.diags(mass) + deviation**2 / 2 * laplacian(vertices, faces)
     factor = splu(system.tocsc(), permc_spec="COLAMD")
 
     def spread(values: ArrayLike) -> FloatArray:
-        given = np.asarray(values, np.float64)
+        given = np.asarray(values, float)
         if given.ndim == 0 or len(given) != len(vertices):
             raise ValueError(f"values have shape {given.shape}, expected ({len(vertices)}, ...)")
-        if not np.isfinite(given).all():
+        if not all_finite(given):
             raise ValueError(f"{int((~np.isfinite(given)).sum())} values are not finite, and would spread")
         flat = given.reshape(len(given), int(np.prod(given.shape[1:])))
         if deviation_mm == 0:
@@ -143,7 +142,7 @@ def filled_over_mesh(values: ArrayLike, known: ArrayLike, faces: IntArray) -> Fl
     >>> filled_over_mesh([[0.0], [np.nan], [np.nan], [1.0]], [True, False, False, True], strip).ravel()
     array([0. , 0.5, 0.5, 1. ])
     """
-    given, there = np.asarray(values, np.float64), np.asarray(known, np.bool_)
+    given, there = np.asarray(values, float), np.asarray(known, np.bool_)
     if not there.any():
         raise ValueError("no vertex is known: there is nothing to fill from")
     result = np.where(there[:, None], given, given[there].mean(0))
@@ -151,7 +150,7 @@ def filled_over_mesh(values: ArrayLike, known: ArrayLike, faces: IntArray) -> Fl
     rows = np.flatnonzero(~there & (np.bincount(part, there) > 0)[part])
     if len(rows):
         links = mesh.adjacency(len(given), faces)
-        inner = sparse.diags(np.asarray(links.sum(1)).ravel()[rows]) - links[rows][:, rows]
+        inner = sparse.diags(row_sums(links)[rows]) - links[rows][:, rows]
         right = links[rows][:, np.flatnonzero(there)] @ given[there]
         result[rows] = spsolve(inner.tocsc(), right).reshape(len(rows), -1)
     return result
@@ -178,11 +177,11 @@ def vertex_normal_jacobian(vertices: FloatArray, faces: IntArray) -> sparse.bsr_
     # The derivatives of N / |N| by N; zeros where N is zero.
     normal = np.zeros((count, 3))
     np.add.at(normal, faces.ravel(), np.repeat(mesh.face_cross_products(vertices, faces), 3, axis=0))
-    length = np.linalg.norm(normal, axis=1)
+    length = norms(normal)
     inverse = np.divide(1.0, length, out=np.zeros_like(length), where=length > 0)
     unit = normal * inverse[:, None]
     of_unit = inverse[:, None, None] * (np.eye(3) - unit[:, :, None] * unit[:, None, :])
-    blocks = of_unit[row] @ cross_matrices(sums.astype(np.float64))
+    blocks = of_unit[row] @ cross_matrices(sums.astype(float))
     return sparse.bsr_matrix((blocks, column, start), shape=(3 * count, 3 * count))
 
 

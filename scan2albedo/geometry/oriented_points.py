@@ -9,7 +9,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core import BoolArray, FloatArray, IntArray, NDArray, norms
 from scan2albedo.geometry import mesh
 from scan2albedo.geometry.mesh import neighbour_lists, normalized, vertex_normals
 
@@ -52,9 +52,9 @@ def oriented_points(vertices: FloatArray, faces: IntArray, spacing: float) -> Or
     read_stride = int(np.ceil(len(faces) / _MAX_RAW_SAMPLES)) or 1
     faces = faces[::read_stride]
     cross = mesh.face_cross_products(vertices, faces)
-    area = 0.5 * np.linalg.norm(cross, axis=1)
+    area = norms(cross) / 2
     used = np.flatnonzero(area > 0)
-    per_face = np.clip(np.ceil(2 * area[used] / spacing**2), 1, 256).astype(np.int64)
+    per_face = np.clip(np.ceil(2 * area[used] / spacing**2), 1, 256).astype(int)
     stride = int(np.ceil(per_face.sum() / _MAX_RAW_SAMPLES)) or 1
     used, per_face = used[::stride], per_face[::stride]
     owner = np.repeat(used, per_face)
@@ -65,19 +65,19 @@ def oriented_points(vertices: FloatArray, faces: IntArray, spacing: float) -> Or
     fold = first + second > 1
     first, second = np.where(fold, 1 - first, first), np.where(fold, 1 - second, second)
     points = np.einsum("nk,nkd->nd", np.stack([1 - first - second, first, second], 1), vertices[faces[owner]])
-    areas, vectors = area[owner] * share, cross[owner] * (0.5 * share)[:, None]
+    areas, vectors = area[owner] * share, cross[owner] * (share / 2)[:, None]
     if len(points) == 0:
         return OrientedPoints(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
-    cells = np.floor((points - points.min(0)) / spacing).astype(np.int64)
+    cells = np.floor((points - points.min(0)) / spacing).astype(int)
     extent = cells.max(0) + 1
     key = (cells[:, 0] * extent[1] + cells[:, 1]) * extent[2] + cells[:, 2]
     _, cell = np.unique(key, return_inverse=True)
-    total = np.bincount(cell, areas)
+    total: NDArray = np.bincount(cell, areas)
     mean, normal = (
         np.stack([np.bincount(cell, values[:, axis]) for axis in range(3)], 1)
         for values in (points * areas[:, None], vectors)
     )
-    length = np.linalg.norm(normal, axis=1)
+    length = norms(normal)
     kept = length > _LEAST_AGREEMENT * total
     return OrientedPoints(mean[kept] / total[kept, None], normal[kept] / length[kept, None], total[kept])
 
@@ -101,7 +101,7 @@ def farthest_points(points: FloatArray, spacing: float, limit: int) -> IntArray:
         chosen.append(int(squared.argmax()))
         if squared[chosen[-1]] < spacing * spacing:
             return np.array(chosen[:-1])
-    return np.array(chosen[: len(points)], np.int64)
+    return np.array(chosen[: len(points)], int)
 
 
 _NORMAL_MAD = 1.4826
@@ -144,4 +144,4 @@ class SurfaceNoise:
 def above_neighbours(vertices: FloatArray, begins: IntArray, neighbours: IntArray) -> FloatArray:
     """Return (V, 3) offsets of the vertices from the mean of their neighbours (`neighbour_lists`)."""
     around = csr_array((np.ones(len(neighbours)), neighbours, begins), shape=(len(vertices),) * 2)
-    return np.asarray(vertices - around @ vertices / np.maximum(np.diff(begins), 1)[:, None])
+    return vertices - around @ vertices / np.maximum(np.diff(begins), 1)[:, None]

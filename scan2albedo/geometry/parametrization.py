@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core import FloatArray, IntArray, norms
 from scan2albedo.errors import ModelError
 from scan2albedo.geometry import mesh
 from scan2albedo.geometry.operators import filled_over_mesh
@@ -22,7 +22,7 @@ def parametrize_disc(vertices: FloatArray, faces: IntArray, *, mirror: IntArray 
     .. [1] W. T. Tutte, "How to draw a graph", 1963.
     .. [2] M. Rabinovich et al., "Scalable Locally Injective Mappings", ACM TOG 36(2), 2017.
     """
-    index = np.asarray(faces, np.int64)
+    index = np.asarray(faces, int)
     uv = flatten_disc(vertices, index, mirror=mirror)
     # Fill the unit square but for the margin that xatlas leaves around a chart of 512 texels.
     low, high = uv.min(0), uv.max(0)
@@ -43,7 +43,7 @@ def flatten_disc(
     """
     import igl
 
-    xyz, index = np.asarray(vertices, float), np.asarray(faces, np.int64)
+    xyz, index = np.asarray(vertices, float), np.asarray(faces, int)
     loop = boundary_loop(len(xyz), index)
     # SLIM's energy is not scale invariant: unit area on both sides.
     xyz = (xyz - xyz.mean(0)) / np.sqrt(mesh.face_areas(xyz, index).sum())
@@ -60,8 +60,8 @@ def flatten_disc(
     uv = np.ascontiguousarray(igl.slim_solve(data, 30)[:, :2])
     if mirror is None:
         return uv
-    offset = uv - [0.5 * (uv[:, 0].min() + uv[:, 0].max()), 0.0]
-    return 0.5 * (offset + offset[mirror] * [-1.0, 1.0])
+    offset = uv - [(uv[:, 0].min() + uv[:, 0].max()) / 2, 0.0]
+    return (offset + offset[mirror] * [-1.0, 1.0]) / 2
 
 
 def boundary_loop(vertex_count: int, faces: IntArray) -> IntArray:
@@ -93,7 +93,7 @@ def boundary_curve(vertices: FloatArray, loop: IntArray) -> FloatArray:
     Arc length is kept up to scale; the start is turned to agree with the loop's directions from the front.
     """
     points = vertices[loop]
-    steps = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
+    steps = norms(np.roll(points, -1, axis=0) - points)
     arc = np.concatenate([[0.0], np.cumsum(steps)[:-1]]) / steps.sum()
     weight = steps + np.roll(steps, 1)
     centered = points[:, :2] - np.average(points[:, :2], axis=0, weights=weight)
@@ -103,8 +103,8 @@ def boundary_curve(vertices: FloatArray, loop: IntArray) -> FloatArray:
     t = np.linspace(0, 2 * np.pi, 4097)
     unit = np.stack([np.cos(t), np.sin(t)], 1)
     curve = unit * (np.abs(unit) ** SQUARENESS).sum(1, keepdims=True) ** (-1 / SQUARENESS)
-    along = np.linalg.norm(np.diff(curve, axis=0), axis=1)
-    area = 0.5 * np.sum(curve[:-1, 0] * curve[1:, 1] - curve[1:, 0] * curve[:-1, 1])
+    along = norms(np.diff(curve, axis=0))
+    area = np.sum(curve[:-1, 0] * curve[1:, 1] - curve[1:, 0] * curve[:-1, 1]) / 2
     at, length = (arc + phase) % 1.0, np.concatenate([[0.0], np.cumsum(along)]) / along.sum()
     return np.stack([np.interp(at, length, side) for side in (curve / np.sqrt(area)).T], 1)
 
@@ -119,4 +119,4 @@ def tutte(vertex_count: int, faces: IntArray, loop: IntArray, target: FloatArray
 def signed_areas(uv: FloatArray, faces: IntArray) -> FloatArray:
     """Return (F,) signed areas of 2D triangles, positive when counter-clockwise."""
     a, b, c = uv[faces[:, 0]], uv[faces[:, 1]], uv[faces[:, 2]]
-    return 0.5 * ((b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1]))
+    return ((b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1])) / 2

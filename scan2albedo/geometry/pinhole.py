@@ -1,9 +1,8 @@
 """Pinhole cameras as (3, 4) projection matrices: pixels (column, row), centres of pixels at integers."""
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core import ArrayLike, BoolArray, FloatArray, all_finite, norms
 from scan2albedo.geometry.mesh import normalized
 
 
@@ -13,12 +12,12 @@ def normalized_cameras(cameras: ArrayLike) -> FloatArray:
     The third row's direction becomes a unit vector, and points in front of the camera get positive depth.
     Raises ValueError when the shape is another, numbers are not finite, or a left 3x3 part is singular.
     """
-    matrices = np.asarray(cameras, np.float64)
+    matrices = np.asarray(cameras, float)
     if matrices.ndim != 3 or matrices.shape[1:] != (3, 4):
         raise ValueError(f"cameras must have shape (C, 3, 4), got {matrices.shape}")
-    if not np.isfinite(matrices).all():
+    if not all_finite(matrices):
         raise ValueError("cameras must be finite")
-    scale = np.linalg.norm(matrices[:, 2, :3], axis=1) * np.sign(np.linalg.det(matrices[:, :, :3]))
+    scale = norms(matrices[:, 2, :3]) * np.sign(np.linalg.det(matrices[:, :, :3]))
     if not (scale != 0).all():
         raise ValueError(f"camera {int(np.argmin(np.abs(scale)))} has a singular left 3x3 part")
     return matrices / scale[:, None, None]
@@ -46,7 +45,7 @@ def projected(cameras: FloatArray, points: FloatArray) -> tuple[FloatArray, Floa
 
 def camera_centers(cameras: FloatArray) -> FloatArray:
     """Return (C, 3) centres of projection of cameras (C, 3, 4)."""
-    return np.asarray(-np.linalg.solve(cameras[:, :, :3], cameras[:, :, 3:])[:, :, 0], np.float64)
+    return np.asarray(-np.linalg.solve(cameras[:, :, :3], cameras[:, :, 3:])[:, :, 0], float)
 
 
 def fit_camera(points: ArrayLike, pixels: ArrayLike) -> FloatArray:
@@ -57,12 +56,12 @@ def fit_camera(points: ArrayLike, pixels: ArrayLike) -> FloatArray:
 
     .. [1] R. Hartley, A. Zisserman, "Multiple View Geometry in Computer Vision", 2nd edition, 2004.
     """
-    space, to_space = _centred(np.asarray(points, np.float64))
-    plane, to_plane = _centred(np.asarray(pixels, np.float64))
+    space, to_space = _centred(np.asarray(points, float))
+    plane, to_plane = _centred(np.asarray(pixels, float))
     none = np.zeros_like(space)
     rows = np.block([[space, none, -plane[:, :1] * space], [none, space, -plane[:, 1:2] * space]])
     camera = np.linalg.eigh(rows.T @ rows)[1][:, 0].reshape(3, 4)
-    return np.asarray(np.linalg.solve(to_plane, camera @ to_space), np.float64)
+    return np.asarray(np.linalg.solve(to_plane, camera @ to_space), float)
 
 
 def _centred(points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -77,15 +76,15 @@ def _centred(points: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def pixel_directions(camera: FloatArray, pixels: ArrayLike) -> FloatArray:
     """Return (N, 3) unit vectors from the camera through pixels (N, 2); the camera normalised."""
-    plane = np.asarray(pixels, np.float64)
+    plane = np.asarray(pixels, float)
     homogeneous = np.column_stack([plane, np.ones(len(plane))])
-    return normalized(np.asarray(np.linalg.solve(camera[:, :3], homogeneous.T).T, np.float64))
+    return normalized(np.asarray(np.linalg.solve(camera[:, :3], homogeneous.T).T, float))
 
 
 def pixel_grid(shape: tuple[int, int]) -> FloatArray:
     """Return (H W, 2) pixels (column, row) of an image (H, W), row by row."""
     row, column = np.divmod(np.arange(shape[0] * shape[1]), shape[1])
-    return np.stack([column, row], 1).astype(np.float64)
+    return np.stack([column, row], 1).astype(float)
 
 
 def look_at(
@@ -99,8 +98,8 @@ def look_at(
     >>> project(camera, np.array([[10.0, 20.0, 0.0]]))
     (array([[542., 452.]]), array([600.]))
     """
-    at = np.asarray(position, np.float64)
-    forward = normalized(np.asarray(target, np.float64) - at)
+    at = np.asarray(position, float)
+    forward = normalized(np.asarray(target, float) - at)
     right = normalized(np.cross(forward, [0.0, 1.0, 0.0]))
     down = np.cross(forward, right)
     c, s = np.cos(roll_rad), np.sin(roll_rad)

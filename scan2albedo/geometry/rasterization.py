@@ -2,14 +2,21 @@
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
-from numba import njit
-from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.core import (
+    ArrayLike,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    NDArray,
+    RawScan,
+    RealArray,
+    norms,
+    triangle_sides,
+)
+from scan2albedo.core.compiled import compiled, triple
 from scan2albedo.geometry.rigid import transform_points
 
 
@@ -17,11 +24,11 @@ from scan2albedo.geometry.rigid import transform_points
 class Raster:
     """`face` (H, W) int64 with -1 where nothing covers; `barycentric` (H, W, 3) float64, zeros there."""
 
-    face: NDArray[np.int64]
-    barycentric: NDArray[np.float64]
+    face: IntArray
+    barycentric: FloatArray
 
     @property
-    def covered(self) -> NDArray[np.bool_]:
+    def covered(self) -> BoolArray:
         """(H, W) True where a face covers the pixel centre."""
         return self.face >= 0
 
@@ -37,7 +44,7 @@ def rasterize_uv(uv: ArrayLike, faces: ArrayLike, size: int | tuple[int, int]) -
     return rasterize(pixels, np.zeros(len(pixels)), faces, (height, width))
 
 
-def pixels_from_uv(uv: ArrayLike, shape: tuple[int, int]) -> NDArray[np.float64]:
+def pixels_from_uv(uv: ArrayLike, shape: tuple[int, int]) -> FloatArray:
     """Return (N, 2) pixel coordinates (column, row), pixel centres at integers, of texture coordinates."""
     coordinates = np.asarray(uv, float)
     return np.stack([coordinates[:, 0] * shape[1] - 0.5, (1 - coordinates[:, 1]) * shape[0] - 0.5], 1)
@@ -48,7 +55,7 @@ def rasterize(pixels: ArrayLike, depth: ArrayLike, faces: ArrayLike, shape: tupl
 
     `pixels` (V, 2) are column and row of each vertex; pixel centres lie at integers.
     """
-    raster = Raster(np.full(shape, -1, np.int64), np.zeros((*shape, 3)))
+    raster = Raster(np.full(shape, -1, int), np.zeros((*shape, 3)))
     nearest_depths(pixels, depth, faces, shape, raster)
     return raster
 
@@ -58,22 +65,22 @@ def nearest_depths(
     depth: ArrayLike,
     faces: ArrayLike,
     shape: tuple[int, int],
-    raster: Raster = Raster(np.zeros((0, 0), np.int64), np.zeros((0, 0, 3))),
+    raster: Raster = Raster(np.zeros((0, 0), int), np.zeros((0, 0, 3))),
 ) -> FloatArray:
     """Return the largest depth (H, W) at each pixel centre, -inf where nothing covers it; fill a `raster`."""
-    places, depths = np.ascontiguousarray(pixels, np.float64), np.ascontiguousarray(depth, np.float64)
-    triangles, nearest = np.ascontiguousarray(faces, np.int64), np.full(shape, -np.inf)
+    places, depths = np.ascontiguousarray(pixels, float), np.ascontiguousarray(depth, float)
+    triangles, nearest = np.ascontiguousarray(faces, int), np.full(shape, -np.inf)
     _rasterize(places, depths, triangles, nearest, raster.face, raster.barycentric)
     return nearest
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _rasterize(pixels, depth, faces, nearest, owner, weights):  # type: ignore[no-untyped-def]
     """Fill `nearest` (H, W), -inf before, and unless empty `owner` (H, W) and `weights` (H, W, 3)."""
     height, width = nearest.shape
     owned = owner.size > 0
     for f in range(faces.shape[0]):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        a, b, c = triple(faces, f)
         ax, ay = pixels[a, 0], pixels[a, 1]
         bx, by = pixels[b, 0], pixels[b, 1]
         cx, cy = pixels[c, 0], pixels[c, 1]
@@ -103,7 +110,7 @@ def _rasterize(pixels, depth, faces, nearest, owner, weights):  # type: ignore[n
                         weights[row, column, 2] = wc
 
 
-def interpolate(raster: Raster, faces: IntArray, values: NDArray[np.floating]) -> FloatArray:
+def interpolate(raster: Raster, faces: IntArray, values: RealArray) -> FloatArray:
     """Return per-vertex `values` (V, ...) interpolated over the raster (H, W, ...), zeros outside."""
     result = np.zeros(raster.face.shape + values.shape[1:])
     inside = raster.covered
@@ -112,16 +119,16 @@ def interpolate(raster: Raster, faces: IntArray, values: NDArray[np.floating]) -
     return result
 
 
-def bilinear(image: NDArray[np.floating], pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+def bilinear(image: RealArray, pixels: FloatArray) -> FloatArray:
     """Return (N, C) of an image (H, W, C) at pixels (N, 2), column and row; its edges continue outside."""
     (rows, columns), (column, row) = image.shape[:2], pixels.T
     column, row = np.clip(column, 0, columns - 1), np.clip(row, 0, rows - 1)
-    left, top = np.floor(column).astype(np.int64), np.floor(row).astype(np.int64)
+    left, top = np.floor(column).astype(int), np.floor(row).astype(int)
     right, below = np.minimum(left + 1, columns - 1), np.minimum(top + 1, rows - 1)
     across, down = (column - left)[:, None], (row - top)[:, None]
     upper = (1 - across) * image[top, left] + across * image[top, right]
     lower = (1 - across) * image[below, left] + across * image[below, right]
-    return np.asarray((1 - down) * upper + down * lower)
+    return (1 - down) * upper + down * lower
 
 
 def polyline_distance(points: FloatArray, line: FloatArray) -> FloatArray:
@@ -134,32 +141,32 @@ def polyline_distance(points: FloatArray, line: FloatArray) -> FloatArray:
     for start, end in pairwise(line):
         offset, along = points - start, end - start
         part = np.clip(offset @ along / max(float(along @ along), 1e-12), 0, 1)
-        nearest = np.minimum(nearest, np.linalg.norm(offset - part[:, None] * along, axis=1))
+        nearest = np.minimum(nearest, norms(offset - part[:, None] * along))
     return nearest
 
 
-def bilinear_slopes(image: NDArray[np.floating], pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+def bilinear_slopes(image: RealArray, pixels: FloatArray) -> FloatArray:
     """Return the derivatives (N, C, 2) of `bilinear` by column and row, beyond an edge those at it."""
     last = np.array(image.shape[1::-1]) - 1
     place = np.clip(pixels, 0, last)
-    corner = np.minimum(place, last - 1).astype(np.int64)
+    corner = np.minimum(place, last - 1).astype(int)
     (x, y), (column, row) = (place - corner).T[..., None], corner.T
     a, b = image[row, column], image[row, column + 1]
     c, d = image[row + 1, column], image[row + 1, column + 1]
-    return np.asarray(np.stack([(1 - y) * (b - a) + y * (d - c), (1 - x) * (c - a) + x * (d - b)], 2))
+    return np.stack([(1 - y) * (b - a) + y * (d - c), (1 - x) * (c - a) + x * (d - b)], 2)
 
 
-def filled_from_nearest(image: NDArray[Any], mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+def filled_from_nearest(image: NDArray, mask: BoolArray) -> FloatArray:
     """Return an image (H, W, ...) whose pixels outside of `mask` have the value of the nearest one inside.
 
     Interpolation and averages at the mask's border then mix in no empty pixel.
     """
     if mask.all():
-        return image.astype(np.float64)
+        return image.astype(float)
     from scipy.ndimage import distance_transform_edt
 
     row, column = distance_transform_edt(~mask, return_distances=False, return_indices=True)
-    return image[row, column].astype(np.float64)
+    return image[row, column].astype(float)
 
 
 def area_mean(values: ArrayLike, shape: tuple[int, int]) -> FloatArray:
@@ -171,26 +178,26 @@ def area_mean(values: ArrayLike, shape: tuple[int, int]) -> FloatArray:
     >>> area_mean(np.arange(6.0).reshape(2, 3), (1, 2)).tolist()
     [[1.8333333333333333, 3.1666666666666665]]
     """
-    result = np.asarray(values, np.float64)
+    result = np.asarray(values, float)
     size = result.shape[:2]
     for axis, count in enumerate(shape):
         lines = np.moveaxis(result, axis, 0)
         sums = np.concatenate([np.zeros_like(lines[:1]), np.cumsum(lines, axis=0)])
         edges = np.arange(count + 1) * size[axis] / count
-        whole = np.minimum(edges.astype(np.int64), size[axis] - 1)
+        whole = np.minimum(edges.astype(int), size[axis] - 1)
         part = (edges - whole).reshape(-1, *[1] * (lines.ndim - 1))
         result = np.moveaxis(np.diff(sums[whole] + part * lines[whole], axis=0), 0, axis)
-    return np.asarray(result / (size[0] * size[1] / (shape[0] * shape[1])))
+    return result / (size[0] * size[1] / (shape[0] * shape[1]))
 
 
-def filled_smoothly(values: NDArray[Any], known: BoolArray) -> NDArray[Any]:
+def filled_smoothly(values: NDArray, known: BoolArray) -> NDArray:
     """Return an image (H, W, C) as `fill_smoothly` leaves it; `values` stay."""
     filled = values.copy()
     fill_smoothly(filled, known)
     return filled
 
 
-def fill_smoothly(values: NDArray[Any], known: BoolArray) -> None:
+def fill_smoothly(values: NDArray, known: BoolArray) -> None:
     """Set the pixels of an image (H, W, C) outside of `known` (H, W) to means of what lies around them.
 
     Each is taken, by bilinear interpolation, from the finest of images of half the size that knows something
@@ -253,7 +260,7 @@ def front_picture(
     corners = vertices[scan.faces]
     least, most = corners[..., :2].min(1), corners[..., :2].max(1)
     inside = ((most > low) & (least < high) & (most - least < 30)).all(1)
-    across, beside = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    across, beside = triangle_sides(corners)
     used = np.flatnonzero(inside & (across[:, 0] * beside[:, 1] > across[:, 1] * beside[:, 0]))
     # The first look at a square lies half a square beside its centre, and half a look inward.
     first = low - (step_mm - fine) / 2

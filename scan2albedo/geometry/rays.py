@@ -6,9 +6,8 @@ from concurrent.futures import ThreadPoolExecutor
 from threading import Lock
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import BoolArray, checked_mesh
+from scan2albedo.core import ArrayLike, BoolArray, Float32Array, checked_mesh
 from scan2albedo.geometry.mesh import RayHits
 
 _CHUNK = 8192
@@ -45,9 +44,9 @@ class RayCaster:
         """Longest side of the mesh's bounding box, in the mesh's unit."""
         return self._scale
 
-    def to_local(self, points: ArrayLike) -> NDArray[np.float32]:
+    def to_local(self, points: ArrayLike) -> Float32Array:
         """Return (N, 3) float32: points centred and scaled as embree sees them, for `occluded`."""
-        return ((np.asarray(points, np.float64) - self._center) * (1 / self._scale)).astype(np.float32)
+        return ((np.asarray(points, float) - self._center) * (1 / self._scale)).astype(np.float32)
 
     def occluded(self, origins: ArrayLike, directions: ArrayLike, *, local: bool = False) -> BoolArray:
         """Return (N,) True where the ray from `origins` (N, 3) along `directions` hits anything.
@@ -71,9 +70,9 @@ class RayCaster:
 
     def first_hit(self, origins: ArrayLike, directions: ArrayLike) -> RayHits:
         """Return the first hit of each ray; distances in the mesh's unit along unit directions."""
-        start, heading = np.asarray(origins, np.float64), np.asarray(directions, np.float64)
+        start, heading = np.asarray(origins, float), np.asarray(directions, float)
         heading = np.array(np.broadcast_to(heading, start.shape), order="C")
-        face = np.full(len(start), -1, np.int64)
+        face = np.full(len(start), -1, int)
 
         def shoot(block: slice) -> None:
             local = self.to_local(start[block])

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
-from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from scan2albedo.core import ArrayLike, FloatArray, IntArray, all_finite
+from scan2albedo.core.compiled import compiled
 from scan2albedo.geometry.mesh import face_areas
 
-Matrix = NDArray[np.float64]
+Matrix = FloatArray
 
 
 def transform_points(target_from_source: ArrayLike, points: ArrayLike) -> Matrix:
@@ -42,7 +42,7 @@ def invert_rigid(target_from_source: ArrayLike) -> Matrix:
 
 def is_rigid(matrix: Matrix, tolerance: float = 1e-6) -> bool:
     """Return whether (4, 4) is a rotation, to a `tolerance`, and a translation over the row 0 0 0 1."""
-    if not (np.isfinite(matrix).all() and np.array_equal(matrix[3], [0, 0, 0, 1])):
+    if not (all_finite(matrix) and np.array_equal(matrix[3], [0, 0, 0, 1])):
         return False
     turn = matrix[:3, :3]
     return bool(np.abs(turn @ turn.T - np.eye(3)).max() <= tolerance and np.linalg.det(turn) > 0)
@@ -89,7 +89,7 @@ class Similarity:
 
 def rotation_from_vector(rotation_vector_rad: ArrayLike) -> Matrix:
     """Return the (3, 3) rotation by a vector: axis times angle in radians."""
-    return np.asarray(Rotation.from_rotvec(rotation_vector_rad).as_matrix(), np.float64)
+    return np.asarray(Rotation.from_rotvec(rotation_vector_rad).as_matrix(), float)
 
 
 def rotation_angle_rad(rotation: ArrayLike) -> float:
@@ -109,12 +109,12 @@ def super_fibonacci_rotations(count: int) -> Matrix:
     alpha, beta = 2 * np.pi * s / phi, 2 * np.pi * s / psi
     xy = [radius * np.sin(alpha), radius * np.cos(alpha)]
     zw = [radius_rest * np.sin(beta), radius_rest * np.cos(beta)]
-    return np.asarray(Rotation.from_quat(np.stack(xy + zw, -1)).as_matrix(), np.float64)
+    return np.asarray(Rotation.from_quat(np.stack(xy + zw, -1)).as_matrix(), float)
 
 
 def random_rotation(rng: np.random.Generator) -> Matrix:
     """Return a rotation (3, 3) drawn uniformly from SO(3)."""
-    return np.asarray(Rotation.from_quat(np.roll(rng.normal(size=4), -1)).as_matrix(), np.float64)
+    return np.asarray(Rotation.from_quat(np.roll(rng.normal(size=4), -1)).as_matrix(), float)
 
 
 def procrustes(
@@ -133,7 +133,7 @@ def procrustes(
         raise ValueError(f"source {x.shape} and target {y.shape} must both be (N, 3)")
     w = np.ones(len(x)) if weights is None else np.asarray(weights, float)
     total = float(w.sum())
-    if not (np.isfinite(x).all() and np.isfinite(y).all() and 0 < total < np.inf):
+    if not (all_finite(x) and all_finite(y) and 0 < total < np.inf):
         said = f"{len(x)} pairs of points and weights of sum {total:g} place nothing"
         raise ValueError(f"{said}: points must be finite, and at least one must weigh something")
     w = w / total
@@ -150,7 +150,7 @@ def procrustes(
     return compose(factor * rotation, y_mean - factor * rotation @ x_mean)
 
 
-def in_principal_frame(vertices: Matrix, faces: NDArray[np.int64]) -> tuple[Matrix, Matrix]:
+def in_principal_frame(vertices: Matrix, faces: IntArray) -> tuple[Matrix, Matrix]:
     """Return the vertices (V, 3) in the surface's principal axes, and the rigid (4, 4) transform there.
 
     Origin at the surface's centroid, axes along the eigenvectors of its second moments (longest first) and
@@ -173,7 +173,7 @@ def in_principal_frame(vertices: Matrix, faces: NDArray[np.int64]) -> tuple[Matr
     return (vertices - origin) @ axes, compose(axes.T, -axes.T @ origin)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def dot(a, b):  # type: ignore[no-untyped-def]
     """Return the inner product of two vectors of three numbers, inside other compiled functions."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core import FloatArray, IntArray, triangle_sides
 from scan2albedo.geometry.mesh import lengths, normalized
 
 
@@ -31,17 +31,17 @@ def split_at_seams(faces: IntArray, uv: FloatArray, side: IntArray | None = None
     [0, 1, 2, 2, 3]
     """
     # One number for a vertex and its place in the texture; that two such numbers agree is next to impossible.
-    place = np.round(uv * 2**20).astype(np.int64)
+    place = np.round(uv * 2**20).astype(int)
     across, up = place[..., 0] * 0xC2B2AE3D27D4EB5, place[..., 1] * 0x165667B19E3779F
     key = faces * 0x9E3779B97F4A7C1 + across + up
     if side is not None:
         key += side[:, None] * 0x27D4EB2F165667C5
     _, first, corner = np.unique(key, return_index=True, return_inverse=True)
     order = np.lexsort((first, faces.ravel()[first]))
-    rank = np.empty(len(order), np.int64)
+    rank = np.empty(len(order), int)
     rank[order] = np.arange(len(order))
     kept = first[order]
-    vertex = faces.ravel()[kept].astype(np.int64)
+    vertex = faces.ravel()[kept].astype(int)
     return SplitMesh(vertex, uv.reshape(-1, 2)[kept], rank[corner.reshape(faces.shape)])
 
 
@@ -66,13 +66,13 @@ def tangent_mesh(vertices: FloatArray, faces: IntArray, uv: FloatArray, normals:
 
     .. [1] M. Mikkelsen, "Simulation of Wrinkled Surfaces Revisited", 2008, and glTF 2.0, section 3.7.2.1.
     """
-    along, up = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+    along, up = triangle_sides(uv)
     turn = along[:, 0] * up[:, 1] - along[:, 1] * up[:, 0]
-    split = split_at_seams(faces, uv, (turn < 0).astype(np.int64))
+    split = split_at_seams(faces, uv, (turn < 0).astype(int))
     normal = normals[split.vertex]
     normal = np.where(lengths(normal)[:, None] > 0, normal, (0.0, 0.0, 1.0))
     corners = vertices[faces]
-    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    first, second = triangle_sides(corners)
     right = np.sign(turn)[:, None] * normalized(up[:, 1, None] * first - along[:, 1, None] * second)
     sums = np.zeros((len(normal), 3))
     for corner in range(3):

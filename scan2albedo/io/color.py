@@ -1,12 +1,13 @@
 """sRGB and linear light (IEC 61966-2-1), exact piecewise curves."""
 
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+
+from scan2albedo.core import ArrayLike, ByteArray, Float32Array, FloatArray, NDArray
 
 
-def srgb_to_linear(srgb: ArrayLike) -> NDArray[np.float64]:
+def srgb_to_linear(srgb: ArrayLike) -> FloatArray:
     """Decode sRGB values in [0, 1]: c / 12.92 up to 0.04045, ((c + 0.055) / 1.055)^2.4 above.
 
     Negative values are mirrored, so the curve is odd and defined everywhere.
@@ -14,23 +15,23 @@ def srgb_to_linear(srgb: ArrayLike) -> NDArray[np.float64]:
     >>> srgb_to_linear([0.0, 0.5, 1.0]).round(4).tolist()
     [0.0, 0.214, 1.0]
     """
-    value = np.asarray(srgb, np.float64)
+    value = np.asarray(srgb, float)
     size = np.abs(value)
     return np.copysign(np.where(size <= 0.04045, size / 12.92, ((size + 0.055) / 1.055) ** 2.4), value)
 
 
-def linear_to_srgb(linear: ArrayLike) -> NDArray[np.float64]:
+def linear_to_srgb(linear: ArrayLike) -> FloatArray:
     """Encode linear values: 12.92 c up to 0.0031308, 1.055 c^(1/2.4) - 0.055 above."""
-    return encoded_srgb(np.asarray(linear, np.float64))
+    return encoded_srgb(np.asarray(linear, float))
 
 
-def encoded_srgb(value: NDArray[Any]) -> NDArray[Any]:
+def encoded_srgb(value: NDArray) -> NDArray:
     """Return `linear_to_srgb` of float32 or float64 in the same precision."""
     size = np.abs(value)
     return np.copysign(np.where(size <= 0.0031308, 12.92 * size, 1.055 * size ** (1 / 2.4) - 0.055), value)
 
 
-def decode_srgb_integers(pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np.float32]:
+def decode_srgb_integers(pixels: ByteArray | NDArray[np.uint16]) -> Float32Array:
     """Return float32 linear values of 8- or 16-bit sRGB samples by table, in row blocks to spare memory."""
     most = np.iinfo(pixels.dtype).max
     table = srgb_to_linear(np.arange(most + 1) / most).astype(np.float32)
@@ -40,7 +41,7 @@ def decode_srgb_integers(pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> NDAr
     return linear
 
 
-def decode_picture(pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np.float32]:
+def decode_picture(pixels: ByteArray | NDArray[np.uint16]) -> Float32Array:
     """Return linear colour (H, W, 3) of sRGB samples; (H, W, 4) where they have an alpha that varies."""
     linear, alpha = decode_srgb_integers(pixels[..., :3]), pixels[..., 3:]
     if alpha.size == 0 or alpha.min() == alpha.max():
@@ -48,22 +49,22 @@ def decode_picture(pixels: NDArray[np.uint8] | NDArray[np.uint16]) -> NDArray[np
     return np.concatenate([linear, alpha / np.float32(np.iinfo(pixels.dtype).max)], axis=-1)
 
 
-def linear_of_srgb_numbers(colors: NDArray[np.generic]) -> NDArray[np.float32]:
+def linear_of_srgb_numbers(colors: NDArray) -> Float32Array:
     """Return linear colours of sRGB integers, or floats up to 1 or 255; NaN and negative are black."""
     if colors.dtype in (np.uint8, np.uint16):
         return decode_srgb_integers(np.asarray(colors))
-    values = np.nan_to_num(colors.astype(np.float64)).clip(0)
+    values = np.nan_to_num(colors.astype(float)).clip(0)
     return srgb_to_linear(values / 255 if values.max(initial=0) > 1 else values).astype(np.float32)
 
 
-def encode_srgb_bytes(linear: ArrayLike) -> NDArray[np.uint8]:
+def encode_srgb_bytes(linear: ArrayLike) -> ByteArray:
     """Return 8-bit sRGB of linear values clipped to [0, 1], rounded to nearest."""
-    return cast("NDArray[np.uint8]", encode_srgb_integers(linear, np.uint8))
+    return cast("ByteArray", encode_srgb_integers(linear, np.uint8))
 
 
 def encode_srgb_integers(
-    linear: ArrayLike, dtype: type, out: NDArray[Any] | None = None
-) -> NDArray[np.uint8] | NDArray[np.uint16]:
+    linear: ArrayLike, dtype: type, out: NDArray | None = None
+) -> ByteArray | NDArray[np.uint16]:
     """Return sRGB of linear values clipped to [0, 1] as uint8 or uint16, in row blocks to spare memory."""
     array = np.asarray(linear)
     encoded = np.empty(array.shape, dtype) if out is None else out
@@ -73,13 +74,13 @@ def encode_srgb_integers(
     return encoded
 
 
-def is_deep(linear: NDArray[np.float32]) -> bool:
+def is_deep(linear: Float32Array) -> bool:
     """Return whether most of a picture's values (H, W, 3), in green, are none that 8-bit sRGB has."""
     green = linear[:: max(len(linear) // 256, 1), :, 1]
     return bool(np.mean(decode_srgb_integers(encode_srgb_bytes(green)) != green) > 0.5)
 
 
-def label_colors() -> NDArray[np.uint8]:
+def label_colors() -> ByteArray:
     """Return (11, 3) sRGB colours of labels: 0 black, the others those of matplotlib's tab10."""
     from matplotlib import colormaps
 

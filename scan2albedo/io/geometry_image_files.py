@@ -1,12 +1,11 @@
 """Geometry images as NumPy archives (complete, exact) and as multi-layer EXR (for other programs)."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from scan2albedo.core.geometry_image import ARRAYS, GeometryImage
+from scan2albedo.core import Float32Array, GeometryImage, NDArray
+from scan2albedo.core.geometry_image import ARRAYS
 from scan2albedo.errors import GeometryImageError, ScanError, errors_of
 from scan2albedo.io.images import read_exr_channels, read_image_linear, write_exr_channels
 from scan2albedo.io.npz import read_npz, write_npz
@@ -29,7 +28,7 @@ def write_geometry_image(path: str | Path, image: GeometryImage) -> None:
     ``occluder_vertices_mm`` and ``occluder_faces``;
     ``texture_log_odds``; ``format_version`` is 1. Raises OutputError when the folder cannot be written.
     """
-    arrays: dict[str, NDArray[Any]] = {"format_version": np.array(FORMAT_VERSION)}
+    arrays: dict[str, NDArray] = {"format_version": np.array(FORMAT_VERSION)}
     arrays["texture_log_odds"] = np.array(image.texture_log_odds)
     for field, stored in _NAME_IN_FILE.items():
         if getattr(image, field) is not None:
@@ -50,7 +49,7 @@ def write_geometry_image_exr(path: str | Path, image: GeometryImage) -> None:
     ``labels.Y``, ``face_chart.Y`` ``.X`` (row, column), ``filled.Y``, ``on_face.Y``. The occluder and the
     cameras do not fit into an image and are left out. Raises OutputError when the folder cannot be written.
     """
-    channels: dict[str, NDArray[np.float32]] = {}
+    channels: dict[str, Float32Array] = {}
     for field, stored in _NAME_IN_FILE.items():
         value = getattr(image, field)
         if value is not None:
@@ -66,7 +65,7 @@ def read_geometry_image(path: str | Path) -> GeometryImage:
     Raises GeometryImageError, naming the file `path`, when it is missing, damaged, of another extension than
     .npz and .exr, or lacks position, normal or mask.
     """
-    file, arrays = Path(path), dict[str, NDArray[Any]]()
+    file, arrays = Path(path), dict[str, NDArray]()
     if file.suffix.lower() == ".npz":
         arrays = read_npz(file, what="geometry image", advice="write it again", error=GeometryImageError)
         for name, array in arrays.items():
@@ -104,7 +103,7 @@ def read_geometry_image(path: str | Path) -> GeometryImage:
         return GeometryImage(**fields, **cameras, occluder=occluder, texture_log_odds=odds)  # type: ignore[arg-type]
 
 
-def read_image_and_albedo(folder: Path) -> tuple[GeometryImage, NDArray[np.float32]]:
+def read_image_and_albedo(folder: Path) -> tuple[GeometryImage, Float32Array]:
     """Return the geometry image and the albedo (H, W, 3) of a result folder.
 
     Raises GeometryImageError or ScanError, naming the file, when one is missing, damaged or of another run.

@@ -8,10 +8,23 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array, checked_mesh
+from scan2albedo.core import (
+    ArrayLike,
+    BoolArray,
+    ByteArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    NDArray,
+    Values,
+    all_finite,
+    checked_array,
+    checked_mesh,
+    finite_rows,
+    identities,
+)
 from scan2albedo.geometry.mesh import vertex_normals, without_unreferenced
 from scan2albedo.io.atomic import write_bytes
 from scan2albedo.io.images import encode_image
@@ -32,10 +45,10 @@ class GlbFile:
     def __init__(self) -> None:
         self.data = bytearray()
         self.views: list[dict[str, int]] = []
-        self.accessors: list[dict[str, Any]] = []
-        self.meshes: list[dict[str, Any]] = []
-        self.materials: list[dict[str, Any]] = []
-        self.images: list[dict[str, Any]] = []
+        self.accessors: list[Values] = []
+        self.meshes: list[Values] = []
+        self.materials: list[Values] = []
+        self.images: list[Values] = []
 
     def add_bytes(self, data: bytes, target: int | None = None) -> int:
         """Append bytes and return the number of their buffer view."""
@@ -49,11 +62,11 @@ class GlbFile:
         self.images.append({**entries, "bufferView": self.add_bytes(png), "mimeType": "image/png"})
         return {"index": len(self.images) - 1}
 
-    def add_array(self, array: NDArray[Any], target: int | None = None, *, bounds: bool = False) -> int:
+    def add_array(self, array: NDArray, target: int | None = None, *, bounds: bool = False) -> int:
         """Append an array, one element a row, floats in 32 bits, and return the number of its accessor."""
         stored = array.astype("<f4") if array.dtype.kind == "f" else array
         little = np.ascontiguousarray(stored, stored.dtype.newbyteorder("<"))
-        accessor: dict[str, Any] = {
+        accessor: Values = {
             "bufferView": self.add_bytes(little.tobytes(), target),
             "componentType": _COMPONENT[stored.dtype.str[1:]],
             "count": len(array),
@@ -67,10 +80,10 @@ class GlbFile:
 
     def add_mesh(
         self,
-        material: dict[str, Any],
+        material: Values,
         vertices_mm: FloatArray,
         faces: IntArray,
-        attributes: Mapping[str, NDArray[Any]] | None = None,
+        attributes: Mapping[str, NDArray] | None = None,
         *,
         uv: FloatArray | None = None,
         normals: FloatArray | None = None,
@@ -122,7 +135,7 @@ class GlbFile:
     def write(
         self,
         path: str | Path,
-        nodes: list[dict[str, Any]] | None = None,
+        nodes: list[Values] | None = None,
         roots: Sequence[int] = (),
         **entries: list[Any],
     ) -> None:
@@ -162,11 +175,11 @@ def write_glb(
     vertices: ArrayLike,
     faces: ArrayLike,
     uv: ArrayLike | None = None,
-    texture_srgb: NDArray[np.uint8] | None = None,
+    texture_srgb: ByteArray | None = None,
     *,
     emissive: bool = False,
     parts: Sequence["GlbPart"] = (),
-    take: Mapping[str, NDArray[np.float64]] | None = None,
+    take: Mapping[str, FloatArray] | None = None,
 ) -> None:
     """Write a mesh with its base colour, atomically.
 
@@ -187,7 +200,7 @@ def write_glb(
     file = GlbFile()
     grey = 200 / 255 if texture_srgb is None else 1.0
     material = plain_material("face", (grey, grey, grey, 1.0), double_sided=False)
-    coordinates = None if uv is None else np.asarray(uv, np.float64)
+    coordinates = None if uv is None else np.asarray(uv, float)
     mesh = file.add_mesh(material, points, triangles, uv=coordinates)
     material["name"] = "albedo"
     if texture_srgb is not None:
@@ -204,7 +217,7 @@ def write_glb(
         part.add_to(file)
         if emissive:
             file.materials[-1]["extensions"] = {"KHR_materials_unlit": {}}
-    animations: dict[str, Any] = {}
+    animations: Values = {}
     if take is not None:
         pose = take["pose"]
         curves = {"rotation": Rotation.from_matrix(pose[:, :3, :3]).as_quat()}
@@ -234,10 +247,10 @@ class GlbPart:
 
     def add_to(self, file: "GlbFile") -> int:
         """Append the part and return the number of its mesh."""
-        vertices, faces = np.asarray(self.vertices, np.float64), np.asarray(self.faces, np.int64)
-        if len(faces) == 0 or not np.isfinite(vertices).all():
+        vertices, faces = np.asarray(self.vertices, float), np.asarray(self.faces, int)
+        if len(faces) == 0 or not all_finite(vertices):
             raise ValueError(f"{self.name!r} needs faces and finite vertices")
-        color = np.clip(np.asarray(self.color_linear, np.float64), 0, 1)
+        color = np.clip(np.asarray(self.color_linear, float), 0, 1)
         attributes = {"COLOR_0": color} if color.ndim > 1 else {}
         base = (*((1.0, 1.0, 1.0) if color.ndim > 1 else color.tolist()), min(max(self.opacity, 0.0), 1.0))
         material = plain_material(self.name, base, self.roughness)
@@ -262,7 +275,7 @@ def write_parts_glb(path: str | Path, parts: Sequence[GlbPart]) -> None:
 
 def plain_material(
     name: str, color: Sequence[float], roughness: float = 0.9, *, double_sided: bool = True
-) -> dict[str, Any]:
+) -> Values:
     """Return the entry of a material of one colour (red, green, blue, opacity), which is not a metal."""
     surface = {"baseColorFactor": list(color), "metallicFactor": 0.0, "roughnessFactor": roughness}
     return {"name": name, "doubleSided": double_sided, "pbrMetallicRoughness": surface}
@@ -304,12 +317,12 @@ def write_skinned_glb(
         raise ValueError("there must be faces")
     if influences is not None and influences < 1:
         raise ValueError(f"influences must be 1 or more, or None, got {influences}")
-    there = np.isfinite(joints).all(1)
+    there = finite_rows(joints)
     if shares.min() < 0 or shares[:, ~there].any() or np.abs(shares.sum(1) - 1).max() > 1e-6:
         raise ValueError("weights must not be negative, sum to 1, and be 0 for missing key points")
     known = np.flatnonzero(there)
     bound = _bound(shares[:, known], influences)
-    file, attributes = GlbFile(), dict[str, NDArray[Any]]()
+    file, attributes = GlbFile(), dict[str, NDArray]()
     kind = "u1" if len(known) <= 256 else "u2"
     for n, start in enumerate(range(0, bound.joint.shape[1], 4)):
         attributes[f"JOINTS_{n}"] = bound.joint[:, start : start + 4].astype(kind)
@@ -318,8 +331,8 @@ def write_skinned_glb(
     mesh = file.add_mesh(frame, xyz, index, attributes)
     # A skinned mesh stands beside its skeleton: transforms of its own node do not count.
     number = {int(joint): i + 2 for i, joint in enumerate(known)}
-    skeleton: dict[str, Any] = {"name": "skeleton"}
-    nodes: list[dict[str, Any]] = [{"name": "frame", "mesh": mesh, "skin": 0}, skeleton]
+    skeleton: Values = {"name": "skeleton"}
+    nodes: list[Values] = [{"name": "frame", "mesh": mesh, "skin": 0}, skeleton]
     places = joints * METRES_PER_MM
     above = _nearest_known(parent, there)
     nodes += [{"name": names[joint]} for joint in number]
@@ -329,7 +342,7 @@ def write_skinned_glb(
             origin, holder = places[carrier], nodes[number[carrier]]
         nodes[number[joint]]["translation"] = (places[joint] - origin).tolist()
         holder.setdefault("children", []).append(number[joint])
-    inverse = np.tile(np.eye(4), (len(known), 1, 1))
+    inverse = identities(len(known), 4)
     inverse[:, :3, 3] = -places[known]
     matrices = file.add_array(inverse.transpose(0, 2, 1))  # column by column
     skin = {"skeleton": 1, "joints": list(number.values()), "inverseBindMatrices": matrices}
@@ -358,7 +371,7 @@ class _Bound:
     """The joints (V, 4 n) that move each vertex, heaviest first, and their weights, whose sum is 1."""
 
     joint: IntArray
-    weight: NDArray[np.float32]
+    weight: Float32Array
     cut: float
     """The greatest part of a vertex's weight that was left out."""
 

@@ -9,14 +9,12 @@ from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 from urllib.parse import unquote, unquote_to_bytes
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core import Float32Array, FloatArray, NDArray, Values
 from scan2albedo.core.raw_scan import require_valid_indices
 from scan2albedo.errors import MissingDependencyError, ScanError, errors_of, one_line
 from scan2albedo.io import limits
@@ -36,7 +34,7 @@ class GltfFile:
 
     path: Path
     folder: ScanFolder
-    tree: dict[str, Any]
+    tree: Values
     binary: bytes = b""
     contents: dict[str, bytes] = field(default_factory=dict)
 
@@ -94,7 +92,7 @@ class GltfFile:
             total += dtype.itemsize * _COMPONENTS[accessor["type"]] * accessor["count"]
         limits.require_at_most(name, "bytes of arrays", total, limits.FILE_BYTES, "decimate it")
 
-    def sizes(self, primitive: dict[str, Any]) -> tuple[int, int, int]:
+    def sizes(self, primitive: Values) -> tuple[int, int, int]:
         """Return how many vertices, triangles and primitives a primitive declares."""
         corners = count = self.tree["accessors"][primitive["attributes"]["POSITION"]]["count"]
         if "indices" in primitive:
@@ -114,7 +112,7 @@ class GltfFile:
             reached, (number, transform) = reached + 1, left.pop()
             node, own = nodes[number], np.eye(4)
             if "matrix" in node:
-                own = np.array(node["matrix"], np.float64).reshape(4, 4).T
+                own = np.array(node["matrix"], float).reshape(4, 4).T
             else:  # glTF 2.0, 3.5.3
                 turn = Rotation.from_quat(node.get("rotation", (0, 0, 0, 1))).as_matrix()
                 own[:3, :3], own[:3, 3] = turn * node.get("scale", 1), node.get("translation", 0)
@@ -122,14 +120,14 @@ class GltfFile:
             yield number, transform
             left += [(child, transform) for child in node.get("children", ())]
 
-    def color_number(self, material: dict[str, Any]) -> int | None:
+    def color_number(self, material: Values) -> int | None:
         """Return the number of the picture of a material's base colour."""
         texture = material["pbrMetallicRoughness"].get("baseColorTexture", {}).get("index")
         entry = {} if texture is None else self.tree["textures"][texture]
         number: int | None = entry.get("extensions", {}).get("EXT_texture_webp", entry).get("source")
         return number
 
-    def colors(self) -> dict[int | None, NDArray[np.float32]]:
+    def colors(self) -> dict[int | None, Float32Array]:
         """Return the pictures (H, W, 3 or 4) of base colours that can be read, linear, by their numbers.
 
         Each picture is judged by its header, and these together, before it is decoded.
@@ -138,7 +136,7 @@ class GltfFile:
 
         name = self.path.name
         total = 0
-        found, wanted = dict[int | None, NDArray[np.float32]](), set[int | None]()
+        found, wanted = dict[int | None, Float32Array](), set[int | None]()
         wanted.update(self.color_number(material) for material in self.tree.get("materials", ()))
         for number, entry in enumerate(self.tree.get("images", ())):
             data: bytes | memoryview = b""
@@ -155,7 +153,7 @@ class GltfFile:
                     found[number] = decode_picture(np.asarray(image.convert("RGBA"), np.uint8))
         return found
 
-    def decoded(self, primitive: dict[str, Any]) -> dict[str, NDArray[Any]]:
+    def decoded(self, primitive: Values) -> dict[str, NDArray]:
         """Return the arrays of a primitive that Draco compressed, by their names and as "indices"."""
         if (packed := primitive.get("extensions", {}).get(_DRACO)) is None:
             return {}
@@ -167,7 +165,7 @@ class GltfFile:
         stored = {attribute["unique_id"]: attribute["data"] for attribute in mesh.attributes}
         return {"indices": mesh.faces, **{name: stored[k] for name, k in packed["attributes"].items()}}
 
-    def array(self, number: int) -> NDArray[Any]:
+    def array(self, number: int) -> NDArray:
         """Return (count, components) what an accessor holds; zeros where it has no bytes."""
         accessor = self.tree["accessors"][number]
         shape = accessor["count"], _COMPONENTS[accessor["type"]]
@@ -179,7 +177,7 @@ class GltfFile:
             found[at] = self._stored({**accessor, "byteOffset": 0, "count": few["count"], **few["values"]})
         return found
 
-    def _stored(self, accessor: dict[str, Any]) -> NDArray[Any]:
+    def _stored(self, accessor: Values) -> NDArray:
         dtype, width = np.dtype(_DTYPES[accessor["componentType"]]), _COMPONENTS[accessor["type"]]
         view = self.tree["bufferViews"][accessor["bufferView"]]
         start, data = accessor.get("byteOffset", 0), self.view(accessor["bufferView"])
@@ -270,7 +268,7 @@ def _joined(file: GltfFile) -> ParsedMesh:
                 part = replace(part, faces=part.faces[:, ::-1], uv=part.uv[:, ::-1])
             parts.append(part)
     if not parts:
-        return ParsedMesh(np.zeros((0, 3)), np.zeros((0, 3), np.int64), notes=tuple(notes))
+        return ParsedMesh(np.zeros((0, 3)), np.zeros((0, 3), int), notes=tuple(notes))
     offsets = np.cumsum([0] + [len(p.vertices) for p in parts])
     names = ("vertices", "uv", "material", "vertex_color_linear")
     vertices, uv, material, colors = (np.concatenate([getattr(p, name) for p in parts]) for name in names)
@@ -287,12 +285,12 @@ def _joined(file: GltfFile) -> ParsedMesh:
 
 
 def _material(
-    file: GltfFile, number: int | None, pictures: dict[int | None, NDArray[np.float32]]
+    file: GltfFile, number: int | None, pictures: dict[int | None, Float32Array]
 ) -> tuple[Material, str]:
     """Return a material, white where a primitive has none, and a note where its texture is lost."""
     entry = {"pbrMetallicRoughness": {}} if number is None else file.tree["materials"][number]
     base, name, note = entry["pbrMetallicRoughness"], str(entry.get("name") or "material"), ""
-    color = np.clip(np.array(base.get("baseColorFactor", (1, 1, 1))[:3], np.float64), 0, 1)
+    color = np.clip(np.array(base.get("baseColorFactor", (1, 1, 1))[:3], float), 0, 1)
     texture = pictures.get(source := file.color_number(entry))
     if texture is not None and (color < 1).any():
         texture = texture * np.append(color, 1)[: texture.shape[2]].astype(np.float32)
@@ -307,7 +305,7 @@ def _material(
     return Material(name, texture, (float(color[0]), float(color[1]), float(color[2]))), note
 
 
-def _surface(file: GltfFile, primitive: dict[str, Any], material: Material, number: int) -> _Surface:
+def _surface(file: GltfFile, primitive: Values, material: Material, number: int) -> _Surface:
     """Return a primitive, of a material, in its own frame."""
     names, decoded, entries = primitive["attributes"], file.decoded(primitive), file.tree["accessors"]
     count = len(decoded["POSITION"]) if decoded else entries[names["POSITION"]]["count"]
@@ -319,14 +317,14 @@ def _surface(file: GltfFile, primitive: dict[str, Any], material: Material, numb
             return np.full((count, width), np.nan)
         values = decoded[name] if name in decoded else file.array(names[name])
         if values.dtype.kind == "f" or not entries[names[name]].get("normalized", scaled):
-            return values.astype(np.float64)
+            return values.astype(float)
         return np.maximum(values / np.iinfo(values.dtype).max, -1)
 
     vertices, colors = numbers("POSITION", 3), numbers("COLOR_0", 4, scaled=True)
     index = decoded.get("indices", np.arange(count))
     if not decoded and "indices" in primitive:
         index = file.array(primitive["indices"])
-    corners = index.astype(np.int64).ravel()
+    corners = index.astype(int).ravel()
     faces = strip_triangles(corners) if primitive.get("mode") == 5 else corners.reshape(-1, 3)
     # Joined with other meshes, a wrong index would point at a vertex of the next one.
     require_valid_indices(faces, count, file.path.name)
@@ -368,10 +366,10 @@ def _by_joints(
     transforms = np.array([world[joint] for joint in entry["joints"]])
     if "inverseBindMatrices" in entry:  # else they are identities
         columns = file.array(entry["inverseBindMatrices"])[: len(transforms)].reshape(-1, 4, 4)
-        transforms = transforms @ columns.transpose(0, 2, 1).astype(np.float64)
+        transforms = transforms @ columns.transpose(0, 2, 1).astype(float)
     blended, block = np.empty((len(joints), 4, 4)), 1 << 16  # to spare memory
     for start in range(0, len(joints), block):
         rows = slice(start, start + block)
-        chosen = transforms[joints[rows].astype(np.int64)]
+        chosen = transforms[joints[rows].astype(int)]
         blended[rows] = np.einsum("vj,vjab->vab", weights[rows] / total[rows], chosen)
     return blended

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
+from scan2albedo.core import ArrayLike, ByteArray, Float32Array, NDArray, all_finite
 from scan2albedo.errors import OutputError, ScanError, errors_of, needs_extra, one_line
 from scan2albedo.io import limits
 from scan2albedo.io.atomic import atomic_path, write_bytes
@@ -29,7 +29,7 @@ _RADIANCE = re.compile(rb"(?s)#\?.{0,65536}?\n[-+][XY] +(\d{1,18}) +[-+][XY] +(\
 SUPPORTED_IMAGES = (*re.findall(r"\.\w+", ".png .jpg .jpeg .tif .tiff .bmp .webp .exr .hdr .tga .gif"),)
 
 
-def read_image_linear(path: str | Path, *, alpha: bool = False, upright: bool = False) -> NDArray[np.float32]:
+def read_image_linear(path: str | Path, *, alpha: bool = False, upright: bool = False) -> Float32Array:
     """Read an image as linear colour (H, W, 3), row 0 the top.
 
     The content decides which of `SUPPORTED_IMAGES` it is, not the extension. Integer samples (8 or 16 bit)
@@ -41,15 +41,15 @@ def read_image_linear(path: str | Path, *, alpha: bool = False, upright: bool = 
     """
     samples = read_image_values(path, alpha=alpha, upright=upright)
     if samples.dtype in (np.uint8, np.uint16):
-        return decode_picture(cast("NDArray[np.uint8]", samples))
-    if not np.isfinite(samples).all():
+        return decode_picture(cast("ByteArray", samples))
+    if not all_finite(samples):
         raise ScanError(f"image {path} holds NaN or infinite samples; re-export it")
-    return cast("NDArray[np.float32]", samples)
+    return cast("Float32Array", samples)
 
 
 def read_image_values(
     path: str | Path, *, alpha: bool = False, upright: bool = False
-) -> NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32]:
+) -> ByteArray | NDArray[np.uint16] | Float32Array:
     """Read an image's samples, (H, W, 3), integers in sRGB, floats may be NaN; see `read_image_linear`.
 
     With `alpha` they are (H, W, 4) where the file has it.
@@ -80,13 +80,13 @@ def read_image_values(
         pixels = pixels[..., [0, 0, 0, *range(1, pixels.shape[2])]]
     pixels = pixels[..., : 4 if alpha else 3]
     if pixels.dtype in (np.uint8, np.uint16):
-        return cast("NDArray[np.uint8]", pixels)
+        return cast("ByteArray", pixels)
     if pixels.dtype.kind != "f":
         raise ScanError(f"image {file} holds {pixels.dtype} samples; save it with 8 or 16 bits, or as float")
     return np.ascontiguousarray(pixels, np.float32)
 
 
-def _decoded(data: bytes, upright: bool) -> NDArray[Any] | None:
+def _decoded(data: bytes, upright: bool) -> NDArray | None:
     """Return the samples of a picture, grey or with colours in the order RGB; None when it is damaged."""
     from PIL import Image, ImageOps, UnidentifiedImageError
 
@@ -160,7 +160,7 @@ def _in_srgb(image: Image.Image) -> Image.Image | None:
     return ImageCms.applyTransform(image, convert)
 
 
-def read_exr_channels(path: str | Path) -> dict[str, NDArray[np.float32]]:
+def read_exr_channels(path: str | Path) -> dict[str, Float32Array]:
     """Return every channel of the first part of an EXR file as (H, W) float32, by its full name.
 
     Raises ScanError when it is missing or not whole, TooLargeError for too many samples in all parts.
@@ -172,7 +172,7 @@ def read_exr_channels(path: str | Path) -> dict[str, NDArray[np.float32]]:
         samples = 0
         with OpenEXR.File(str(path), header_only=True) as file:
             for part in file.parts:
-                low, high = (np.asarray(corner, np.int64) for corner in part.header["dataWindow"])
+                low, high = (np.asarray(corner, int) for corner in part.header["dataWindow"])
                 width, height = np.maximum(high - low + 1, 0).tolist()
                 samples += width * height * len(part.header["channels"])
         most = max(12 * limits.PIXELS, limits.GROWTH * Path(path).stat().st_size)
@@ -184,7 +184,7 @@ def read_exr_channels(path: str | Path) -> dict[str, NDArray[np.float32]]:
         raise ScanError(f"image {path} is missing or no complete EXR file; write it again") from error
 
 
-def write_exr_channels(path: str | Path, channels: dict[str, NDArray[np.float32]]) -> None:
+def write_exr_channels(path: str | Path, channels: dict[str, Float32Array]) -> None:
     """Write (H, W) channels by their full names as 32-bit floats, ZIP compressed, atomically.
 
     Raises OutputError when the folder cannot be written; ValueError for values not finite in 32 bits.
@@ -193,7 +193,7 @@ def write_exr_channels(path: str | Path, channels: dict[str, NDArray[np.float32]
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     stored = {name: np.ascontiguousarray(c, np.float32) for name, c in channels.items()}
-    if wrong := [name for name, c in stored.items() if not np.isfinite(c).all()]:
+    if wrong := [name for name, c in stored.items() if not all_finite(c)]:
         raise ValueError(f"{path}: channel {wrong[0]} holds NaN or infinite values; nothing is written")
     with atomic_path(path) as temporary:
         temporary.touch()
@@ -215,7 +215,7 @@ def write_png(path: str | Path, image: ArrayLike) -> None:
     write_bytes(path, encode_image(image, ".png"))
 
 
-def write_indexed_png(path: str | Path, labels: NDArray[np.uint8]) -> None:
+def write_indexed_png(path: str | Path, labels: ByteArray) -> None:
     """Write labels (H, W) as a PNG whose palette are `label_colors`, atomically."""
     from PIL import Image
 
@@ -250,7 +250,7 @@ def encode_image(image: ArrayLike, extension: str, floats: type = np.uint8) -> b
     array = np.asarray(image)
     _check_shape(array)
     if array.dtype.kind == "f":
-        if not np.isfinite(array).all():
+        if not all_finite(array):
             raise ValueError(f"an image of shape {array.shape} holds NaN or infinite values")
         array = encode_srgb_integers(array, floats)
     elif array.dtype == np.bool_:
@@ -281,7 +281,7 @@ def encode_image(image: ArrayLike, extension: str, floats: type = np.uint8) -> b
     return file.getvalue()
 
 
-def _check_shape(image: NDArray[np.generic]) -> None:
+def _check_shape(image: NDArray) -> None:
     if image.ndim != 2 and (image.ndim != 3 or image.shape[2] not in (3, 4)):
         raise ValueError(f"an image has shape {image.shape}, expected (H, W), (H, W, 3) or (H, W, 4)")
 

@@ -9,19 +9,17 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.io import loadmat
 from scipy.io.matlab import MatReadError
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core import Float32Array, FloatArray, IntArray, RealArray, Values, all_finite, identities
 from scan2albedo.errors import ModelError, ScanError, needs_extra, one_line
 from scan2albedo.geometry.rigid import rotation_from_vector
 from scan2albedo.io import limits
 from scan2albedo.io.load_scan import file_sha256
 from scan2albedo.io.npz import read_npz
 
-Values = dict[str, Any]
 _LAYOUTS = """mean v_template shapeMU shape/model/mean, basis shapedirs shapePC shape/model/pcaBasis,
 deviation shapeEV, variance shape/model/pcaVariance, faces f, cells shape/representer/cells, tl,
 expression_mean expression/model/mean, expression_basis expression/model/pcaBasis, expression_deviation,
@@ -56,12 +54,12 @@ class LinearFaceModel:
     name: str
     sha256: str
     mean: FloatArray
-    basis: NDArray[np.floating]
+    basis: RealArray
     shapes: int
     faces: IntArray
     uv: FloatArray | None = None
     joints: tuple[str, ...] = ()
-    parents: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
+    parents: IntArray = field(default_factory=lambda: np.zeros(0, int))
     weights: FloatArray = None  # type: ignore[assignment]
     joint_mean: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     joint_basis: FloatArray = None  # type: ignore[assignment]
@@ -82,7 +80,7 @@ class LinearFaceModel:
             if (array := getattr(self, name)) is not None:
                 if array.shape != shape:
                     raise ModelError(f"{name} has shape {array.shape}, expected {shape}")
-                if not np.isfinite(array).all():
+                if not all_finite(array):
                     raise ModelError(f"{name} holds NaN or infinite values")
         if (most := int(self.faces.max(initial=0))) >= count or not size * len(self.faces):
             said = f"{size} directions and {len(self.faces)} faces that point up to vertex {most}"
@@ -104,7 +102,7 @@ class LinearFaceModel:
         the rotations down to joint k, and b_k = b_p + (R_p - R_k) j_k with the parent p and the place j_k.
         """
         size = len(self.joints) + 1
-        turn, shift = np.tile(np.eye(3), (size, 1, 1)), np.zeros((size, 3))  # the last: no parent
+        turn, shift = identities(size, 3), np.zeros((size, 3))  # the last: no parent
         slopes = np.zeros((size, 3, len(coefficients)))
         shape = self.mean + self.basis @ coefficients.astype(self.basis.dtype)  # no copy of a large basis
         places = self.joint_mean + self.joint_basis @ coefficients
@@ -138,8 +136,8 @@ class LinearFaceModel:
     def of_vertices(self, index: IntArray) -> Self:
         """Return the model of some vertices (N,), with a face that means nothing."""
         names = ("mean", "basis", "weights") + ("pose_basis",) * (self.pose_basis is not None)
-        parts: Values = {name: getattr(self, name)[index].astype(np.float64) for name in names}
-        return replace(self, **parts, faces=np.zeros((1, 3), np.int64), uv=None)
+        parts: Values = {name: getattr(self, name)[index].astype(float) for name in names}
+        return replace(self, **parts, faces=np.zeros((1, 3), int), uv=None)
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -205,7 +203,7 @@ def model_fields(values: Values) -> Values:
         found["joints"] = flame if len(parents) == len(flame) else range(len(parents))
     if "joints" in found:
         joints = fields["joints"] = _texts(found["joints"])
-        fields["parents"] = np.ravel(found.get("joint_parents", np.full(len(joints), -1))).astype(np.int64)
+        fields["parents"] = np.ravel(found.get("joint_parents", np.full(len(joints), -1))).astype(int)
         fields["weights"] = _numbers(found, "skinning_weights")
         if "joint_regressor" in found:
             regressor = _numbers(found, "joint_regressor")
@@ -262,7 +260,7 @@ def eos_arrays(data: bytes) -> Values:
     columns and column-major float32; then uint64 count and int32 triples of vertices.
     """
     begin = 4
-    matrices = list[NDArray[np.float32]]()
+    matrices = list[Float32Array]()
     while not matrices or len(matrices[-1]) == len(matrices[0]):
         rows, columns = np.frombuffer(data, "<i4", 2, begin).tolist()
         if min(rows, columns) < 1 or len(matrices) > 3:

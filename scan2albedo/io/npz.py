@@ -4,24 +4,21 @@ import math
 import zipfile
 from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.lib.npyio import NpzFile
-from numpy.typing import NDArray
 from pydantic import BaseModel
 
+from scan2albedo.core import NDArray
 from scan2albedo.errors import Scan2AlbedoError, ScanError, one_line
 from scan2albedo.io import limits
 from scan2albedo.io.atomic import atomic_path
 from scan2albedo.io.records import Content, parse_record
 
-Arrays = dict[str, NDArray[Any]]
+Arrays = dict[str, NDArray]
 
 
-def write_npz(
-    path: str | Path, arrays: Mapping[str, NDArray[Any]], *, what: str, compression: int = 0
-) -> None:
+def write_npz(path: str | Path, arrays: Mapping[str, NDArray], *, what: str, compression: int = 0) -> None:
     """Write arrays, by name, as an .npz file, whole or not at all; same content, same bytes.
 
     Messages call the content `what`, such as "reflectance model". `compression` is the level of zlib, 0 for
@@ -89,7 +86,7 @@ def read_npz(
 
 
 def write_npz_record(
-    path: str | Path, header: BaseModel, arrays: Mapping[str, NDArray[Any]], *, what: str
+    path: str | Path, header: BaseModel, arrays: Mapping[str, NDArray], *, what: str
 ) -> None:
     """Write arrays with a record beside them, uncompressed; see `write_npz`."""
     write_npz(path, {"header": np.array(header.model_dump_json()), **arrays}, what=what)

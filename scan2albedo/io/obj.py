@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core import FloatArray, IntArray, all_finite
 from scan2albedo.errors import ScanError
 from scan2albedo.io import limits, parsed_mesh
 from scan2albedo.io import text_tables as tables
@@ -106,7 +106,7 @@ def read_obj(path: Path, folder: ScanFolder) -> ParsedMesh:
     # Colours are the last of six numbers, or of seven with a weight; what is below 0 is a normal's.
     coloured, colors = tokens >= 6, None
     srgb = np.where((tokens > 6)[:, None], positions[:, 4:7], positions[:, 3:6])
-    if coloured.any() and np.isfinite(srgb[coloured]).all() and srgb[coloured].min() >= 0:
+    if coloured.any() and all_finite(srgb[coloured]) and srgb[coloured].min() >= 0:
         colors = np.column_stack([linear_of_srgb_numbers(np.where(coloured[:, None], srgb, 0)), coloured])
     elif painted := "".join(lines.names(b"#MRGB")):  # of ZBrush: mask, red, green, blue of each vertex
         try:
@@ -186,14 +186,14 @@ def _materials(
     names, faces = lines.names(b"usemtl"), lines.of_kind(b"f")
     current = np.searchsorted(lines.of_kind(b"usemtl"), faces) - 1
     if not names:
-        names, current = [next(iter(known))], np.zeros(len(faces), np.int64)
+        names, current = [next(iter(known))], np.zeros(len(faces), int)
     order = {name: i for i, name in enumerate(dict.fromkeys(names))}
     if len(order) == len(known) == 1 and known.keys() != order.keys():
         (renamed,), (only,) = order, known
         notes.append(f"material {renamed} is not in the material library: took its only one, {only}")
         known[renamed] = known[only]
     limits.require_at_most(lines.name, "materials", len(order), limits.MATERIALS, "join its materials")
-    number = np.array([order[name] for name in names], np.int64)
+    number = np.array([order[name] for name in names], int)
     index = np.where(current < 0, -1, number[np.maximum(current, 0)])
     lost = (name for name in order if name not in known)
     notes += [f"material {name} is not in the material library: went on without it" for name in lost]

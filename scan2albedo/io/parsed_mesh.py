@@ -14,9 +14,8 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core import Float32Array, FloatArray, IntArray
 from scan2albedo.errors import ScanError, TooLargeError
 from scan2albedo.io import limits
 from scan2albedo.io.color import srgb_to_linear
@@ -105,7 +104,7 @@ class Material:
     """
 
     name: str
-    texture_linear: NDArray[np.float32] | None = None
+    texture_linear: Float32Array | None = None
     base_color_linear: tuple[float, float, float] = (0.5, 0.5, 0.5)
     uv_placement: tuple[float, ...] = (1, 1, 0, 0)
     texture_file: str | None = None
@@ -125,7 +124,7 @@ class ParsedMesh:
     uv: FloatArray | None = None
     material: IntArray | None = None
     materials: tuple[Material, ...] = ()
-    vertex_color_linear: NDArray[np.float32] | None = None
+    vertex_color_linear: Float32Array | None = None
     notes: tuple[str, ...] = ()
 
 
@@ -235,7 +234,7 @@ class ScanPictures:
 
     folder: ScanFolder
     pixels: int = 0
-    read: dict[Path, NDArray[np.float32] | str] = field(default_factory=dict)
+    read: dict[Path, Float32Array | str] = field(default_factory=dict)
 
     def materials(self, named: Iterable[Material]) -> tuple[tuple[Material, ...], tuple[str, ...]]:
         """Return materials with textures, and notes on missing or damaged ones; may raise TooLargeError."""
@@ -248,7 +247,7 @@ class ScanPictures:
             materials.append(replace(one, texture_linear=picture))
         return tuple(materials), tuple(notes)
 
-    def _picture(self, name: str) -> NDArray[np.float32] | str:
+    def _picture(self, name: str) -> Float32Array | str:
         file = self.folder.find(name)
         if file is None:
             return f"texture {name} {self.folder.why_missing(name)}"

@@ -6,9 +6,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import IntArray
+from scan2albedo.core import ByteArray, Float32Array, IntArray, NDArray, all_finite
 from scan2albedo.errors import ScanError
 from scan2albedo.geometry.operators import vertex_average
 from scan2albedo.io import limits, parsed_mesh
@@ -48,7 +47,7 @@ class _ListColumn(NamedTuple):
     """A list property: how many entries each row has (N,), and all of them, row after row."""
 
     counts: IntArray
-    items: NDArray[Any]
+    items: NDArray
 
 
 @dataclass
@@ -60,7 +59,7 @@ class Element:
     properties: list[tuple[str, np.dtype[Any], np.dtype[Any] | None]] = field(default_factory=list)
 
 
-Columns = dict[str, "NDArray[Any] | _ListColumn"]
+Columns = dict[str, "NDArray | _ListColumn"]
 
 
 def read_ply(path: Path, folder: ScanFolder) -> ParsedMesh:
@@ -127,21 +126,21 @@ def mesh_of_columns(
     strips = elements.get("tristrips", {}).get("vertex_indices")
     if isinstance(strips, _ListColumn) and not face:
         # Strips end with their row, or at an index below 0.
-        items = np.insert(strips.items.astype(np.int64), np.cumsum(strips.counts), -1)
+        items = np.insert(strips.items.astype(int), np.cumsum(strips.counts), -1)
         rows = parsed_mesh.strip_triangles(items)
         face = {"vertex_indices": _ListColumn(np.full(len(rows), 3), rows.ravel())}
     missing = [axis for axis in "xyz" if axis not in vertex]
     if missing:
         raise ScanError(f"{path.name}: its vertices have no {missing[0]}; export the scan again")
-    vertices = np.stack([vertex[axis] for axis in "xyz"], axis=1).astype(np.float64)
+    vertices = np.stack([vertex[axis] for axis in "xyz"], axis=1).astype(float)
     index = face.get("vertex_indices", face.get("vertex_index"))
     if not isinstance(index, _ListColumn):
-        return ParsedMesh(vertices, np.zeros((0, 3), np.int64))
+        return ParsedMesh(vertices, np.zeros((0, 3), int))
     if (index.counts < 3).any():
         short = int(np.flatnonzero(index.counts < 3)[0])
         raise ScanError(f"{path.name}: face {short} has {index.counts[short]} corners, expected at least 3")
     corners, polygon = parsed_mesh.fan_triangles(index.counts, path.name)
-    faces = index.items.astype(np.int64)[corners]
+    faces = index.items.astype(int)[corners]
     # Texture coordinates of the corners, else of the vertices.
     uv, listed = None, face.get("texcoord")
     of_vertices = next((names for names in _UV_NAMES if all(name in vertex for name in names)), None)
@@ -152,12 +151,12 @@ def mesh_of_columns(
         of_corners[np.repeat(complete, index.counts)] = whole.reshape(-1, 2)
         uv = of_corners[corners] if complete.any() else None
     elif of_vertices is not None:
-        per_vertex = np.stack([vertex[name] for name in of_vertices], axis=1).astype(np.float64)
+        per_vertex = np.stack([vertex[name] for name in of_vertices], axis=1).astype(float)
         uv = per_vertex[np.where((faces >= 0) & (faces < len(per_vertex)), faces, 0)]
     colors = _colors(vertex)
     if colors is None and (of_faces := _colors(of_face)) is not None:
         known = ((faces >= 0) & (faces < len(vertices))).all(axis=1)
-        around = of_faces[polygon[known]].T.astype(np.float64)
+        around = of_faces[polygon[known]].T.astype(float)
         means = [vertex_average(len(vertices), faces[known], channel) for channel in around]
         colors = np.stack(means, axis=1).astype(np.float32)
     limits.require_at_most(path.name, "textures", len(texture_files), limits.MATERIALS, "join them into one")
@@ -167,19 +166,19 @@ def mesh_of_columns(
     materials, notes = pictures.or_named_like(path, uv, materials, notes)
     material = None
     if len(materials) > 1 and "texnumber" in of_face:
-        chosen = of_face["texnumber"].astype(np.int64)[polygon]
+        chosen = of_face["texnumber"].astype(int)[polygon]
         material = np.where((chosen >= 0) & (chosen < len(materials)), chosen, -1)
     notes = parsed_mesh.cut_note(index.counts) + notes
     return ParsedMesh(vertices, faces, uv, material, materials, vertex_color_linear=colors, notes=notes)
 
 
-def _colors(columns: dict[str, NDArray[Any]]) -> NDArray[np.float32] | None:
+def _colors(columns: dict[str, NDArray]) -> Float32Array | None:
     """Return the linear colours (N, 3) of rows, or with alpha (N, 4); None where they have none."""
     names = next((names for names in _COLOR_NAMES if all(name in columns for name in names)), None)
     if names is None or not len(columns[names[0]]):
         return None
     colors = linear_of_srgb_numbers(np.stack([columns[name] for name in names], axis=1))
-    if "alpha" in columns and np.isfinite(columns["alpha"]).all():
+    if "alpha" in columns and all_finite(columns["alpha"]):
         colors = np.column_stack([colors, columns["alpha"].astype(np.float32)])
     return colors
 
@@ -209,7 +208,7 @@ def ascii_columns(path: Path, lines: NumberLines, elements: list[Element]) -> di
         if table.bad >= 0:
             raise damaged(path, f"{element.name} {table.bad} is not made of numbers")
         found = columns[element.name] = {}
-        column = np.zeros(element.count, np.int64)
+        column = np.zeros(element.count, int)
         for name, item_type, count_type in element.properties:
             if (short := np.flatnonzero(column >= table.counts)).size:
                 raise damaged(path, f"{element.name} {short[0]} is cut short")
@@ -219,7 +218,7 @@ def ascii_columns(path: Path, lines: NumberLines, elements: list[Element]) -> di
             if count_type is not None:
                 if not ((values >= 0) & (column + values <= table.counts)).all():  # NaN is neither
                     raise damaged(path, f"a list {name} of {element.name} is cut short")
-                counts = values.astype(np.int64)
+                counts = values.astype(int)
                 values = table.ranges(column, counts)
                 column = column + counts
             if item_type.kind in "iu":
@@ -238,7 +237,7 @@ def _cut_short(path: Path, element: Element) -> ScanError:
     return damaged(path, f"it declares {element.count} {element.name} rows, but ends before that")
 
 
-def _binary_rows(path: Path, body: NDArray[np.uint8], element: Element, order: str) -> tuple[Columns, int]:
+def _binary_rows(path: Path, body: ByteArray, element: Element, order: str) -> tuple[Columns, int]:
     """Return (columns, bytes of all rows); ScanError where the body ends before."""
     types = [(name, item_type.newbyteorder(order)) for name, item_type, _ in element.properties]  # type: ignore[arg-type]
     if all(count_type is None for _, _, count_type in element.properties):
@@ -277,7 +276,7 @@ def read_stl(path: Path, _folder: ScanFolder) -> ParsedMesh:
         limits.require_at_most(path.name, "triangles", declared, limits.TRIANGLES, "decimate it")
         triangle = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
         with np.errstate(invalid="ignore"):  # of damaged bytes; `require_usable` names what is no number
-            corners = np.ndarray(declared, triangle, data, 84)["corners"].astype(np.float64)
+            corners = np.ndarray(declared, triangle, data, 84)["corners"].astype(float)
     elif b"endsolid" in data[-4096:].lower() and b"\0" not in data[:512]:
         words = data.lower()
         if re.search(rb"^[ \t]*vertex\s", words, re.MULTILINE) is None:  # several on a line

@@ -3,9 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import IntArray
+from scan2albedo.core import IntArray, NDArray, triangle_sides
 from scan2albedo.core.raw_scan import LARGEST_COORDINATE, require_valid_indices
 from scan2albedo.errors import ScanError
 from scan2albedo.geometry.mesh import turned_against_neighbours, vertex_mask
@@ -34,7 +33,7 @@ def require_usable(mesh: ParsedMesh, name: str) -> None:
             )
 
 
-def first_equal_row(rows: NDArray[np.generic]) -> IntArray:
+def first_equal_row(rows: NDArray) -> IntArray:
     """Return (N,) the index of the first row equal to each row of (N, K) numbers.
 
     >>> first_equal_row(np.array([[1.0, 2], [3, 4], [1, 2]])).tolist()
@@ -69,7 +68,7 @@ def repair(mesh: ParsedMesh) -> ParsedMesh:
     flat = np.empty(len(mesh.faces), bool)
     for start in range(0, len(flat), 1 << 20):
         corner = mesh.vertices[mesh.faces[start : start + (1 << 20)]]
-        one, two = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+        one, two = triangle_sides(corner)
         longest = np.max([np.einsum("fi,fi->f", edge, edge) for edge in (one, two, two - one)], axis=0)
         cross = np.cross(one, two)
         doubled = np.sqrt(np.einsum("fi,fi->f", cross, cross))

@@ -8,9 +8,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, PlainSerializer, PlainValidator
 
-from scan2albedo.core.lights import EnvironmentLight, PointLight
-from scan2albedo.core.plan import PlanStep
-from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.core import EnvironmentLight, PlanStep, PointLight, RawScan, Values
 from scan2albedo.io.load_scan import input_sha256
 from scan2albedo.io.records import Figures, Matrix, Number, OptionalNumber, Record
 
@@ -217,13 +215,13 @@ class ApplicationRecord(Record):
     files: tuple[str, ...] = Field((), description="Names of the files beside this one.")
 
 
-def flat_figures(figures: Mapping[str, Any], prefix: str) -> dict[str, Any]:
+def flat_figures(figures: Mapping[str, Any], prefix: str) -> Values:
     """Return the leaves of nested figures by their names joined with "_"; of a list of numbers its greatest.
 
     >>> flat_figures({"fit": {"residual_mean_mm": 0.1, "deviations": [1, 2], "kind": "soft"}}, "metrics")
     {'metrics_fit_residual_mean_mm': 0.1, 'metrics_fit_deviations': 2, 'metrics_fit_kind': 'soft'}
     """
-    leaves: dict[str, Any] = {}
+    leaves: Values = {}
     for key, value in figures.items():
         name = f"{prefix}_{column_name(key)}"
         if isinstance(value, Mapping):

@@ -3,10 +3,9 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core import ByteArray, FloatArray, IntArray
+from scan2albedo.core.compiled import compiled
 from scan2albedo.io import limits
 
 # Numbers, since `ord` takes long to compile.
@@ -20,18 +19,18 @@ _NONE = (105, 110)
 """i and n, with which infinity and NaN begin."""
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _is_blank(byte):  # type: ignore[no-untyped-def]
     return byte == 32 or byte == 9 or byte == 13 or byte == 11 or byte == 12
 
 
-def line_ranges(text: NDArray[np.uint8]) -> tuple[IntArray, IntArray]:
+def line_ranges(text: ByteArray) -> tuple[IntArray, IntArray]:
     """Return (start (L,), end (L,)) of each line of `text` (N,), newline excluded."""
     breaks = np.flatnonzero(text == 10)
     return np.concatenate([[0], breaks + 1]), np.concatenate([breaks, [text.size]])
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def split_keywords(text, starts, ends):  # type: ignore[no-untyped-def]
     """Return the first word (L,) of each line as a number, 0 for none or above 7 bytes, and its end (L,)."""
     words = np.zeros(starts.size, np.int64)
@@ -50,7 +49,7 @@ def split_keywords(text, starts, ends):  # type: ignore[no-untyped-def]
     return words, bodies
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _parse_unsigned(text, position, end, value):  # type: ignore[no-untyped-def]
     """Return (`value` with the digits behind it, digits dropped beyond 18, digits seen, position after)."""
     dropped = 0
@@ -65,7 +64,7 @@ def _parse_unsigned(text, position, end, value):  # type: ignore[no-untyped-def]
     return value, dropped, seen, position
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _parse_float(text, position, end):  # type: ignore[no-untyped-def]
     """Return (value, whether the token at `position` is a number, where it ends); its line ends at `end`.
 
@@ -104,14 +103,14 @@ def _parse_float(text, position, end):  # type: ignore[no-untyped-def]
     return sign * (mantissa / power if exponent < 0 else mantissa * power), good, position
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _token_end(text, position, end):  # type: ignore[no-untyped-def]
     while position < end and not _is_blank(text[position]):
         position += 1
     return position
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def parse_tokens(text, starts, ends, counts):  # type: ignore[no-untyped-def]
     """Return (the numbers of lines with `counts` (N,) tokens, the first line not made of numbers or -1)."""
     values = np.empty(counts.sum())
@@ -128,7 +127,7 @@ def parse_tokens(text, starts, ends, counts):  # type: ignore[no-untyped-def]
     return values, -1
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def count_tokens(text, starts, ends):  # type: ignore[no-untyped-def]
     """Return (N,) number of blank-separated tokens of each line before a comment."""
     counts = np.zeros(starts.size, np.int64)
@@ -145,7 +144,7 @@ def count_tokens(text, starts, ends):  # type: ignore[no-untyped-def]
     return counts
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _parse_integer(text, position, end):  # type: ignore[no-untyped-def]
     """Return (value, whether there was a digit, position after it)."""
     negative = position < end and text[position] == 45
@@ -155,7 +154,7 @@ def _parse_integer(text, position, end):  # type: ignore[no-untyped-def]
     return -value if negative else value, seen > 0 and dropped == 0, position
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def parse_corners(text, starts, counts):  # type: ignore[no-untyped-def]
     """Read face corners written v, v/vt, v//vn or v/vt/vn; also return the first bad line, -1 for none.
 
@@ -180,7 +179,7 @@ def parse_corners(text, starts, counts):  # type: ignore[no-untyped-def]
     return corners, -1
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def walk_rows(body, count, item_sizes, counter_sizes, big_endian):  # type: ignore[no-untyped-def]
     """Find the properties of `count` binary rows with lists of any length in `body` (N,) uint8.
 
@@ -209,7 +208,7 @@ def walk_rows(body, count, item_sizes, counter_sizes, big_endian):  # type: igno
     return offsets, counts, position
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def byte_ranges(body, starts, sizes):  # type: ignore[no-untyped-def]
     """Return the `sizes` (N,) bytes of `body` from each of `starts` (N,) on, one after the other."""
     found = np.empty(sizes.sum(), np.uint8)
@@ -239,7 +238,7 @@ class NumberTable(NamedTuple):
 class NumberLines(NamedTuple):
     """Lines of a text and how many words each has."""
 
-    text: NDArray[np.uint8]
+    text: ByteArray
     starts: IntArray
     ends: IntArray
     counts: IntArray

@@ -4,14 +4,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core import BoolArray, Float32Array, FloatArray, IntArray
 from scan2albedo.core.raw_scan import TextureTile
 from scan2albedo.io import limits
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh
 
-Image = NDArray[np.float32]
+Image = Float32Array
 
 GUTTER = 2
 """Texels repeated around each tile, so that interpolation at its edge meets its own colour."""
@@ -51,7 +50,7 @@ def pack_texture(mesh: ParsedMesh) -> PackedTexture:
         wasted = any(m.texture_linear is not None for m in mesh.materials)
         return PackedTexture(None, None, (reason,) if wasted else ())
     has_uv = np.asarray(np.isfinite(mesh.uv).all(axis=(1, 2)))
-    material = np.zeros(len(mesh.faces), np.int64) if mesh.material is None else mesh.material
+    material = np.zeros(len(mesh.faces), int) if mesh.material is None else mesh.material
     textured = np.array([m.texture_linear is not None for m in mesh.materials] + [False])
     mapped = has_uv & textured[material]
     if not mapped.any():
@@ -164,8 +163,8 @@ _LOOKS = np.array([*np.ones((1, 3)) / 3, *np.eye(3), *(1 - np.eye(3)) / 2])
 
 
 def seen_colors(
-    colors: NDArray[np.float32], faces: IntArray, uv: FloatArray | None = None
-) -> tuple[NDArray[np.float32], BoolArray | None]:
+    colors: Float32Array, faces: IntArray, uv: FloatArray | None = None
+) -> tuple[Float32Array, BoolArray | None]:
     """Return colours without alpha, and which of them some picture showed; None where that is all.
 
     They are those of a texture (H, W, 3 or 4) with coordinates `uv` (F, 3, 2) in [0, 1], or of vertices
@@ -176,7 +175,7 @@ def seen_colors(
     """
     shown = np.ones(colors.shape[:-1], bool)
     if colors.shape[-1] == 4:
-        shown, colors = colors[..., 3] >= 0.5 * colors[..., 3].max(), np.ascontiguousarray(colors[..., :3])
+        shown, colors = colors[..., 3] >= colors[..., 3].max() / 2, np.ascontiguousarray(colors[..., :3])
     flat = colors.reshape(-1, 3)
     height, width = colors.shape[:2] if uv is not None else (1, 1)
 
@@ -185,7 +184,7 @@ def seen_colors(
         if uv is None:
             return faces[:, int(look.argmax())]
         u, v = np.einsum("k,fkc->cf", look, uv)
-        row, column = ((1 - v) * height).astype(np.int64), (u * width).astype(np.int64)
+        row, column = ((1 - v) * height).astype(int), (u * width).astype(int)
         return np.clip(row, 0, height - 1) * width + np.clip(column, 0, width - 1)
 
     middle = looked_at(_LOOKS[0])

@@ -3,12 +3,10 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core import BoolArray, Float32Array, FloatArray, IntArray, NDArray, Values
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.tangents import split_at_seams, tangent_mesh
 from scan2albedo.io.atomic import write_bytes, write_text
@@ -27,7 +25,7 @@ class MeshPicture:
 
     name: str
     png: bytes
-    faces: NDArray[np.bool_]
+    faces: BoolArray
     normal_name: str = ""
     normal_png: bytes | None = None
     surface_png: bytes | None = None
@@ -47,7 +45,7 @@ class TexturedMesh:
     faces: IntArray
     uv: FloatArray | None = None
     pictures: tuple[MeshPicture, ...] = ()
-    vertex_color_linear: NDArray[np.float32] | None = None
+    vertex_color_linear: Float32Array | None = None
     rest: FloatArray | None = None
     targets: Mapping[str, FloatArray] = field(default_factory=dict)
     weights: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -102,7 +100,7 @@ def write_textured_glb(path: str | Path, mesh: TexturedMesh) -> None:
     for name, chosen in _materials(mesh):
         picture = next((p for p in mesh.pictures if Path(p.name).stem == name), None)
         material = plain_material(name, (1.0, 1.0, 1.0, 1.0))
-        attributes: dict[str, NDArray[Any]] = {}
+        attributes: dict[str, NDArray] = {}
         uv: FloatArray | None = None
         if picture is not None:
             _add_pictures(file, material, picture)
@@ -132,7 +130,7 @@ def write_textured_glb(path: str | Path, mesh: TexturedMesh) -> None:
     file.write(path)
 
 
-def _add_pictures(file: GlbFile, material: dict[str, Any], picture: MeshPicture) -> None:
+def _add_pictures(file: GlbFile, material: Values, picture: MeshPicture) -> None:
     """Append the pictures of a mesh to a file, and to its material."""
     name, surface = material["name"], material["pbrMetallicRoughness"]
     surface["baseColorTexture"] = file.add_picture(picture.cut_png or picture.png, name=name)
@@ -148,7 +146,7 @@ def _add_pictures(file: GlbFile, material: dict[str, Any], picture: MeshPicture)
         material["extensions"] = {"KHR_materials_specular": {"specularTexture": texture}}
 
 
-def _materials(mesh: TexturedMesh) -> Iterator[tuple[str, NDArray[np.bool_]]]:
+def _materials(mesh: TexturedMesh) -> Iterator[tuple[str, BoolArray]]:
     """Yield names of materials and the faces (F,) that have each; the rest last."""
     rest = np.ones(len(mesh.faces), bool)
     for picture in mesh.pictures:

@@ -4,9 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core import ArrayLike, FloatArray, IntArray
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.tangents import split_at_seams
 from scan2albedo.io.atomic import write_text

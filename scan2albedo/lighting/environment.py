@@ -4,11 +4,10 @@ from dataclasses import dataclass
 from typing import Literal, Self, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import FloatArray, checked_array
+from scan2albedo.core import ArrayLike, FloatArray, checked_array, norms
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rasterization import area_mean
 
@@ -32,7 +31,7 @@ class DistantLights:
     irradiance_linear: ArrayLike
 
     def __post_init__(self) -> None:
-        toward, given = _checked_directions(self.directions), np.asarray(self.irradiance_linear, np.float64)
+        toward, given = _checked_directions(self.directions), np.asarray(self.irradiance_linear, float)
         rgb = np.repeat(given[:, None], 3, 1) if given.ndim == 1 else given
         rgb = checked_array(rgb, (len(toward), 3), "irradiance_linear", finite=ValueError)
         object.__setattr__(self, "directions", toward)
@@ -115,19 +114,19 @@ def important_directions(environment_linear: ArrayLike, count: int) -> FloatArra
     down, across = (step + 0.5) / count, (step * (np.sqrt(5) - 1) / 2 + 0.5) % 1.0
     of_rows = np.concatenate([[0.0], np.cumsum(share.sum(1))])
     of_rows /= of_rows[-1]
-    row = np.interp(down, of_rows, np.arange(len(of_rows), dtype=np.float64))
+    row = np.interp(down, of_rows, np.arange(len(of_rows), dtype=float))
     of_columns = np.concatenate([np.zeros((rows, 1)), np.cumsum(share, 1)], 1)
     of_columns /= of_columns[:, -1:]
-    places = np.arange(of_columns.shape[1], dtype=np.float64)
-    own = np.minimum(row.astype(np.int64), rows - 1)
+    places = np.arange(of_columns.shape[1], dtype=float)
+    own = np.minimum(row.astype(int), rows - 1)
     column = np.array([np.interp(u, of_columns[r], places) for u, r in zip(across, own, strict=True)])
     toward = map_directions(row / rows * np.pi, (column / columns - 0.5) * 2 * np.pi)
     texels, share = texel_directions((rows, columns)).reshape(-1, 3), share.ravel()
     for _ in range(2):
         nearest = cKDTree(toward).query(texels)[1]
         moments = [np.bincount(nearest, share * texels[:, k], count) for k in range(3)]
-        pulled = np.stack(moments, 1).astype(np.float64)
-        toward = np.where(np.linalg.norm(pulled, axis=1)[:, None] > 0, normalized(pulled), toward)
+        pulled = np.stack(moments, 1).astype(float)
+        toward = np.where(norms(pulled)[:, None] > 0, normalized(pulled), toward)
     return toward
 
 
@@ -147,7 +146,7 @@ def map_directions(polar_rad: ArrayLike, azimuth_rad: ArrayLike) -> FloatArray:
 def texel_solid_angles(rows: int, columns: int) -> FloatArray:
     """Return (H,) solid angles of a map's texels in each row."""
     edges = np.cos(np.arange(rows + 1) * np.pi / rows)
-    return np.asarray((edges[:-1] - edges[1:]) * 2 * np.pi / columns)
+    return (edges[:-1] - edges[1:]) * 2 * np.pi / columns
 
 
 def environment_weights(environment_linear: ArrayLike, directions: ArrayLike) -> FloatArray:
@@ -180,7 +179,7 @@ def environment_weights(environment_linear: ArrayLike, directions: ArrayLike) ->
     # Texels are gathered before their colour enters, so that weights stay exactly linear in the map.
     entries = np.repeat(texel_solid_angles(rows, columns), columns), (nearest.ravel(), texel.ravel())
     shares = sparse.coo_matrix(entries, shape=(tree.n, height * width)).tocsr()
-    return np.asarray(shares @ image.reshape(-1, 3))
+    return shares @ image.reshape(-1, 3)
 
 
 def checked_map(environment_linear: ArrayLike, *, several: bool = False) -> FloatArray:

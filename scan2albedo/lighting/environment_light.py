@@ -8,8 +8,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import FloatArray
-from scan2albedo.core.lights import EnvironmentLight
+from scan2albedo.core import SMALLEST, EnvironmentLight, FloatArray
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics
@@ -37,7 +36,7 @@ def open_transfer(normal: FloatArray) -> FloatArray:
     [1.0, 0.0, 1.155]
     """
     values = harmonics(normal, 2)
-    return np.asarray(values / values[:, :1] * _COSINE_LOBE)
+    return values / values[:, :1] * _COSINE_LOBE
 
 
 def open_shading(environment: EnvironmentLight) -> FloatArray:
@@ -69,8 +68,8 @@ def shadowed_transfer(shadows: ShadowMap, sky: VisibilityTable | None = None) ->
     cosine = np.maximum(shadows.normal @ sky.directions.T, 0.0)
     whole, part = cosine @ weighted, (cosine * sky.visibility.T) @ weighted
     # The first harmonic is constant, so its coefficient gives the visible share.
-    share = part[:, :1] / np.maximum(whole[:, :1], np.finfo(float).tiny)
-    return np.asarray(part + share * (free - whole))
+    share = part[:, :1] / np.maximum(whole[:, :1], SMALLEST)
+    return part + share * (free - whole)
 
 
 def environment_light_on(
@@ -140,7 +139,7 @@ class Patches:
         position, normal = shadows.position, shadows.normal
         low, high = position.min(0), position.max(0)
         edge = max(float((high - low).max()), 1e-9) / _CELLS
-        column, row, layer = ((position - low) / edge).astype(np.int64).T
+        column, row, layer = ((position - low) / edge).astype(int).T
         some = np.unique((column * (_CELLS + 1) + row) * (_CELLS + 1) + layer, return_index=True)[1]
         return cls.of(shadows.caster, position[some], normal[some], shadows.offset_mm)
 

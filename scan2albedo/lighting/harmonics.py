@@ -1,9 +1,8 @@
 """Real spherical harmonics of any order, with gradients, as polynomials without poles; and light in them."""
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import FloatArray, IntArray, checked_array
+from scan2albedo.core import ArrayLike, FloatArray, IntArray, checked_array
 from scan2albedo.lighting.environment import checked_map, map_directions
 
 _NODES = 160
@@ -16,7 +15,7 @@ def harmonic_degrees(order: int) -> IntArray:
     >>> harmonic_degrees(2).tolist()
     [0, 1, 1, 1, 2, 2, 2, 2, 2]
     """
-    return np.sqrt(np.arange(_count(order))).astype(np.int64)
+    return np.sqrt(np.arange(_count(order))).astype(int)
 
 
 def harmonics(direction: ArrayLike, order: int = 8) -> FloatArray:

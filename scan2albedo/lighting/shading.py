@@ -6,11 +6,17 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
-from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import FloatArray, checked_array
-from scan2albedo.core.lights import PointLight
+from scan2albedo.core import (
+    ArrayLike,
+    Float32Array,
+    FloatArray,
+    NDArray,
+    PointLight,
+    all_finite,
+    checked_array,
+)
+from scan2albedo.core.compiled import compiled, triple
 from scan2albedo.geometry.rigid import dot
 
 _BRDFS = "lambert", "minnaert", "oren-nayar"
@@ -70,7 +76,7 @@ def light_from_direction(direction: ArrayLike, distance_mm: float, intensity: fl
     >>> round(math.degrees(light_from_direction((1, 0, 1), math.inf, 1.0).azimuth_rad))
     45
     """
-    x, y, z = np.asarray(direction, np.float64) / np.linalg.norm(direction)
+    x, y, z = np.asarray(direction, float) / np.linalg.norm(direction)
     return PointLight(math.atan2(x, z), math.asin(max(-1.0, min(1.0, y))), distance_mm, float(intensity))
 
 
@@ -104,8 +110,8 @@ def shade_points(
     checked_array(seen, (len(lights), count), "visible")
     scale = np.ones(count) if specular_scale is None else specular_scale
     scale = checked_array(scale, (count,), "specular_scale", finite=ValueError)
-    view = np.asarray(view_direction, np.float64)
-    if view.shape not in ((3,), (count, 3)) or not np.isfinite(view).all() or not view.any(-1).all():
+    view = np.asarray(view_direction, float)
+    if view.shape not in ((3,), (count, 3)) or not all_finite(view) or not view.any(-1).all():
         raise ValueError(f"view_direction is {view.tolist()}, expected three finite numbers, not all zero")
     colors = None if all(lamp.white for lamp in lights) else np.array([lamp.color_linear for lamp in lights])
     toward = view / np.linalg.norm(view, axis=-1, keepdims=True)
@@ -164,14 +170,14 @@ COSINE_FLOOR = 1e-4
 """Cosines below this count as this where a model divides by them."""
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def oren_nayar_coefficients(sigma):  # type: ignore[no-untyped-def]
     """Return A and B of Oren and Nayar, "Generalization of Lambert's reflectance model", 1994, eq. 30."""
     variance = sigma * sigma
     return 1.0 - 0.5 * variance / (variance + 0.33), 0.45 * variance / (variance + 0.09)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def factors_of_lamp(  # type: ignore[no-untyped-def]
     position, normal, visible, direction, nearness, view, minnaert, roughness, exponent
 ):
@@ -233,8 +239,8 @@ class LitPoints(NamedTuple):
 
     position: FloatArray
     normal: FloatArray
-    visible: NDArray[np.float32]
-    visible_slope: NDArray[np.float32]
+    visible: Float32Array
+    visible_slope: Float32Array
     view: FloatArray
     specular_scale: FloatArray
 
@@ -267,7 +273,7 @@ def shade_with_derivatives(
     return light, specular, slopes
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _shaded(points, lamps, skin, size):  # type: ignore[no-untyped-def]
     position, normal, visible, visible_slope, view, scale = points
     rows, tangents, radius_mm, near = lamps
@@ -280,8 +286,8 @@ def _shaded(points, lamps, skin, size):  # type: ignore[no-untyped-def]
     at_rough = at_near + int(near)
     at_gloss = at_rough + int(rough)
     for i in range(len(position)):
-        n = normal[i, 0], normal[i, 1], normal[i, 2]
-        v = view[i, 0], view[i, 1], view[i, 2]
+        n = triple(normal, i)
+        v = triple(view, i)
         n_v = dot(n, v)
         cos_r = max(n_v, 0.0)
         strength = specular * scale[i]
@@ -315,7 +321,7 @@ def _shaded(points, lamps, skin, size):  # type: ignore[no-untyped-def]
             for q in range(3 if near else 2):
                 if q < 2:
                     j = 3 * k + q
-                    tangent = tangents[k, q, 0], tangents[k, q, 1], tangents[k, q, 2]
+                    tangent = triple(tangents[k], q)
                 else:
                     j = at_near
                     tangent = (
@@ -353,7 +359,7 @@ def _shaded(points, lamps, skin, size):  # type: ignore[no-untyped-def]
     return light_out, specular_out, slopes
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _diffuse(minnaert, roughness, oren_nayar, n_l, n_v, l_v):  # type: ignore[no-untyped-def]
     """Return f of `factors_of_lamp`."""
     if minnaert:
@@ -363,7 +369,7 @@ def _diffuse(minnaert, roughness, oren_nayar, n_l, n_v, l_v):  # type: ignore[no
     return n_l * (a + b * max(l_v - n_l * cos_r, 0.0) / max(max(n_l, cos_r), COSINE_FLOOR))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _oren_nayar_slope(oren_nayar, n_l, cos_r, l_v, n_l_slope, l_v_slope):  # type: ignore[no-untyped-def]
     """Return the derivative of Oren-Nayar's f from those of n.l and l.v."""
     a, b = oren_nayar
@@ -375,7 +381,7 @@ def _oren_nayar_slope(oren_nayar, n_l, cos_r, l_v, n_l_slope, l_v_slope):  # typ
     return n_l_slope * (a + b * s / larger) + n_l * b * s_slope / larger
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _variance_slope(sigma, n_l, cos_r, l_v):  # type: ignore[no-untyped-def]
     """Return the derivative of Oren-Nayar's f / n.l by sigma^2."""
     variance = sigma * sigma
@@ -385,7 +391,7 @@ def _variance_slope(sigma, n_l, cos_r, l_v):  # type: ignore[no-untyped-def]
     return a_slope + b_slope * s / max(max(n_l, cos_r), COSINE_FLOOR)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def log_rows(  # type: ignore[no-untyped-def]
     value, mean, light, specular, light_slope, specular_slope, scale, likeness, rows
 ):

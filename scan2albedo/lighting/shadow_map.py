@@ -6,10 +6,9 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
-from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core import ArrayLike, ByteArray, Float32Array, FloatArray, NDArray, norms
+from scan2albedo.core.compiled import compiled
 from scan2albedo.geometry.rays import RayCaster
 
 _OFFSETS = (1.5e-4, 5e-3)
@@ -32,7 +31,7 @@ class ShadowMap:
     normal: FloatArray
     offset_mm: float = 0.2
     open_above: FloatArray | None = None
-    _origin: NDArray[np.float32] = field(init=False, repr=False)
+    _origin: Float32Array = field(init=False, repr=False)
     _above: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -45,13 +44,13 @@ class ShadowMap:
         object.__setattr__(self, "_origin", origin)
         object.__setattr__(self, "_above", known)
 
-    def visible(self, direction: ArrayLike, distance_mm: float = math.inf) -> NDArray[np.uint8]:
+    def visible(self, direction: ArrayLike, distance_mm: float = math.inf) -> ByteArray:
         """Return (N,) uint8, 1 where a light reaches the point.
 
         `direction` (3,) is unit, from the origin toward the light; `distance_mm` is inf for a distant light.
         Rays are shot only where n.l > 0, and go on past a near light: nothing may stand behind it.
         """
-        toward = np.asarray(direction, np.float64)
+        toward = np.asarray(direction, float)
         inverse = 0.0 if math.isinf(distance_mm) else 1 / distance_mm
         result = np.zeros(len(self.position), np.uint8)
         points = self.position, self.normal, self._origin
@@ -71,7 +70,7 @@ class ShadowMap:
         if radius_deg == 0:
             return self.visible(direction, distance_mm)
         to_lamp, radius = np.asarray(direction) - self.position / distance_mm, math.radians(radius_deg)
-        length = np.linalg.norm(to_lamp, axis=1)
+        length = norms(to_lamp)
         cosine = np.einsum("nc,nc->n", self.normal, to_lamp) / np.maximum(length, 1e-9)
         # The most by which the cosines to points of the disc differ from that to its centre.
         spread = radius / np.maximum(length - radius / 2, 1e-9)
@@ -104,7 +103,7 @@ class ShadowMap:
 
     def table(self, directions: ArrayLike) -> VisibilityTable:
         """Return the visibility of distant lights from each of `directions` (D, 3)."""
-        toward = np.asarray(directions, np.float64)
+        toward = np.asarray(directions, float)
         return VisibilityTable(toward, np.stack([self.visible(d) for d in toward]))
 
 
@@ -114,7 +113,7 @@ def shadow_offset_mm(size: float, offset_mm: float) -> float:
     return min(max(offset_mm, low), high)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _needed_rays(position, normal, origin, toward, inverse, open_above, lit):  # type: ignore[no-untyped-def]
     """Set `lit` (N,) to 1 where n . (toward - inverse position) > 0; return what has to be shot there.
 
@@ -148,16 +147,16 @@ class VisibilityTable:
     """Visibility (D, N) uint8 of distant lights from `directions` (D, 3)."""
 
     directions: FloatArray
-    visibility: NDArray[np.uint8]
+    visibility: ByteArray
 
     def highest_hidden(self, normal: FloatArray) -> FloatArray:
         """Return (N,) the largest cosine to `normal` (N, 3) of a hidden direction, 0 where none is."""
         hidden = np.where(self.visibility.T == 0, normal @ self.directions.T, 0.0)
-        return np.asarray(hidden.max(1, initial=0.0))
+        return hidden.max(1, initial=0.0)
 
-    def nearest(self, direction: ArrayLike) -> NDArray[np.uint8]:
+    def nearest(self, direction: ArrayLike) -> ByteArray:
         """Return (N,) the visibility of the tabulated direction closest to `direction`."""
-        return self.visibility[int(np.argmax(self.directions @ np.asarray(direction, np.float64)))]
+        return self.visibility[int(np.argmax(self.directions @ np.asarray(direction, float)))]
 
 
 def cone_directions(count: int, axis: ArrayLike, half_angle_rad: float) -> FloatArray:
@@ -176,7 +175,7 @@ def cone_directions(count: int, axis: ArrayLike, half_angle_rad: float) -> Float
 
 def view_frame(axis: ArrayLike) -> FloatArray:
     """Return (3, 3) rows of a right-handed orthonormal frame, the third along `axis`; for +z the identity."""
-    e3 = np.asarray(axis, np.float64)
+    e3 = np.asarray(axis, float)
     e3 = e3 / np.linalg.norm(e3)
     e1 = np.cross(np.array([0.0, 1.0, 0.0]) if abs(e3[1]) < 0.9 else np.array([0.0, 0.0, -1.0]), e3)
     e1 /= np.linalg.norm(e1)

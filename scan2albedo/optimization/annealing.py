@@ -4,9 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.budget import Meter
+from scan2albedo.core import ArrayLike, FloatArray, Meter
 
 _FINAL_TEMPERATURE = 1e-4
 """In units of the spread of the first costs."""
@@ -21,14 +20,14 @@ class AnnealingResult:
     `converged` when the cooling schedule ran to its end, not when a budget cut it short.
     """
 
-    x: NDArray[np.float64]
+    x: FloatArray
     cost: float
     evaluations: int
     converged: bool
 
 
 def simulated_annealing(
-    objective: Callable[[NDArray[np.float64]], float],
+    objective: Callable[[FloatArray], float],
     start: ArrayLike,
     lower: ArrayLike,
     upper: ArrayLike,
@@ -72,7 +71,7 @@ def simulated_annealing(
     step = (high - low) / 4 if initial_step is None else np.asarray(initial_step, float).copy()
     meter = meter if meter is not None else Meter("annealing", "cost")
 
-    def evaluate(point: NDArray[np.float64]) -> float:
+    def evaluate(point: FloatArray) -> float:
         meter.count()
         value = float(objective(point))
         return value if np.isfinite(value) else np.inf

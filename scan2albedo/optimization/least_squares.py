@@ -9,8 +9,7 @@ from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
-from scan2albedo.core import Meter
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core import FloatArray, Meter
 
 SMALLEST_DIAGONAL = 1e-9
 """As a part of the largest: damps parameters that the cost does not depend on, so that they stay."""

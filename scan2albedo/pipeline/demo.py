@@ -2,12 +2,11 @@
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from scan2albedo.albedo import AlbedoError, albedo_error
-from scan2albedo.core import ProgressCallback
+from scan2albedo.core import ProgressCallback, Values, norms
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import invert_rigid, rotation_angle_rad, transform_points
 from scan2albedo.io.run_folder import RunFolder
@@ -40,7 +39,7 @@ class DemoReport:
     texture: AlbedoError
     albedo: AlbedoError
 
-    def figures(self) -> dict[str, Any]:
+    def figures(self) -> Values:
         """Return the figures as plain numbers for JSON."""
         plain = {k: v for k, v in vars(self).items() if isinstance(v, int | float)}
         seconds = sum(self.result.timings_s.values())
@@ -105,14 +104,14 @@ def compare_with_truth(result: ProcessResult, truth: SyntheticTruth) -> DemoRepo
         cosines = np.array([light.direction for light in truth.lights]) @ found.T
         light_deg = float(np.degrees(np.arccos(np.clip(cosines, -1, 1))).min(axis=1).max())
     # iBUG-68 without the jaw line, which no point of a smooth jaw defines.
-    inner = np.linalg.norm(landmarks - truth.landmarks, axis=1)[17:]
+    inner = norms(landmarks - truth.landmarks)[17:]
     assert image.texture_linear is not None
     return DemoReport(
         result=result,
         pose_rotation_deg=float(np.degrees(rotation_angle_rad(truth_from_fit[:3, :3]))),
         pose_translation_mm=float(np.linalg.norm(transform_points(truth_from_fit, center[None])[0] - center)),
         surface_mm=float(surface.query(truth.image.position[truth.image.mask]).distance.mean()),
-        correspondence_mm=float(np.linalg.norm(position - truth.image.position[both], axis=1).mean()),
+        correspondence_mm=float(norms(position - truth.image.position[both]).mean()),
         landmarks_mm=float(inner.mean()),
         light_deg=light_deg,
         lights_found=len(estimate.lights),

@@ -9,12 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from scan2albedo.core import PlanStep
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core import ByteArray, Float32Array, FloatArray, PlanStep, RawScan, Values, norms
 from scan2albedo.core.landmarks import COUNT, PlacedLandmarks
-from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import MissingDependencyError, needs_extra
 from scan2albedo.geometry.mesh import face_normals
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
@@ -83,7 +80,7 @@ def detected_landmarks(scan: RawScan, model_from_scan: FloatArray) -> PlacedLand
         return None
     faces = scan.faces[near]
     normals = face_normals(vertices, faces)
-    colors: dict[str, Any] = {}  # keyword arguments of `render_mesh`
+    colors: Values = {}  # keyword arguments of `render_mesh`
     if scan.uv is not None and scan.texture_linear is not None:
         # Four texels a pixel: the pictures show no more of a larger texture.
         stride = max(1, max(scan.texture_linear.shape[:2]) // (4 * _SIZE))
@@ -112,7 +109,7 @@ def detected_landmarks(scan: RawScan, model_from_scan: FloatArray) -> PlacedLand
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # of landmarks that no view sees
         middle = np.nanmedian(seen, axis=0)
-    seen[np.linalg.norm(seen - middle, axis=-1) > max(_SIGMA_MM.values())] = np.nan
+    seen[norms(seen - middle) > max(_SIGMA_MM.values())] = np.nan
     enough = np.isfinite(seen[..., 0]).sum(axis=0) > 1
     points, sigma_mm = np.full((COUNT, 3), np.nan), np.ones(COUNT)
     for numbers, deviation in _SIGMA_MM.items():
@@ -122,10 +119,10 @@ def detected_landmarks(scan: RawScan, model_from_scan: FloatArray) -> PlacedLand
     return PlacedLandmarks(points, sigma_mm) if enough.any() else None
 
 
-def _exposed(linear: NDArray[np.float32]) -> FloatArray:
+def _exposed(linear: Float32Array) -> FloatArray:
     """Return sRGB colours (..., 3), the brightest 3 % of them white."""
     white = float(np.percentile(linear.max(-1), 97)) or 1.0
-    return np.asarray(linear_to_srgb(np.clip(linear / white, 0, 1)))
+    return linear_to_srgb(np.clip(linear / white, 0, 1))
 
 
 @contextmanager
@@ -138,7 +135,7 @@ def _detector() -> Iterator[Any]:
         base_options=BaseOptions(model_asset_path=str(_network_file())), running_mode=vision.RunningMode.IMAGE
     )
 
-    def detect(picture: NDArray[np.uint8]) -> FloatArray | None:
+    def detect(picture: ByteArray) -> FloatArray | None:
         image = mediapipe.Image(image_format=mediapipe.ImageFormat.SRGB, data=np.ascontiguousarray(picture))
         faces = landmarker.detect(image).face_landmarks
         if not faces:

@@ -4,10 +4,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.applications import template_baking as baking
 from scan2albedo.applications.light_removal import UnlitScan
+from scan2albedo.core import ByteArray, Float32Array, NDArray, RealArray
 from scan2albedo.geometry.rasterization import interpolate, pixels_from_uv, rasterize
 from scan2albedo.io.color import encode_srgb_integers
 from scan2albedo.io.images import encode_image, write_exr, write_png
@@ -51,14 +51,14 @@ def write_unlit(folder: Path, unlit: UnlitScan, samples: type = np.uint8, *, exr
     write_textured_glb(folder / "unlit.glb", mesh)
 
 
-def _write_hair(file: Path, linear: NDArray[np.floating], share: NDArray[np.floating], samples: type) -> None:
-    picture: NDArray[Any] = np.empty((*share.shape, 4), samples)
+def _write_hair(file: Path, linear: RealArray, share: RealArray, samples: type) -> None:
+    picture: NDArray = np.empty((*share.shape, 4), samples)
     encode_srgb_integers(linear, samples, picture[..., :3])
     picture[..., 3] = baking.integers(share, samples)
     write_png(file, picture)
 
 
-def _encoded(exr_file: Path, linear: NDArray[np.float32], samples: type, exr: bool) -> bytes:
+def _encoded(exr_file: Path, linear: Float32Array, samples: type, exr: bool) -> bytes:
     """Return a picture's PNG with such samples; with `exr` write it in linear colour, too."""
     if exr:
         write_exr(exr_file, linear)
@@ -88,7 +88,7 @@ def write_template(
         if exr:
             write_exr((folder / f"{stem}{end}").with_suffix(".exr"), tile.color_linear)
         normal = encode_image(baking.normal_bytes(tile.normal, samples if tile.maps else np.uint8), ".png")
-        color: NDArray[Any] = np.empty((*tile.seen.shape, 4), samples)
+        color: NDArray = np.empty((*tile.seen.shape, 4), samples)
         encode_srgb_integers(tile.color_linear, samples, color[..., :3])
         color[..., 3] = tile.seen * samples(np.iinfo(samples).max)
         picture = encode_image(color, ".png")
@@ -121,7 +121,7 @@ def write_template(
         write_usda(folder / f"{stem}.usda", *surface_of, textures, baking.REACH_MM, ior=7 / 5, metallic=0)
 
 
-def _cut(template: baking.TemplateTexture, tile: baking.TemplateTile, color: NDArray[Any]) -> bytes | None:
+def _cut(template: baking.TemplateTexture, tile: baking.TemplateTile, color: NDArray) -> bytes | None:
     """Return a tile's picture for a GLB, whose alpha opens the mesh where eyes and mouth are seen behind."""
     if template.cut_mm is None or not (template.cut_mm > 0).any():
         return None
@@ -153,6 +153,6 @@ def _surface(tile: baking.TemplateTile) -> bytes:
     return encode_image(baking.integers(np.stack(layers, -1)), ".png")
 
 
-def gray_bytes(values: NDArray[np.floating]) -> NDArray[np.uint8]:
+def gray_bytes(values: RealArray) -> ByteArray:
     """Return values from 0 to 1, clipped, as bytes."""
     return np.round(255 * np.clip(values, 0, 1)).astype(np.uint8)

@@ -13,7 +13,7 @@ from scan2albedo.albedo.estimate import BRDFS
 from scan2albedo.applications.engine_maps import CARRIERS
 from scan2albedo.applications.light_removal import REACHES
 from scan2albedo.applications.template_baking import LARGEST_TEXTURE
-from scan2albedo.core import Budget, checked_seed
+from scan2albedo.core import Budget, Values, checked_seed
 from scan2albedo.core.geometry_image import LARGEST_SIZE, SMALLEST_SIZE, check_size
 from scan2albedo.core.landmarks import AUTO, landmarks_option
 from scan2albedo.fitting.options import FitOptions
@@ -209,11 +209,11 @@ class ProcessOptions:
         force += [step for step in self.force if step in OPTIONAL_STEPS]
         return replace(stage, skip=tuple(skip), force=tuple(force))
 
-    def arguments(self) -> dict[str, Any]:
+    def arguments(self) -> Values:
         """Return the keyword arguments of `process`."""
         return {option.name: getattr(self, option.name) for option in fields(self)}
 
-    def recorded(self, model: AnnotatedFaceModel | None) -> dict[str, Any]:
+    def recorded(self, model: AnnotatedFaceModel | None) -> Values:
         """Return the options as `result.json` has them, defaults replaced by the values used."""
         budget = Budget.of(self.budget)
         elsewhere = ("budget", "seed", "pictures", "files")

@@ -3,10 +3,8 @@
 from collections.abc import Collection
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.albedo import AlbedoEstimate
 from scan2albedo.applications.engine_maps import engine_maps
@@ -14,8 +12,7 @@ from scan2albedo.applications.eyes_and_mouth import eyes_and_mouth, on_template
 from scan2albedo.applications.files import load_result
 from scan2albedo.applications.light_removal import LightRemoval, UnlitScan, usual_light
 from scan2albedo.applications.template_baking import TemplateTexture, template_texture, tile_numbers
-from scan2albedo.core import PlanStep, RawScan
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core import FloatArray, PlanStep, RawScan, RealArray, Values
 from scan2albedo.face_model.annotation import AnnotatedSurface
 from scan2albedo.fitting import FittedFace
 from scan2albedo.io.texture_atlas import in_first_period
@@ -113,7 +110,7 @@ def without_light(
     estimate: AlbedoEstimate | None,
     options: ProcessOptions,
     clock: Clock,
-) -> tuple[dict[str, Any], list[PlanStep]]:
+) -> tuple[Values, list[PlanStep]]:
     """Return the outputs that are wanted, and fit into what is left of the budget, and the plan.
 
     They have the names of a `ProcessResult`'s fields: `unlit`, `template` and `maps_of_skin`.
@@ -137,7 +134,7 @@ def without_light(
         return cost <= left
 
     removal, unlit = LightRemoval(scan, fitted, estimate), dict[str, UnlitScan]()
-    made, textures = dict[str, Any](), dict[str, TemplateTexture]()
+    made, textures = Values(), dict[str, TemplateTexture]()
     for name, reach in outputs.reaches.items():
         if not in_time(name, unlit):
             continue
@@ -191,7 +188,7 @@ def _texture_row(name: str, reason: str, texture: TemplateTexture) -> PlanStep:
     return PlanStep(name, True, reason, evidence)
 
 
-def _hair_row(stage: str, hair: NDArray[np.floating] | None) -> PlanStep:
+def _hair_row(stage: str, hair: RealArray | None) -> PlanStep:
     if hair is None:
         return PlanStep(stage, False, "no hair, beard or brows are found: nothing is kept apart")
     reason = "hair, beard and brows as they were lit are kept apart"

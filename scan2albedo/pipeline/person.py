@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from scan2albedo.albedo import AlbedoEstimate, CommonAlbedo, estimate_common_albedo
-from scan2albedo.core import Budget, GeometryImage, Plan, PlanStep, ProgressCallback, RawScan, Trace
+from scan2albedo.core import Budget, GeometryImage, Plan, PlanStep, ProgressCallback, RawScan, Trace, Values
 from scan2albedo.core.first_run import compiled_beside
 from scan2albedo.core.raw_scan import is_folder_name, lost_texture, scan_name
 from scan2albedo.errors import RegistrationError, Scan2AlbedoError, one_line
@@ -48,7 +48,7 @@ class PersonResult(ProcessResult):
     results: tuple[ProcessResult, ...] = ()
     """Each scan in its own light beside the common albedo; empty when they were written."""
 
-    def metrics(self) -> dict[str, Any]:
+    def metrics(self) -> Values:
         """Return the figures of the person."""
         found = super().metrics()
         shape = self.shape
@@ -281,7 +281,7 @@ def _assembled(
         model_from_scan=np.eye(4),
     )
     image, estimate, rows = geometry_image(neutral, None, chosen.texels), None, [*plan]
-    maps = dict[str, Any]()
+    maps = Values()
     if common is not None:
         mask, seen = image.mask, common.coverage > 0
         found = (one.albedo for one in map(spool.read, spool.names) if one.albedo is not None)
@@ -300,7 +300,7 @@ def _assembled(
         rows += common.plan
         maps = {"coverage.png": common.coverage / len(spool.names), "disagreement.png": common.disagreement}
         taken = ("albedo_linear", "expected_error", "plan", "trace", "converged")
-        shared: dict[str, Any] = {name: getattr(common, name) for name in taken}
+        shared: Values = {name: getattr(common, name) for name in taken}
         shared |= dict.fromkeys(("uncertainty", "albedo_deviation", "environment"))
         estimate = replace(
             lit,

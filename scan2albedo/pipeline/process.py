@@ -12,7 +12,7 @@ from typing import Any, Never
 import numpy as np
 
 from scan2albedo.albedo import AlbedoEstimate, estimate_albedo
-from scan2albedo.core import Budget, Plan, PlanStep, ProgressCallback, RawScan, Trace
+from scan2albedo.core import Budget, Plan, PlanStep, ProgressCallback, RawScan, Trace, Values
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.first_run import compiled_beside
 from scan2albedo.core.raw_scan import is_folder_name, scan_name
@@ -189,7 +189,7 @@ class _Run:
                 self._fit_linear_model(*self.linear, self.fitted)
         self._balance()
         self._find_albedo()
-        more = dict[str, Any]()
+        more = Values()
         if Outputs(self.scan, None if self.fitted is None else self.fitted.model, self.options).reaches:
             with self.clock.timed("unlit"):
                 more, self.plan["unlit"] = without_light(

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core import ByteArray, FloatArray, RealArray, Values
 from scan2albedo.core.raw_scan import lost_texture
 from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
@@ -108,7 +107,7 @@ class ProcessResult:
     """File the scan was read from."""
     out: Path | None = None
     """Folder with the files, when they were written."""
-    maps: Mapping[str, NDArray[np.floating]] = field(default_factory=dict)
+    maps: Mapping[str, RealArray] = field(default_factory=dict)
     """(H, W) from 0 to 1 by the name of the picture they are written to."""
     input_sha256: str | None = None
     """Of the file and those it refers to, before they were read (`io.input_sha256`); None without a file."""
@@ -133,12 +132,12 @@ class ProcessResult:
             return None
         return float(np.median(self.albedo.expected_error[self.albedo.image.mask]))
 
-    def write_more(self, folder: Path, texture_srgb: NDArray[np.uint8] | None) -> None:
+    def write_more(self, folder: Path, texture_srgb: ByteArray | None) -> None:
         """Write what a scan alone has not; `texture_srgb` (H, W, 3) is the albedo as it is shown."""
 
-    def metrics(self) -> dict[str, Any]:
+    def metrics(self) -> Values:
         """Return the figures of each stage, for summaries and result.json."""
-        figures: dict[str, Any] = {"seconds": round(sum(self.timings_s.values()), 3)}
+        figures: Values = {"seconds": round(sum(self.timings_s.values()), 3)}
         if self.registration is not None:
             names = ("rmse_mm", "confidence", "converged")
             figures["registration"] = {name: getattr(self.registration, name) for name in names}
@@ -261,7 +260,7 @@ def write_result(
     return folder.path
 
 
-def _write_chart(result: ProcessResult, shown: NDArray[np.uint8] | None, write: Callable[..., None]) -> None:
+def _write_chart(result: ProcessResult, shown: ByteArray | None, write: Callable[..., None]) -> None:
     """Write what lies on the chart; `shown` (H, W, 3) is the albedo as it is shown."""
     image, estimate = result.geometry_image, result.albedo
     for name, values in result.maps.items():
@@ -283,7 +282,7 @@ def _write_chart(result: ProcessResult, shown: NDArray[np.uint8] | None, write: 
         write("shadow.png", write_png, gray_bytes(estimate.shadow))
 
 
-def _linear_moves(linear: LinearModelFit | None) -> dict[str, Any]:
+def _linear_moves(linear: LinearModelFit | None) -> Values:
     """Return how a linear model's mesh moves, as a `TexturedMesh` has it; nothing where it has no names."""
     if linear is None or not linear.model.names:
         return {}

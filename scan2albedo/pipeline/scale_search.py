@@ -6,9 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.core import IntArray, RawScan
 from scan2albedo.errors import InsideOutError, NoFaceError, RegistrationError, UnitError
 from scan2albedo.geometry.mesh import vertex_components
 from scan2albedo.io.load_scan import load_scan_with
@@ -33,7 +32,7 @@ def load_of_any_size(file: Path, name: str | None, textures: str | Path | None) 
     """Load a scan, as long as a head where no unit makes it one; return whether its size fits, too."""
     fits = True
 
-    def decide(mesh: ParsedMesh, components: NDArray[np.int64]) -> tuple[float, str]:
+    def decide(mesh: ParsedMesh, components: IntArray) -> tuple[float, str]:
         nonlocal fits
         try:
             return millimetres_per_unit(mesh.vertices, components, "auto", file.name)

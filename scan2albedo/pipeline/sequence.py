@@ -9,11 +9,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core import Plan, PlanStep, ProgressCallback, RawScan
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core import (
+    BoolArray,
+    ByteArray,
+    FloatArray,
+    Plan,
+    PlanStep,
+    ProgressCallback,
+    RawScan,
+    Values,
+    identities,
+)
 from scan2albedo.core.first_run import compiled_beside
 from scan2albedo.core.raw_scan import is_folder_name
 from scan2albedo.errors import FitError, RegistrationError, Scan2AlbedoError, one_line
@@ -51,7 +59,7 @@ class SequenceResult(ProcessResult):
         """Files of frames that were left out, and why."""
         return tuple((frame["file"], frame["notes"][0]) for frame in self.frames if not frame["used"])
 
-    def metrics(self) -> dict[str, Any]:
+    def metrics(self) -> Values:
         """Return the figures of the first frame, and those of all."""
         return {**super().metrics(), "fps": self.fps, "frames": [dict(frame) for frame in self.frames]}
 
@@ -66,7 +74,7 @@ class SequenceResult(ProcessResult):
         assert self.fitted is not None
         return self.fitted.model.subdivision(self.fitted.levels).matrix @ self.control_points[frame]
 
-    def write_more(self, folder: Path, texture_srgb: NDArray[np.uint8] | None) -> None:
+    def write_more(self, folder: Path, texture_srgb: ByteArray | None) -> None:
         """Write sequence.glb and frames.npz."""
         fitted, control = self.fitted, self.control_points
         assert fitted is not None
@@ -145,7 +153,7 @@ def process_sequence(
     if out is not None:
         RunFolder(Path(out) / name, FILES).check()
         check_writable(Path(out))
-    found, rows, first = list[TrackedFace](), list[dict[str, Any]](), None
+    found, rows, first = list[TrackedFace](), list[Values](), None
     arguments = chosen.arguments() | {"model": model}
     with compiled_beside():
         for number, source in enumerate(frames):
@@ -243,7 +251,7 @@ def smoothed_take(found: list[TrackedFace], used: BoolArray) -> tuple[FloatArray
         curves, spread = smoothed_in_time(measured, used)
         smooth = mean + (curves[:, :-6] @ components).reshape(-1, *mean.shape)
         shapes[hidden] = smooth[used][hidden]
-    moved = np.tile(np.eye(4), (len(used), 1, 1))
+    moved = identities(len(used), 4)
     moved[:, :3, :3] = Rotation.from_rotvec(curves[:, -6:-3]).as_matrix()
     moved[:, :3, 3] = center + curves[:, -3:] - moved[:, :3, :3] @ center
     return smooth, moved @ invert_rigid(first), np.sqrt(3 * (spread[:, :-6] ** 2).sum(1) / mean.size)

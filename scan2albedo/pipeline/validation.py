@@ -5,10 +5,9 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.albedo import albedo_error, estimate_albedo
-from scan2albedo.core.lights import PointLight
+from scan2albedo.core import NDArray, PointLight, Values
 from scan2albedo.synthetic import Material, SyntheticScene, face, hemisphere, light_at, with_normal_error
 
 PAPER_MSE_PERCENT = {"hemisphere": 1.07, "face": 2.01}
@@ -63,7 +62,7 @@ class ValidationTable:
         """Largest error of any row, in RGB or on V, whichever is worse."""
         return max(max(row.mse_percent, row.value_mse_percent) for row in self.rows)
 
-    def figures(self) -> dict[str, Any]:
+    def figures(self) -> Values:
         """Return the table as plain numbers for JSON."""
         return {**asdict(self), "worst_mse_percent": self.worst_mse_percent}
 
@@ -106,7 +105,7 @@ class LightingTable:
         albedo = float(np.mean([row.albedo_std_percent for row in self.rows]))
         return LightingRow("mean", texture, albedo)
 
-    def figures(self) -> dict[str, Any]:
+    def figures(self) -> Values:
         """Return the table as plain numbers for JSON."""
         mean = asdict(self.mean)
         del mean["seed"]
@@ -133,7 +132,7 @@ def validate_scenes(
     for brdf, material in REFLECTANCES.items():
         for texture in ("wood", "skin"):
             for angle in (0.0, 30.0, 60.0):
-                made: dict[str, Any] = {"lights": [light_at(angle)], "texture": texture, "material": material}
+                made: Values = {"lights": [light_at(angle)], "texture": texture, "material": material}
                 if scene == "face":
                     shown = face(1 if seed is None else seed, size=size, **made)
                 else:
@@ -208,5 +207,5 @@ def lighting_row(seed: int, size: int) -> LightingRow:
 
 def mean_deviation_percent(images: Sequence[NDArray], level: float) -> float:
     """Return 100 times the mean over texels of the standard deviation over images scaled to mean `level`."""
-    scaled = np.stack([level / np.mean(image) * np.asarray(image, np.float64) for image in images])
+    scaled = np.stack([level / np.mean(image) * np.asarray(image, float) for image in images])
     return float(100 * scaled.std(axis=0).mean())

@@ -4,10 +4,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from scan2albedo.albedo.prior import AlbedoPrior
-from scan2albedo.core import GeometryImage, PlanStep, RawScan
+from scan2albedo.core import Float32Array, GeometryImage, PlanStep, RawScan
 
 NAMES = ("none", "grey-skin")
 
@@ -55,7 +54,7 @@ def balanced(
         gain = np.exp(usual - [0.0, np.median(green - red), np.median(blue - red)])
         gain, reason = gain / gain[1], "skin has the mean colour of people's"
 
-    def times(color: NDArray[np.float32] | None) -> NDArray[np.float32] | None:
+    def times(color: Float32Array | None) -> Float32Array | None:
         return None if color is None else color * gain.astype(np.float32)
 
     textures = times(scan.texture_linear), times(scan.vertex_color_linear)

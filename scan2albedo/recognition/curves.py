@@ -4,9 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core import ArrayLike, BoolArray, FloatArray, IntArray, all_finite
 from scan2albedo.errors import RecognitionError
 from scan2albedo.recognition.identification import Identification
 
@@ -141,7 +140,7 @@ def roc_curve(
     impostors = genuine * (persons - 1)
     if false_accept_rates is None:
         false_accept_rates = np.geomspace(1 / impostors, 1.0, 61)
-    rates = np.asarray(false_accept_rates, np.float64)
+    rates = np.asarray(false_accept_rates, float)
     inside = rates.ndim == 1 and len(rates) > 0 and ((rates >= 0) & (rates <= 1)).all()
     if not inside or (np.diff(rates) < 0).any():
         raise ValueError("false_accept_rates are expected to be (F,), ascending, within [0, 1]")
@@ -152,8 +151,8 @@ def roc_curve(
     random, drawn = np.random.default_rng(seed), list[FloatArray]()
     while len(drawn) < resamples:
         times = np.bincount(random.integers(persons, size=persons), minlength=persons)
-        values = rates_of_draw(times.astype(np.float64), rates)
-        if np.isfinite(values).all():  # draws that leave claims of both kinds
+        values = rates_of_draw(times.astype(float), rates)
+        if all_finite(values):  # draws that leave claims of both kinds
             drawn.append(values)
     tail = 50 * (1 - confidence)
     low, high = np.percentile(drawn or [found], [tail, 100 - tail], axis=0)

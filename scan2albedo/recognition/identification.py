@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core import ArrayLike, BoolArray, FloatArray, IntArray, all_finite
 from scan2albedo.errors import RecognitionError
 from scan2albedo.recognition.similarity import WINDOW, similarity_matrix
 from scan2albedo.recognition.templates import Templates
@@ -49,7 +48,7 @@ class Identification:
     @property
     def genuine(self) -> BoolArray:
         """(P, G): whether the probe shows the person."""
-        return np.asarray(np.array(self.probe_names, object)[:, None] == np.array(self.persons, object))
+        return np.array(self.probe_names, object)[:, None] == np.array(self.persons, object)
 
     def rate(self, rank: int = 1) -> float:
         """Return the share of probes of known persons whose person is among the first `rank`."""
@@ -119,14 +118,14 @@ def identify_by_similarity(
     >>> found.predicted, found.ranks.tolist(), found.rate(1)
     (('ann', 'ann'), [0, 2], 0.0)
     """
-    scores = np.asarray(similarities, np.float64)
+    scores = np.asarray(similarities, float)
     _check_closed(gallery_names, probe_names)
     if scores.shape != (len(probe_names), len(gallery_names)):
         raise ValueError(
             f"similarities have shape {scores.shape}, expected ({len(probe_names)}, {len(gallery_names)}): "
             "probes by gallery images"
         )
-    if not np.isfinite(scores).all():
+    if not all_finite(scores):
         i, j = np.argwhere(~np.isfinite(scores))[0]
         raise RecognitionError(
             f"the similarity of probe {i} ({probe_names[i] or 'nobody named'}) and gallery image {j} "

@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import Any, Literal, Self, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field
 
-from scan2albedo.core.arrays import IntArray
+from scan2albedo.core import ArrayLike, IntArray
 from scan2albedo.errors import RecognitionError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.recognition import templates as tpl
@@ -48,7 +47,7 @@ class LabelledTemplates:
 
     def select(self, indices: ArrayLike) -> Self:
         """Return the results of the given indices, ascending."""
-        chosen = np.asarray(indices, np.int64)
+        chosen = np.asarray(indices, int)
         sets, rows = {}, {}
         for kind, templates in self.sets.items():
             kept = np.flatnonzero(np.isin(self.rows[kind], chosen))

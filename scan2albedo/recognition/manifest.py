@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core import FloatArray, RealArray
 from scan2albedo.errors import RecognitionError, Scan2AlbedoError, needs_extra, one_line
 from scan2albedo.io.csv_tables import cells_by_column, read_text, table_rows
 from scan2albedo.io.geometry_image_files import read_geometry_image, read_image_and_albedo
@@ -161,7 +160,7 @@ def _of_folder(folder: Path, persons_required: bool) -> Manifest:
 class StoredFace:
     """An albedo, or the surface of a processed scan, from files."""
 
-    values: NDArray[np.floating]
+    values: RealArray
     """(H, W, 3): linear albedo or texture, texture over albedo, or unit outward normals in the model's
     frame."""
     certainty: FloatArray
@@ -212,18 +211,18 @@ def _face_of_folder(folder: Path, kind: Kind) -> StoredFace:
         )
     if kind == "shape":
         image = read_geometry_image(folder / IMAGE_FILE)
-        return StoredFace(image.normal, image.seen.astype(np.float64), Chart(model, image.shape))
+        return StoredFace(image.normal, image.seen.astype(float), Chart(model, image.shape))
     lacks_albedo = (folder / IMAGE_FILE).is_file() and not (folder / ALBEDO_FILE).is_file()
     if lacks_albedo and read_geometry_image(folder / IMAGE_FILE).texture_linear is None:
         raise NothingToCompareError(f"{folder}: has no {kind}, for the scan has no colour; compare by shape")
     image, albedo = read_image_and_albedo(folder)
-    values: NDArray[np.floating] | None = albedo if kind == "albedo" else image.texture_linear
+    values: RealArray | None = albedo if kind == "albedo" else image.texture_linear
     # The common albedo of a person's scans is in no light: its texture is the albedo once more.
     if values is None or (common and kind != "albedo"):
         raise NothingToCompareError(f"{folder}: has no texture of its own; compare by albedo and shape")
     if kind == "shading":
         values = np.divide(values, albedo, out=np.zeros(albedo.shape), where=albedo > 0)
-    known = image.seen.astype(np.float64)
+    known = image.seen.astype(float)
     if (errors := folder / ERROR_FILE).is_file():
         known = certainty(albedo, read_image_linear(errors)[..., 0], image.seen)
     return StoredFace(values, known, Chart(model, image.shape))
@@ -239,7 +238,7 @@ def _face_of_image(file: Path, kind: Kind) -> StoredFace:
             "a file of templates (.npz) stands for a whole gallery, in place of the CSV file"
         )
     albedo = read_image_linear(file)
-    alpha: NDArray[np.floating] | None
+    alpha: RealArray | None
     if file.suffix.lower() == ".exr":
         alpha = read_exr_channels(file).get("A")
     else:
@@ -252,4 +251,4 @@ def _face_of_image(file: Path, kind: Kind) -> StoredFace:
         except (OSError, UnidentifiedImageError):  # a format without alpha that Pillow does not read
             alpha = None
     seen = albedo.max(-1) > 0 if alpha is None else alpha >= 0.5
-    return StoredFace(albedo, seen.astype(np.float64), Chart(None, (albedo.shape[0], albedo.shape[1])))
+    return StoredFace(albedo, seen.astype(float), Chart(None, (albedo.shape[0], albedo.shape[1])))

@@ -1,13 +1,11 @@
 """Complex wavelet structural similarity (CW-SSIM): of two images, and of all pairs of two template sets."""
 
 from numbers import Integral
-from typing import Any
 
 import numpy as np
-from numba import njit
-from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core import ArrayLike, BoolArray, Float32Array, FloatArray, NDArray, RealArray
+from scan2albedo.core.compiled import compiled
 from scan2albedo.errors import RecognitionError
 from scan2albedo.geometry.rays import blocks
 from scan2albedo.recognition.templates import TemplateOptions, Templates, common_chart, image_coefficients
@@ -80,7 +78,7 @@ def cw_ssim(
 
 
 def pair_similarity(
-    a: NDArray[Any], weight_a: NDArray[Any], b: NDArray[Any], weight_b: NDArray[Any], window: int = WINDOW
+    a: NDArray, weight_a: NDArray, b: NDArray, weight_b: NDArray, window: int = WINDOW
 ) -> float:
     """Return `cw_ssim` of coefficients (O, h, w) with their weights (h, w), 0 outside the masks."""
     _check_window(weight_a.shape, window)
@@ -99,14 +97,14 @@ def has_window(templates: Templates, window: int) -> BoolArray:
     return np.asarray(_window_weights(templates.weight, window).any(axis=(1, 2)))
 
 
-def _window_weights(weight: NDArray[np.floating], window: int) -> NDArray[np.float32]:
+def _window_weights(weight: RealArray, window: int) -> Float32Array:
     """Return the mean weight (..., h', w') of windows that lie inside the mask; 0 of others."""
     inside = _window_sums(weight > 0, window) == window**2
-    mean = _window_sums(weight.astype(np.float64), window) / window**2
+    mean = _window_sums(weight.astype(float), window) / window**2
     return np.where(inside, np.maximum(mean, np.finfo(np.float32).eps), 0.0).astype(np.float32)
 
 
-def _window_sums(values: NDArray[Any], window: int) -> NDArray[Any]:
+def _window_sums(values: NDArray, window: int) -> NDArray:
     """Return sums (..., h - window + 1, w - window + 1) over all windows of values (..., h, w)."""
     sums = values.cumsum(axis=-2).cumsum(axis=-1)
     sums = np.pad(sums, [(0, 0)] * (values.ndim - 2) + [(1, 0), (1, 0)])
@@ -207,25 +205,25 @@ def comparable_similarities(a: Templates, b: Templates, window: int) -> FloatArr
     return np.divide(totals, windows * bands, out=np.full(totals.shape, np.nan), where=windows > 0)
 
 
-def _planes(templates: Templates, window: int) -> tuple[list[NDArray[np.float32]], NDArray[np.float32]]:
+def _planes(templates: Templates, window: int) -> tuple[list[Float32Array], Float32Array]:
     """Return what the kernel reads of N templates, orientations outermost, and the weights of the windows.
 
     These are real and imaginary parts (O, N, h, w) and the energy of each window (O, N, h', w').
     """
     values = templates.coefficients.transpose(1, 0, 2, 3)
-    energy = _window_sums(values.real.astype(np.float64) ** 2 + values.imag.astype(np.float64) ** 2, window)
+    energy = _window_sums(values.real.astype(float) ** 2 + values.imag.astype(float) ** 2, window)
     planes = [np.ascontiguousarray(part) for part in (values.real, values.imag)]
     return [*planes, np.maximum(energy, 0).astype(np.float32)], _window_weights(templates.weight, window)
 
 
-def _lanes(plane: NDArray[np.float32]) -> NDArray[np.float32]:
+def _lanes(plane: Float32Array) -> Float32Array:
     """Return (h, w, LANES) of (N <= LANES, h, w), 0 in the lanes left over."""
     result = np.zeros((*plane.shape[1:], LANES), np.float32)
     result[..., : len(plane)] = np.moveaxis(plane, 0, -1)
     return result
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"})
+@compiled(error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"})
 def _add_window_similarities(  # type: ignore[no-untyped-def]
     real, imag, energy, weight, lane_real, lane_imag, lane_energy, lane_weight, window, stabilizer, total
 ):

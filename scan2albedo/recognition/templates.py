@@ -6,14 +6,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from numbers import Integral
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 from scipy.ndimage import distance_transform_edt, minimum_filter, uniform_filter
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core import (
+    ArrayLike,
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    NDArray,
+    RealArray,
+    Values,
+    all_finite,
+    finite_rows,
+)
 from scan2albedo.errors import RecognitionError, needs_extra
 from scan2albedo.geometry.rasterization import area_mean, filled_from_nearest
 
@@ -100,7 +109,7 @@ class Templates:
     coefficients: NDArray[np.complex64]
     """(N, O, h, w): of O orientations, of one component after the other; 0 outside the mask. Components are
     the luminance of the albedo, or x, y and z of the normals."""
-    mask: NDArray[np.bool_]
+    mask: BoolArray
     """(N, h, w)."""
     names: tuple[str, ...]
     """(N,): of the persons; several templates may bear one name."""
@@ -110,7 +119,7 @@ class Templates:
     """Of the images, where it is known; templates of different charts are not compared."""
     kind: Kind = "albedo"
     """Of what they are."""
-    weight: NDArray[np.float32] = None  # type: ignore[assignment]
+    weight: Float32Array = None  # type: ignore[assignment]
     """(N, h, w): how certain the coefficients are, 0 to 1, above 0 inside the mask; 1 there when omitted."""
 
     def __post_init__(self) -> None:
@@ -135,7 +144,7 @@ class Templates:
                 raise RecognitionError(f"template {k} has an empty name; name its person")
             if not mask[k].any():
                 raise RecognitionError(f"template {k} ({name}) is masked everywhere; leave it out")
-            if not (np.isfinite(coefficients[k]).all() and ((self.weight[k] > 0) == mask[k]).all()):
+            if not (all_finite(coefficients[k]) and ((self.weight[k] > 0) == mask[k]).all()):
                 raise RecognitionError(
                     f"template {k} ({name}) is not finite, or weighs what is masked; make it again"
                 )
@@ -144,22 +153,22 @@ class Templates:
         return len(self.names)
 
     @property
-    def arrays(self) -> dict[str, Any]:
+    def arrays(self) -> Values:
         """`coefficients`, `mask` and `weight`, by name."""
         return {name: getattr(self, name) for name in ("coefficients", "mask", "weight")}
 
     def select(self, indices: Sequence[int]) -> Templates:
         """Return the templates of the given indices, in their order."""
-        chosen = np.asarray(indices, np.int64).reshape(-1)
+        chosen = np.asarray(indices, int).reshape(-1)
         names = tuple(self.names[k] for k in chosen)
         return replace(self, names=names, **{name: array[chosen] for name, array in self.arrays.items()})
 
 
 def albedo_templates(
-    images: Sequence[ArrayLike] | NDArray[np.floating],
+    images: Sequence[ArrayLike] | RealArray,
     names: Sequence[str],
     *,
-    masks: Sequence[ArrayLike | None] | NDArray[Any] | None = None,
+    masks: Sequence[ArrayLike | None] | NDArray | None = None,
     options: TemplateOptions = TemplateOptions(),
 ) -> Templates:
     """Return the templates of albedos, in about 2 ms an image of 128 pixels.
@@ -190,10 +199,10 @@ def albedo_templates(
 
 
 def shape_templates(
-    normals: Sequence[ArrayLike] | NDArray[np.floating],
+    normals: Sequence[ArrayLike] | RealArray,
     names: Sequence[str],
     *,
-    masks: Sequence[ArrayLike | None] | NDArray[Any] | None = None,
+    masks: Sequence[ArrayLike | None] | NDArray | None = None,
     options: TemplateOptions = TemplateOptions(),
 ) -> Templates:
     """Return the templates of surfaces by their normals; `unit_mean` does not apply.
@@ -223,18 +232,18 @@ def certainty(albedo: ArrayLike, expected_error: ArrayLike, mask: BoolArray) -> 
     """
     if not mask.any():
         return np.zeros(mask.shape)
-    values = np.asarray(albedo, np.float64)
+    values = np.asarray(albedo, float)
     of_mask = (values @ LUMINANCE if values.ndim == 3 else values)[mask]
     contrast = of_mask.var() / max(of_mask.mean() ** 2, LEAST_WEIGHT)
-    known = contrast / np.maximum(contrast + np.asarray(expected_error, np.float64) ** 2, LEAST_WEIGHT)
+    known = contrast / np.maximum(contrast + np.asarray(expected_error, float) ** 2, LEAST_WEIGHT)
     return np.where(mask, np.maximum(known, LEAST_WEIGHT), 0.0)
 
 
 def _templates(
     kind: Kind,
-    images: Sequence[ArrayLike] | NDArray[np.floating],
+    images: Sequence[ArrayLike] | RealArray,
     names: Sequence[str],
-    masks: Sequence[ArrayLike | None] | NDArray[Any] | None,
+    masks: Sequence[ArrayLike | None] | NDArray | None,
     options: TemplateOptions,
 ) -> Templates:
     if len(images) != len(names) or (masks is not None and len(masks) != len(images)):
@@ -243,7 +252,7 @@ def _templates(
     if len(images) == 0:
         raise RecognitionError("no image was given; templates need one or more")
     coefficients: list[NDArray[np.complex64]] = []
-    weights: list[NDArray[np.float32]] = []
+    weights: list[Float32Array] = []
     for k, image in enumerate(images):
         what = f"image {k} ({names[k]})"
         bands, weight = kind_coefficients(kind, image, None if masks is None else masks[k], options, what)
@@ -260,12 +269,12 @@ def _templates(
 
 def kind_coefficients(
     kind: Kind, image: ArrayLike, mask: ArrayLike | None, options: TemplateOptions, what: str
-) -> tuple[NDArray[np.complex64], NDArray[np.float32]]:
+) -> tuple[NDArray[np.complex64], Float32Array]:
     """Return coefficients (O, h, w) and weights (h, w) of an image, or of normals (H, W, 3)."""
     if kind != "shape":
         parts = [image_coefficients(image, mask, options, what)]
     else:
-        values = np.asarray(image, np.float64)
+        values = np.asarray(image, float)
         if values.ndim != 3 or values.shape[2] != 3:
             raise ValueError(f"{what} has normals of shape {values.shape}, expected (H, W, 3)")
         as_they_are = replace(options, unit_mean=False)
@@ -275,9 +284,9 @@ def kind_coefficients(
 
 def image_coefficients(
     image: ArrayLike, mask: ArrayLike | None, options: TemplateOptions, what: str
-) -> tuple[NDArray[np.complex128], NDArray[np.float32]]:
+) -> tuple[NDArray[np.complex128], Float32Array]:
     """Return coefficients (O, h, w), 0 outside their mask, and weights (h, w) of one image named `what`."""
-    pixels = np.asarray(image, np.float64)
+    pixels = np.asarray(image, float)
     if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] != 3) or pixels.size == 0:
         raise ValueError(f"{what} has shape {pixels.shape}, expected (H, W) or (H, W, 3)")
     certain = np.ones(pixels.shape[:2]) if mask is None else np.asarray(mask)
@@ -291,7 +300,7 @@ def image_coefficients(
         raise NothingToCompareError(
             f"{what} is masked everywhere; leave it out, or give a mask with valid pixels"
         )
-    finite = np.isfinite(pixels) if pixels.ndim == 2 else np.isfinite(pixels).all(axis=2)
+    finite = np.isfinite(pixels) if pixels.ndim == 2 else finite_rows(pixels)
     if bad := int((valid & ~finite).sum()):
         raise RecognitionError(
             f"{what}: {bad} of {valid.sum()} pixels in its mask are not finite; take them out of the mask"
@@ -330,7 +339,7 @@ def image_coefficients(
         )
     bands = coarsest_bands(padded)[:, : supported.shape[0], : supported.shape[1]]
     # Of all pixels up to `STEP` / 2 beside a coefficient.
-    weight = uniform_filter(certain.astype(np.float64), STEP + 1, mode="nearest")[::STEP, ::STEP]
+    weight = uniform_filter(certain.astype(float), STEP + 1, mode="nearest")[::STEP, ::STEP]
     weight = np.where(supported, np.clip(weight, LEAST_WEIGHT, 1.0), 0.0).astype(np.float32)
     return np.where(supported, bands, 0.0), weight
 
@@ -355,12 +364,12 @@ def without_holes(mask: BoolArray, radius: float) -> BoolArray:
         return mask
     grown = distance_transform_edt(~np.pad(mask, reach + 1)) <= reach
     inside = slice(reach + 1, -reach - 1)
-    return np.asarray(distance_transform_edt(grown)[inside, inside] > reach)
+    return distance_transform_edt(grown)[inside, inside] > reach
 
 
 def supported_mask(mask: BoolArray) -> BoolArray:
     """Return (ceil(H / 4), ceil(W / 4)) where all pixels up to `STEP` / 2 beside a coefficient count."""
-    return np.asarray(minimum_filter(mask, size=STEP + 1, mode="nearest")[::STEP, ::STEP])
+    return minimum_filter(mask, size=STEP + 1, mode="nearest")[::STEP, ::STEP]
 
 
 def coarsest_bands(image: FloatArray) -> NDArray[np.complex128]:

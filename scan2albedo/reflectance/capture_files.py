@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core import BoolArray, FloatArray, IntArray, NDArray
 from scan2albedo.errors import ReflectanceError, ScanError, errors_of
 from scan2albedo.io.images import read_image_values
 from scan2albedo.io.load_scan import read_mesh_file
@@ -70,7 +69,7 @@ class PhotographFiles:
     path: Path
     content: FacePhotographFile
     """`path`, `content`: of the file, in its own unit."""
-    image: NDArray[np.generic]
+    image: NDArray
     """(H, W, 3) uint8, uint16 or float32: values."""
     mask: BoolArray | None
     """(H, W)."""
@@ -100,17 +99,17 @@ def read_photograph(path: str | Path) -> PhotographFiles:
     )
     scale = MM_PER_UNIT[content.unit]
     image = read_image_values(_beside(file, content.image), upright=True)
-    camera = np.array(content.camera, np.float64)
+    camera = np.array(content.camera, float)
     camera[:, :3] /= scale
     vertices, faces = None, None
     if content.mesh is not None:
         place = _beside(file, content.mesh)
         place = place / "fitted.glb" if place.is_dir() else place
         mesh, metres = read_mesh_file(place), place.suffix.lower() in (".glb", ".gltf")  # by specification
-        vertices, faces = np.asarray(mesh.vertices, np.float64) * (1000 if metres else scale), mesh.faces
+        vertices, faces = np.asarray(mesh.vertices, float) * (1000 if metres else scale), mesh.faces
     landmarks = None
     if content.landmarks is not None:
-        landmarks = np.array([pixel or (np.nan, np.nan) for pixel in content.landmarks], np.float64)
+        landmarks = np.array([pixel or (np.nan, np.nan) for pixel in content.landmarks], float)
     shape, whose = image.shape[:2], f"photograph {file}"
     mask = None if content.mask is None else read_skin_mask(_beside(file, content.mask), shape, whose)
     return PhotographFiles(file, content, image, mask, camera, vertices, faces, landmarks)
@@ -297,11 +296,11 @@ def read_capture(path: str | Path) -> CaptureFiles:
         rig = rig_of_head_poses(
             [pose.rotation for pose in content.poses],
             [np.multiply(pose.translation, scale) for pose in content.poses],
-            np.array([pose.intrinsics or common for pose in content.poses], np.float64),
+            np.array([pose.intrinsics or common for pose in content.poses], float),
             view=[number[pair.camera] for pair in content.pictures],
             flash=[number[pair.flash] for pair in content.pictures],
         )
-    return CaptureFiles(file, content, rig, np.asarray(mesh.vertices, np.float64) * scale, mesh.faces)
+    return CaptureFiles(file, content, rig, np.asarray(mesh.vertices, float) * scale, mesh.faces)
 
 
 def write_capture(path: str | Path, content: FlashCaptureFile) -> None:

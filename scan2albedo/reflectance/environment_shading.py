@@ -6,10 +6,9 @@ from typing import Literal
 
 import numpy as np
 from numpy.polynomial.legendre import Legendre, leggauss, legvander
-from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
-from scan2albedo.core.arrays import FloatArray, checked_array
+from scan2albedo.core import EPSILON, ArrayLike, FloatArray, all_finite, checked_array, norms
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.lighting.harmonics import harmonic_degrees, harmonics, harmonics_gradient
@@ -61,8 +60,8 @@ def tilted_lobe(
     """
     if not exponent > 0:
         raise ValueError(f"exponent must be more than 0, got {exponent}")
-    angle = np.asarray(angle_rad, np.float64)
-    if not np.isfinite(angle).all():
+    angle = np.asarray(angle_rad, float)
+    if not all_finite(angle):
         raise ValueError("angle_rad holds NaN or infinite values")
     values = _spline(float(exponent))(np.clip(angle, 0.0, np.pi / 2), derivative)
     return np.where(angle[..., None] < np.pi / 2, values[..., :-1], 0.0), values[..., -1]
@@ -136,7 +135,7 @@ def light_response(normals: ArrayLike, toward_camera: ArrayLike, *, lobe: Lobe =
     cosine = np.einsum("vi,vi->v", n, v)
     mirror = 2 * cosine[:, None] * n - v
     along = mirror - cosine[:, None] * n
-    angle, outward = np.arctan2(np.linalg.norm(along, axis=1), cosine), normalized(along)
+    angle, outward = np.arctan2(norms(along), cosine), normalized(along)
     specular = np.empty((len(n), len(EXPONENTS), HARMONICS))
     for k, exponent in enumerate(EXPONENTS):
         around = mirror
@@ -191,7 +190,7 @@ def shade_environment(
 def unit_vectors(vectors: ArrayLike, name: str) -> FloatArray:
     """Return vectors (V, 3), or raise `ValueError` for the shape, `ReflectanceError` for another length."""
     unit = checked_array(vectors, ("V", 3), name)
-    length = np.linalg.norm(unit, axis=1)
+    length = norms(unit)
     wrong = ~(np.abs(length - 1) < 1e-4)
     if wrong.any():
         first = int(np.flatnonzero(wrong)[0])
@@ -220,10 +219,10 @@ def shading_gradient(
     by_view = np.zeros_like(by_normal)
     cosine = np.einsum("vi,vi->v", n, v)
     along = cosine[:, None] * n - v
-    sine = np.linalg.norm(along, axis=1)
+    sine = norms(along)
     angle = np.arctan2(sine, cosine)
     # Straight ahead there is no plane of n and v, and none is needed: e = f = 0, and both sines vanish alike.
-    ahead = sine < np.sqrt(np.finfo(float).eps)
+    ahead = sine < np.sqrt(EPSILON)
     e, f = (np.where(ahead[:, None], 0.0, normalized(u)) for u in (along, n - cosine[:, None] * v))
     for k, exponent in enumerate(EXPONENTS):
         response, tilt = tilted_lobe(angle, exponent)

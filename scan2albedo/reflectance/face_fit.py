@@ -6,13 +6,21 @@ from functools import partial
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.special import softmax
 
-from scan2albedo.core import Budget, ProgressCallback
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_mesh
-from scan2albedo.core.plan import Plan, PlanStep
+from scan2albedo.core import (
+    EPSILON,
+    ArrayLike,
+    BoolArray,
+    Budget,
+    FloatArray,
+    IntArray,
+    Plan,
+    PlanStep,
+    ProgressCallback,
+    checked_mesh,
+)
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import edges_with_faces
 from scan2albedo.geometry.operators import surface_diffusion
@@ -199,7 +207,7 @@ def errors_left_out(
     the mean absolute logarithm of predicted over observed colours, less its mean over the channels.
     """
     used, block = observation.seen & model.known, np.full(len(vertices), -1)
-    cells = np.floor(vertices[used] / _BLOCK_MM).astype(np.int64)
+    cells = np.floor(vertices[used] / _BLOCK_MM).astype(int)
     block[used] = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
     count = int(block.max(initial=-1)) + 1
     folds = 3
@@ -261,14 +269,14 @@ def skin_hue(received: FloatArray) -> FloatArray:
     Of the log hue of a photograph, skin's plus light's, it is the posterior mean; the light's is a mixture.
     White lies between the hues of the lights that meet on a face, as sun and sky: dark parts count as bright.
     """
-    cast = np.log(np.maximum(received, _TINY)).mean(0)
+    cast = np.log(np.maximum(received, EPSILON)).mean(0)
     cast -= cast.mean()
     often, warm, deviation = np.array(_LIGHT_HUES).T
     variance = deviation**2 + PEOPLE_DIFFER**2
     off = cast - np.outer(warm, [1, 0, -1])
     # Two numbers of the three are free.
     odds = softmax(np.log(often / variance) - (off**2).sum(1) / (2 * variance))
-    return np.asarray(np.exp(odds * PEOPLE_DIFFER**2 / variance @ off))
+    return np.exp(odds * PEOPLE_DIFFER**2 / variance @ off)
 
 
 _BANDS = {4.0: 0.05, 8.0: 0.02, 16.0: 0.01, 32.0: 0.01}
@@ -282,7 +290,6 @@ _LEAST_LIGHT = 0.2
 """Least light on a vertex that counts, over the median."""
 _LEAST_DIFFUSE = 0.5
 """Least share of a counting vertex's observed light that is no highlight: its errors look like albedo."""
-_TINY = np.finfo(np.float64).eps
 
 
 @dataclass(frozen=True)
@@ -321,7 +328,7 @@ class ShadingDivided:
         made = response.shade(reflectance.chosen(used), light)
         diffuse, highlight = made.diffuse_linear, made.specular_linear
         observed = observation.observed_linear[used]
-        floor = _TINY + 1e-3 * float(np.median(diffuse))
+        floor = EPSILON + 1e-3 * float(np.median(diffuse))
         spread = partial(among_all, used, len(model.known))
 
         def log_ratio(numerator: FloatArray, denominator: FloatArray) -> FloatArray:
@@ -330,7 +337,7 @@ class ShadingDivided:
             return spread(np.clip(ratio, -1.5, 1.5), 0.0)
 
         free = diffuse_response(observation.normals[used])[:, 0]
-        open_share = response.diffuse[:, 0] / np.maximum(free, _TINY)
+        open_share = response.diffuse[:, 0] / np.maximum(free, EPSILON)
         usable, lit = np.zeros((2, len(model.known)), bool)
         bright = received.min(1) > _LEAST_LIGHT * np.median(received)
         lit[used] = bright & (open_share > _LEAST_OPEN)
@@ -353,7 +360,7 @@ class ShadingDivided:
     def left_over(self, field: FloatArray | float = 0.0) -> FloatArray:
         """Return the logarithm (V, 3) of the observed over the predicted light with details (V, 3)."""
         share = self.highlight_share
-        return np.asarray(self.log_whole - np.log(share + (1 - share) * np.exp(field)))
+        return self.log_whole - np.log(share + (1 - share) * np.exp(field))
 
     def by_shift(self, vertices: FloatArray, faces: IntArray) -> FloatArray:
         """Return (V, 3, 3) as `by_tilt`, by a shift of positions (V, 3) of one unit along each axis."""
@@ -363,8 +370,8 @@ class ShadingDivided:
         at = sparse.csr_matrix((np.ones(ends.size), entry), shape=shape)
         change, length = (values[ends[0]] - values[ends[1]] for values in (self.log_received, vertices))
         steep = at @ (2 * change[:, :, None] * change[:, None, :]).reshape(-1, 9)
-        square = np.where(self.usable, np.maximum(at @ (length**2).sum(1), _TINY), np.inf)
-        return np.asarray((steep / square[:, None]).reshape(-1, 3, 3))
+        square = np.where(self.usable, np.maximum(at @ (length**2).sum(1), EPSILON), np.inf)
+        return (steep / square[:, None]).reshape(-1, 3, 3)
 
 
 def detail_field(
@@ -383,9 +390,9 @@ def detail_field(
     field = np.zeros_like(divided.log_ratio)
     if not usable.any():
         return field
-    xyz = np.asarray(vertices, np.float64)
+    xyz = np.asarray(vertices, float)
     blurs = [surface_diffusion(xyz, faces, width) for width in _BANDS]
-    near = np.maximum(blurs[-1](usable.astype(float)), _TINY)
+    near = np.maximum(blurs[-1](usable.astype(float)), EPSILON)
 
     def around(covariance: FloatArray) -> FloatArray:
         return blurs[-1](np.where(usable[:, None, None], covariance, 0.0)) / near[:, None, None]
@@ -398,10 +405,10 @@ def detail_field(
     for blur, error in zip(blurs, _BANDS.values(), strict=True):
         coarser = coarser if blur is blurs[0] else blur(finer)
         band = finer - coarser
-        total = around(band[:, :, None] * band[:, None, :]) + _TINY * np.eye(3)
+        total = around(band[:, :, None] * band[:, None, :]) + EPSILON * np.eye(3)
         light = error**2 * (_GREY * np.ones((3, 3)) + (1 - _GREY) * np.eye(3)) + tilted
         value, vector = np.linalg.eigh(total)
-        size, turned = np.sqrt(np.maximum(value, _TINY))[:, None], vector.transpose(0, 2, 1)
+        size, turned = np.sqrt(np.maximum(value, EPSILON))[:, None], vector.transpose(0, 2, 1)
         root, inverse = vector * size @ turned, vector / size @ turned
         kept, axis = np.linalg.eigh(np.eye(3) - inverse @ light @ inverse)
         gain = root @ (axis * np.maximum(kept, 0.0)[:, None]) @ axis.transpose(0, 2, 1) @ inverse

@@ -7,10 +7,21 @@ from functools import partial
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
-from scan2albedo.core.arrays import FloatArray, IntArray, checked_array
+from scan2albedo.core import (
+    ArrayLike,
+    Budget,
+    FloatArray,
+    IntArray,
+    Meter,
+    Plan,
+    PlanStep,
+    ProgressCallback,
+    Trace,
+    checked_array,
+    finite_rows,
+    norms,
+)
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import edges_with_faces, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, pixel_directions, project
@@ -117,15 +128,15 @@ def refine_geometry(
     Cast shadows are not modelled. Only the prior separates how far away a face is from how large it is.
     `python tools/bench face_geometry` compares weights of landmarks.
     """
-    matrix = normalized_cameras(np.asarray(camera, np.float64)[None])[0]
+    matrix = normalized_cameras(np.asarray(camera, float)[None])[0]
     landmarks = checked_array(landmarks_px, (LANDMARKS, 2), "landmarks_px").copy()
-    landmarks[~np.isfinite(landmarks).all(1)] = np.nan
+    landmarks[~finite_rows(landmarks)] = np.nan
     count = shape_model.identity_components
     identity = checked_coefficients(initial_identity, (count,), "initial_identity")
     count = shape_model.expression_components
     expression = checked_coefficients(initial_expression, (count,), "initial_expression")
     coefficients = np.concatenate([identity, expression])
-    seen = np.flatnonzero(np.isfinite(landmarks).all(1))
+    seen = np.flatnonzero(finite_rows(landmarks))
     pose = _initial_pose(initial_scene_from_model, matrix, landmarks[seen], seen, shape_model, coefficients)
     meter = Meter("reflectance.geometry", "objective", Budget.of(budget), on_progress)
     state = GeometryPoint(shape_model, pose, coefficients, meter)
@@ -188,7 +199,7 @@ def refine_geometry(
         expression=expression,
         vertices=state.vertices,
         normals=vertex_normals(state.vertices, shape_model.faces),
-        landmark_error_px=np.asarray(np.linalg.norm(pixels - landmarks, axis=1)),
+        landmark_error_px=np.asarray(norms(pixels - landmarks)),
         photometric_rmse_before=gain.before,
         photometric_rmse_after=gain.after,
         plan=Plan(tuple(plan)),
@@ -222,7 +233,7 @@ def _blurred(
 ) -> terms.SmoothImage:
     """Return the image smoothed by `BLUR_EDGES` of the mesh at `start`; as it is where that is behind."""
     edges, _ = edges_with_faces(start.model.faces)
-    length = np.linalg.norm(start.vertices[edges[:, 0]] - start.vertices[edges[:, 1]], axis=1).mean()
+    length = norms(start.vertices[edges[:, 0]] - start.vertices[edges[:, 1]]).mean()
     _, depth = project(camera, start.vertices)
     edge_px = float(length / _pixel_mm(camera, depth)) if np.median(depth) > 0 else 0.0
     return terms.SmoothImage(image_linear, mask, BLUR_EDGES * edge_px)
@@ -341,4 +352,4 @@ def pose_from_landmarks(camera: FloatArray, points_mm: FloatArray, pixels: Float
     if not np.isfinite(least):
         raise ReflectanceError("no pose puts the landmarks before the camera; check landmarks and camera")
     to_scene = compose(np.eye(3), camera_centers(camera[None])[0])
-    return np.asarray(to_scene @ best @ compose(np.eye(3), -center))
+    return to_scene @ best @ compose(np.eye(3), -center)

@@ -6,11 +6,20 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import sparse
 
-from scan2albedo.core import Meter
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
+from scan2albedo.core import (
+    SMALLEST,
+    ArrayLike,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    Meter,
+    all_finite,
+    checked_array,
+    finite_rows,
+    norms,
+)
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.operators import cross_matrices, vertex_normal_jacobian
@@ -47,14 +56,14 @@ class SmoothImage:
         image = checked_array(image_linear, ("H", "W", 3), "image_linear")
         if min(image.shape[:2]) < 2:
             raise ValueError(f"image_linear is {image.shape}, expected H and W of 2 or more")
-        self.valid = np.asarray(np.isfinite(image).all(2))
+        self.valid = finite_rows(image)
         if mask is not None:
             self.valid &= checked_array(mask, self.valid.shape, "mask", kind=bool)
         if not self.valid.any():
             raise ReflectanceError("the image has no pixel left: all are NaN or masked; check the mask")
         filled = np.where(self.valid[..., None], image, 0.0)
         if blur_px > 0:
-            weight = gaussian_filter(self.valid.astype(np.float64), blur_px, mode="constant")
+            weight = gaussian_filter(self.valid.astype(float), blur_px, mode="constant")
             blurred = gaussian_filter(filled, (blur_px, blur_px, 0), mode="constant")
             enough = weight > 0
             filled = np.where(enough[..., None], blurred / np.where(enough, weight, 1.0)[..., None], 0.0)
@@ -72,7 +81,7 @@ class SmoothImage:
     def gradient(self, pixels: FloatArray) -> FloatArray:
         """Return the derivatives (N, 3, 2) of `look_up` by column and row; 0 beyond the border."""
         inside = (pixels > 0) & (pixels < np.array(self.valid.shape)[::-1] - 1)
-        return np.asarray(bilinear_slopes(self._image, pixels) * inside[:, None, :])
+        return bilinear_slopes(self._image, pixels) * inside[:, None, :]
 
 
 @dataclass(frozen=True)
@@ -91,7 +100,7 @@ class LandmarkTerm:
     def value(self, vertices: FloatArray) -> float:
         """Return the term; inf where a landmark's vertex lies behind the camera."""
         squared = np.sum(self._off(vertices) ** 2, axis=1)
-        return LANDMARK_WEIGHT * float(squared.mean()) if np.isfinite(squared).all() else np.inf
+        return LANDMARK_WEIGHT * float(squared.mean()) if all_finite(squared) else np.inf
 
     def linearized(self, vertices: FloatArray) -> LocalTerm:
         """Return the term as weighted squares around `vertices`."""
@@ -132,7 +141,7 @@ class PhotometricTerm:
         """Return r (U, 3), or None when a vertex has no normal or lies behind the camera."""
         pixels, _ = project(self.camera, vertices[self.used])
         normals, sight = vertex_normals(vertices, self.faces)[self.used], self._sight(vertices)
-        if not (np.isfinite(pixels).all() and normals.any(1).all()):
+        if not (all_finite(pixels) and normals.any(1).all()):
             return None
         shading = shade_environment(self.reflectance, normals, normalized(sight), self.light)
         return (self.image.look_up(pixels) - shading.radiance_linear) / self.unit
@@ -143,7 +152,7 @@ class PhotometricTerm:
         if off is None:
             return np.inf
         observed = self.image.look_up(project(self.camera, vertices[self.used])[0]) / self.unit
-        return float(np.linalg.norm(off) / max(float(np.linalg.norm(observed)), np.finfo(float).tiny))
+        return float(np.linalg.norm(off) / max(float(np.linalg.norm(observed)), SMALLEST))
 
     def linearized(self, vertices: FloatArray) -> LocalTerm:
         """Return the term as weighted squares around `vertices`, where its value is finite."""
@@ -151,7 +160,7 @@ class PhotometricTerm:
         if off is None:
             raise ValueError("the photometric term is not defined here; its value is inf")
         points, sight, used = vertices[self.used], self._sight(vertices), self.used
-        distance = np.linalg.norm(sight, axis=1)
+        distance = norms(sight)
         view = sight / distance[:, None]
         pixels, _ = project(self.camera, points)
         normals = vertex_normals(vertices, self.faces)[used]
@@ -168,7 +177,7 @@ class PhotometricTerm:
         return LocalTerm(jacobian, (weight * off).ravel(), weight.ravel())
 
     def _sight(self, vertices: FloatArray) -> FloatArray:
-        return np.asarray(camera_centers(self.camera[None])[0] - vertices[self.used])
+        return camera_centers(self.camera[None])[0] - vertices[self.used]
 
 
 def photometric_term(
@@ -183,7 +192,7 @@ def photometric_term(
     usable = reflectance.known
     for vertices in shapes:
         pixels, depth = project(camera, vertices)
-        if not (np.isfinite(vertices).all() and (depth > 0).all()):
+        if not (all_finite(vertices) and (depth > 0).all()):
             return None
         usable = usable & image.covers(pixels)
         if usable.any():
@@ -229,7 +238,7 @@ class GeometryPoint:
         self.meter.count()
         precision, numbers = self._prior
         data = sum((term.value(self.vertices) for term in self.terms), start=0.0)
-        return data + 0.5 * float(precision @ numbers**2)
+        return data + float(precision @ numbers**2) / 2
 
     def normal_equations(self) -> NormalEquations:
         """Return the quadratic model by turn, shift and the coefficients that move."""

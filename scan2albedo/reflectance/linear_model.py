@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import FloatArray, checked_array
+from scan2albedo.core import ArrayLike, FloatArray, checked_array, norms
 from scan2albedo.errors import ReflectanceError
 
 _RANK_TOLERANCE = 1e-12
@@ -31,12 +30,12 @@ class LinearModel:
     @property
     def deviation(self) -> FloatArray:
         """(N,): standard deviation of the samples along each direction, which is its length."""
-        return np.asarray(np.linalg.norm(self.basis.reshape(self.components, self.mean.size), axis=1))
+        return norms(self.basis.reshape(self.components, self.mean.size))
 
     def at(self, coefficients: ArrayLike, name: str = "coefficients") -> FloatArray:
         """Return the values (...) of coefficients (N,); `checked_coefficients` says what it raises."""
         b = checked_coefficients(coefficients, (self.components,), name)
-        return np.asarray(self.mean + np.tensordot(b, self.basis, 1))
+        return self.mean + np.tensordot(b, self.basis, 1)
 
     def check(self, what: str, shape: tuple[int, ...]) -> None:
         """Raise `ReflectanceError` when mean or basis do not fit the mean's `shape`, or are not finite."""
@@ -71,5 +70,5 @@ def require_one_topology(one: str, count: int, other: str, expected: int) -> Non
 
 def checked_coefficients(values: ArrayLike | None, shape: tuple[int, ...], name: str) -> FloatArray:
     """Return coefficients, 0 for None; `ValueError` for another shape, `ReflectanceError` for NaN."""
-    given = np.zeros(shape) if values is None else np.array(values, np.float64)
+    given = np.zeros(shape) if values is None else np.array(values, float)
     return checked_array(given, shape, name, finite=ReflectanceError)

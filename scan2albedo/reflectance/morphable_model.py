@@ -3,13 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
+from scan2albedo.core import SMALLEST, ArrayLike, BoolArray, FloatArray, IntArray, Values, checked_array
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.reflectance.linear_model import LinearModel, principal_directions, require_one_topology
@@ -17,7 +16,7 @@ from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflecta
 
 PEOPLE_DIFFER = 0.2
 """Standard deviation of an albedo among people, as part of its level."""
-_PARTS: dict[str, Any] = {"diffuse": slice(0, 3), "sum": 3, "share": slice(4, 7)}
+_PARTS: Values = {"diffuse": slice(0, 3), "sum": 3, "share": slice(4, 7)}
 """The model's columns by what the names of their arrays begin with in its file."""
 _KINDS = {"known": "b", "support": "iu", "deviation": "f"} | {
     f"{part}_{array}": "f" for part in _PARTS for array in ("mean", "basis")
@@ -121,9 +120,9 @@ class MorphableReflectanceModel(LinearModel):
                 f"no vertex is known to {100 * least_support:.0f} % of the {len(samples)} samples; give more "
                 "complete ones or a smaller least_support"
             )
-        trust = (there & known).astype(np.float64)
+        trust = (there & known).astype(float)
         if weights is not None:
-            given = np.asarray([np.asarray(one, np.float64) for one in weights])
+            given = np.asarray([np.asarray(one, float) for one in weights])
             if given.shape != there.shape or not ((given >= 0) & (given <= 1)).all():
                 raise ValueError(f"weights must be 0 to 1, of shape {there.shape}, got {given.shape}")
             trust *= given
@@ -141,7 +140,7 @@ class MorphableReflectanceModel(LinearModel):
         size = float(np.sum(mean[:, :3] ** 2))
         directions, total_variance = principal_directions(off[..., :3], components, size=size)
         basis = np.tensordot(directions, off, 1)
-        return cls(mean, basis, known, support.astype(np.int64), total_variance, len(samples))
+        return cls(mean, basis, known, support.astype(int), total_variance, len(samples))
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -166,7 +165,7 @@ class MorphableReflectanceModel(LinearModel):
             checked_array(arrays["deviation"], (header.components,), "deviation", ReflectanceError)
             basis = checked_array(basis, (header.components, header.vertices, 7), "basis", ReflectanceError)
             more = arrays["known"], arrays["support"], header.total_variance, header.samples
-            return cls(mean.astype(np.float64), basis, *more)
+            return cls(mean.astype(float), basis, *more)
 
     def save(self, path: str | Path) -> None:
         """Write the model as an .npz file, whole or not at all; same model, same bytes.
@@ -198,7 +197,7 @@ class MorphableReflectanceModel(LinearModel):
     @property
     def explained(self) -> FloatArray:
         """(N,) shares of the albedo's variance that the directions hold one by one."""
-        return self.deviation**2 / max(self.total_variance, np.finfo(float).tiny)
+        return self.deviation**2 / max(self.total_variance, SMALLEST)
 
     def mean_only(self, factors: ArrayLike = 1.0) -> Self:
         """Return the model without its directions, with factors (3,) on the channels of the mean albedo."""
@@ -216,7 +215,7 @@ class MorphableReflectanceModel(LinearModel):
         weights = np.maximum(total, 0) * np.maximum(share, 0)
         return ModelReflectance(
             VertexReflectance(np.maximum(diffuse, 0), weights, self.known),
-            np.array(coefficients, np.float64),
+            np.array(coefficients, float),
             float(negative[self.known].sum()) / max(6 * int(self.known.sum()), 1),
         )
 
@@ -249,11 +248,11 @@ def reliability(sample: VertexReflectance, std: FloatArray | None) -> FloatArray
     s is the largest of the standard deviations of its albedos, columns of `std` (V, 6), and t how much people
     differ, a part of the sample's median albedo. Without `std` all that is known counts fully.
     """
-    weight = sample.known.astype(np.float64)
+    weight = sample.known.astype(float)
     if std is not None and sample.known.any():
         differ = PEOPLE_DIFFER * float(np.median(sample.diffuse_linear[sample.known]))
         square = np.nan_to_num(std[:, :3]).max(1) ** 2
-        weight *= differ**2 / np.maximum(differ**2 + square, np.finfo(float).tiny)
+        weight *= differ**2 / np.maximum(differ**2 + square, SMALLEST)
     return weight
 
 

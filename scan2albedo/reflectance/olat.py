@@ -5,15 +5,13 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core import BoolArray, Float32Array, FloatArray, NDArray
 from scan2albedo.errors import ReflectanceError
 
-Pictures = NDArray[Any] | Sequence[NDArray[Any]]
+Pictures = NDArray | Sequence[NDArray]
 
 _BRIGHTER_ROOM_PART = 0.02
 """Part of a pair's pixels, brighter in the room's light, from which it is reported: it is left out when more
@@ -56,9 +54,9 @@ class CaptureDiagnostic:
 class OlatImages:
     """Light that the flash of each of J pairs added."""
 
-    linear: NDArray[np.float32]
+    linear: Float32Array
     """(J, H, W, 3) float32: negative where noise made it so; 0 where not valid."""
-    sigma: NDArray[np.float32]
+    sigma: Float32Array
     """(J, H, W, 3) float32: standard deviation."""
     valid: BoolArray
     """(J, H, W, 3): finite, not saturated, of a pair that is not left out."""
@@ -152,21 +150,21 @@ def extract_olat(flash: Pictures, room: Pictures, *, options: OlatOptions = Olat
     return OlatImages(linear, sigma, valid, saturated, tuple(diagnostics))
 
 
-def _pictures(given: Pictures, name: str) -> list[NDArray[Any]]:
+def _pictures(given: Pictures, name: str) -> list[NDArray]:
     pictures = [given] if isinstance(given, np.ndarray) and given.ndim == 3 else list(given)
     if not pictures:
         raise ReflectanceError(f"{name} holds no pictures: there are no pairs, give one at least")
     return [np.asarray(picture) for picture in pictures]
 
 
-def picture_values(picture: NDArray[Any], name: str, saturation: float) -> FloatArray:
+def picture_values(picture: NDArray, name: str, saturation: float) -> FloatArray:
     """Return values (H, W, 3), white = 1, of floats or of integers of 8 or 16 bits."""
     array = np.asarray(picture)
     if array.dtype in (np.uint8, np.uint16):
-        return np.asarray(array / float(np.iinfo(array.dtype).max))
+        return array / float(np.iinfo(array.dtype).max)
     if not np.issubdtype(array.dtype, np.floating):
         raise ReflectanceError(f"{name} is {array.dtype}, expected floats with white = 1, uint8 or uint16")
-    values = array.astype(np.float64)
+    values = array.astype(float)
     largest = float(np.max(values, where=np.isfinite(values), initial=0.0))
     if largest > 2 * saturation:
         raise ReflectanceError(

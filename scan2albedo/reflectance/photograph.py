@@ -1,12 +1,10 @@
 """`ImageObservation`: colours of one image at the vertices of a face; how to get it from a photograph."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, checked_array
+from scan2albedo.core import ArrayLike, BoolArray, FloatArray, NDArray, checked_array, finite_rows
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, project
@@ -122,7 +120,7 @@ class ImageObservation:
 
         def require_finite(name: str, rows: FloatArray) -> None:
             """Raise ReflectanceError where numbers (N, ...) of the N seen vertices are not."""
-            bad = ~np.isfinite(rows).all(1)
+            bad = ~finite_rows(rows)
             if bad.any():
                 raise ReflectanceError(
                     f"{name} of vertex {int(np.flatnonzero(seen)[bad][0])} holds NaN or infinite values "
@@ -162,7 +160,7 @@ class ImageObservation:
 
 
 def observe_photograph(
-    image: NDArray[Any],
+    image: NDArray,
     camera: ArrayLike,
     vertices: ArrayLike,
     faces: ArrayLike,
@@ -204,7 +202,7 @@ def observe_photograph(
     if np.ndim(image) != 3 or np.shape(image)[2] != 3 or np.size(image) == 0:
         raise ValueError(f"image is {np.shape(image)}, expected (H, W, 3)")
     values = picture_values(np.asarray(image), "the image", saturation)
-    finite = np.asarray(np.isfinite(values).all(-1))
+    finite = finite_rows(values)
     values = np.where(finite[..., None], values, 0.0)
     given = np.ones(finite.shape, bool) if mask is None else mask
     skin = checked_array(given, finite.shape, "mask", kind=bool)

@@ -1,10 +1,9 @@
 """Radiance of a vertex of unit albedo, and of unit weight of each lobe, under a point light."""
 
 import numpy as np
-from numba import njit
-from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import FloatArray, checked_array
+from scan2albedo.core import ArrayLike, FloatArray, checked_array
+from scan2albedo.core.compiled import compiled
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance
 
@@ -61,7 +60,7 @@ def lobes_and_slopes(
 
 def cosines_of_lobes(lobes: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Return n.l and n.h (J, V) of lobes (J, V, 4) times any factor a picture; 0 where one is negative."""
-    diffuse, broad, middle = np.moveaxis(np.asarray(lobes, np.float64)[..., :3], -1, 0)
+    diffuse, broad, middle = np.moveaxis(np.asarray(lobes, float)[..., :3], -1, 0)
     there = (broad > 0) & (middle > 0)
     lobe = np.where(there, broad, 1.0)
     n_h = np.where(there, (middle / lobe * PEAKS[0] / PEAKS[1]) ** (1 / 7), 0.0)
@@ -86,8 +85,8 @@ def lobe_slopes(
 
 def tilted_normals(normals: ArrayLike, tilt: ArrayLike) -> FloatArray:
     """Return unit normals (V, 3) tilted by `tilt` (V, 2) along the tangents of `lobe_slopes`; NaN is 0."""
-    unit = np.asarray(normals, np.float64)
-    angle = np.nan_to_num(np.asarray(tilt, np.float64))[..., None]
+    unit = np.asarray(normals, float)
+    angle = np.nan_to_num(np.asarray(tilt, float))[..., None]
     first, second = _tangents(unit)
     return normalized(unit + (angle[:, 0] * first + angle[:, 1] * second) * unit.any(1, keepdims=True))
 
@@ -101,7 +100,7 @@ def _tangents(normals: FloatArray) -> tuple[FloatArray, FloatArray]:
     return first, np.stack([x * y * a, sign + y * y * a, -y], 1)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _fill(vertices, frames, cameras, lights, reference, lobes, slopes):  # type: ignore[no-untyped-def]
     """Fill lobes and slopes (J, V, 4), 0 so far; frames (V, 3, 3) are normals and tangents.
 
@@ -143,7 +142,7 @@ def _fill(vertices, frames, cameras, lights, reference, lobes, slopes):  # type:
                     slopes[j, i, 2 + t] = on_half[1 + t] / on_half[0]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def turn_lobes(lobes, slopes, tilt, rows, turned):  # type: ignore[no-untyped-def]
     """Fill turned (J, V, 4), lobes of normals tilted by `tilt` (V, 2), of the vertices `rows` (N,)."""
     for j in range(lobes.shape[0]):

@@ -5,8 +5,7 @@ from typing import Self
 
 import numpy as np
 
-from scan2albedo.core import Meter
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core import BoolArray, FloatArray, IntArray, Meter
 from scan2albedo.geometry.rays import blocks, each_block
 from scan2albedo.reflectance import vertex_kernels as kernels
 from scan2albedo.reflectance.point_light_lobes import turn_lobes
@@ -215,7 +214,7 @@ class RobustFit:
         if self.tilting:
             assert self.data.tilt_sigma is not None
             square = (self.tilt[rows] ** 2).sum(1) / (TILT_FREEDOM * self.data.tilt_sigma[rows] ** 2)
-            self.loss[rows] += 0.5 * (TILT_FREEDOM + 2) * np.log1p(square)
+            self.loss[rows] += (TILT_FREEDOM + 2) / 2 * np.log1p(square)
 
 
 def normal_sigma(

@@ -5,10 +5,9 @@ from pathlib import Path
 from typing import Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field
 
-from scan2albedo.core.arrays import FloatArray, IntArray, checked_array, checked_mesh
+from scan2albedo.core import ArrayLike, FloatArray, IntArray, checked_array, checked_mesh
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.reflectance.linear_model import LinearModel, principal_directions, require_one_topology
@@ -104,7 +103,7 @@ class MorphableShapeModel(LinearModel):
             mean,
             np.concatenate([np.tensordot(identity, off, 1), expression]),
             len(identity),
-            np.asarray(faces, np.int64),
+            np.asarray(faces, int),
             checked_array(landmark_vertices, ("L",), "landmark_vertices", ReflectanceError, kind=int),
         )
 
@@ -150,7 +149,7 @@ class MorphableShapeModel(LinearModel):
 
 def _checked_stack(shapes: ArrayLike, name: str) -> FloatArray:
     try:
-        stack = np.asarray(shapes, np.float64)
+        stack = np.asarray(shapes, float)
     except ValueError as error:
         raise ReflectanceError(f"{name} differ in number of vertices; bring all to one topology") from error
     checked_array(stack, ("K", "V", 3), name, ReflectanceError)

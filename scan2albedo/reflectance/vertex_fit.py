@@ -4,10 +4,22 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
+from scan2albedo.core import (
+    EPSILON,
+    SMALLEST,
+    ArrayLike,
+    BoolArray,
+    Budget,
+    FloatArray,
+    IntArray,
+    Meter,
+    Plan,
+    PlanStep,
+    ProgressCallback,
+    Trace,
+    checked_array,
+)
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance.olat import OlatOptions
 from scan2albedo.reflectance.point_light_lobes import cosines_of_lobes, point_light_radiance
@@ -246,7 +258,7 @@ def _moved_by_bounce(fitted: RobustFit, rows: IntArray) -> FloatArray:
 def _condition(matrices: FloatArray) -> FloatArray:
     """Return (N,) condition numbers of the observations, whose normal matrices are (N, 6, 6)."""
     smallest, largest = np.linalg.eigvalsh(matrices)[:, [0, -1]].T
-    singular = smallest <= 64 * np.finfo(float).eps * largest
+    singular = smallest <= 64 * EPSILON * largest
     return np.sqrt(np.where(singular, np.inf, largest / np.where(singular, 1.0, smallest)))
 
 
@@ -273,7 +285,7 @@ def with_bounce(
         return RobustFit(lit, options.loss).fit(np.arange(len(few)), meter.untraced())
 
     albedo = fit_few(np.zeros(3)).estimate[:, :3]
-    mean = np.maximum(np.median(albedo, axis=0), np.finfo(float).tiny)
+    mean = np.maximum(np.median(albedo, axis=0), SMALLEST)
     most = 1 / max(1.0, mean.max()) if options.most_albedo is not None else 1 / mean.max()
     within = {"bounds": (0, most), "method": "bounded", "options": {"xatol": most / 20}}
     part = minimize_scalar(lambda part: fit_few(part * mean).residual, **within).x
@@ -313,7 +325,7 @@ def find_light_gains(
         np.add.at(above, light, (precision * subset.observed * radiance).sum(1))
         np.add.at(below, light, (precision * radiance**2).sum(1))
         # A flash that lit only black pixels would have no gain.
-        least = np.finfo(float).eps
+        least = EPSILON
         new = np.where(below > 0, np.maximum(above / np.where(below > 0, below, 1.0), least), np.nan)
         new /= np.nanmean(new, axis=0)
         step = float(np.nanmax(np.abs(new - gain)))
@@ -372,13 +384,13 @@ def relighting_error(
     observed, made = unseen.observed_linear[seen], predicted[seen]
     if not observed.any():
         raise ReflectanceError("pictures held out are black where the face is: there is nothing to predict")
-    white = max(float(np.percentile(observed, 99)), np.finfo(float).tiny)
+    white = max(float(np.percentile(observed, 99)), SMALLEST)
     displayed = [np.clip(linear / white, 0, 1) ** (1 / OlatOptions.gamma) for linear in (observed, made)]
     off = float(np.mean((displayed[0] - displayed[1]) ** 2))
     power = float(np.mean(observed**2))
     return RelightingError(
         float(np.sqrt(np.mean((observed - made) ** 2) / power)),
-        float(-10 * np.log10(max(off, np.finfo(float).tiny))),
+        float(-10 * np.log10(max(off, SMALLEST))),
         float(np.sqrt(np.mean(unseen.sigma[seen] ** 2) / power)),
         fit,
     )

@@ -17,13 +17,14 @@ their powers, so the turned ones need no geometry, whatever the lobes are in uni
 """
 
 import numpy as np
-from numba import njit
+
+from scan2albedo.core.compiled import compiled
 
 UNIT_MEDIAN = 0.888
 """Median of the root mean square of three standard normal numbers."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def add_normal_equations(observed, precision, lobes, bounce, weight, rows, normal):  # type: ignore[no-untyped-def]
     """Fill normal (N, 6, 7), lower triangles and right sides of the equations of the vertices `rows` (N,).
 
@@ -58,7 +59,7 @@ def add_normal_equations(observed, precision, lobes, bounce, weight, rows, norma
                 one[3 + n, 6] += products * lobes[j, v, 1 + n]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _add_prior(normal, mean, prior, matrix, right):  # type: ignore[no-untyped-def]
     """Fill the lower triangle of matrix, of 6 or more, and the right side from equations (6, 7) and prior."""
     for n in range(6):
@@ -68,7 +69,7 @@ def _add_prior(normal, mean, prior, matrix, right):  # type: ignore[no-untyped-d
         right[n] = normal[n, 6] + prior[n] * mean[n]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _factorize(matrix, held, least, factor):  # type: ignore[no-untyped-def]
     """Fill the lower triangle of factor L, L L^T = matrix, unknowns that are `held` at 0 left out.
 
@@ -85,7 +86,7 @@ def _factorize(matrix, held, least, factor):  # type: ignore[no-untyped-def]
             factor[n, k] = np.sqrt(max(total, least[n])) if n == k else total / factor[k, k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _solve(factor, held, right, solution):  # type: ignore[no-untyped-def]
     """Fill the solution of L L^T x = right, 0 for what is `held` there."""
     size = len(right)
@@ -100,7 +101,7 @@ def _solve(factor, held, right, solution):  # type: ignore[no-untyped-def]
         solution[n] /= factor[n, n]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _fill_variances(factor, column, variance):  # type: ignore[no-untyped-def]
     """Fill the diagonal of (L L^T)^-1: squares of the factor's inverse, each `column` of it in turn."""
     for n in range(len(variance)):
@@ -113,7 +114,7 @@ def _fill_variances(factor, column, variance):  # type: ignore[no-untyped-def]
             variance[n] += column[k] * column[k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def solve_bounded(normal, mean, prior, estimate):  # type: ignore[no-untyped-def]
     """Fill estimate (N, 6), the least objective with all six >= 0.
 
@@ -145,7 +146,7 @@ def solve_bounded(normal, mean, prior, estimate):  # type: ignore[no-untyped-def
         estimate[i] = np.maximum(found, 0.0)  # what overflows stays visible
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def solve_free(normal, mean, prior, center, deviation):  # type: ignore[no-untyped-def]
     """Fill center and deviation (N, 6): mean and standard deviations of the posterior without bounds."""
     matrix, factor, right, held = np.empty((6, 6)), np.empty((6, 6)), np.empty(6), np.zeros(6, np.bool_)
@@ -157,7 +158,7 @@ def solve_free(normal, mean, prior, center, deviation):  # type: ignore[no-untyp
         deviation[i] = np.sqrt(deviation[i])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def reweigh(  # type: ignore[no-untyped-def]
     observed, precision, lobes, bounce, estimate, mean, prior, rows, power, width, scale, weight, loss, misfit
 ):
@@ -223,7 +224,7 @@ def reweigh(  # type: ignore[no-untyped-def]
         misfit[v, 0], misfit[v, 1] = squares, weights
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def add_tilt_equations(  # type: ignore[no-untyped-def]
     observed, precision, lobes, bounce, slopes, weight, estimate, tilt, rows, equations
 ):
@@ -274,7 +275,7 @@ def add_tilt_equations(  # type: ignore[no-untyped-def]
                 second[3 + n] += lobes[j, v, 1 + n] * sum1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _add_priors(normal, equations, prior, tilt_prior, matrix, right, least):  # type: ignore[no-untyped-def]
     """Fill the lower triangle of matrix (8, 8) for albedos, weights and tilts, and its least pivots (8,)."""
     _add_prior(normal, prior, prior, matrix, right)
@@ -284,7 +285,7 @@ def _add_priors(normal, equations, prior, tilt_prior, matrix, right, least):  # 
     least[:6], least[6:] = prior, tilt_prior
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def step_tilts(normal, equations, prior, tilt_prior, damping, rows, estimate, tilt):  # type: ignore[no-untyped-def]
     """Move the tilts (V, 2) of the vertices `rows` (N,), and their `estimate` (V, 6) along.
 
@@ -307,7 +308,7 @@ def step_tilts(normal, equations, prior, tilt_prior, damping, rows, estimate, ti
         tilt[v] += step[6:]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def deviations_with_tilts(normal, equations, prior, tilt_prior, rows, deviation, tilt_variance):  # type: ignore[no-untyped-def]
     """Fill deviation (N, 6) of albedos and weights without bounds, and tilt_variance (N,), a mean."""
     matrix, factor, held = np.empty((8, 8)), np.empty((8, 8)), np.zeros(8, np.bool_)

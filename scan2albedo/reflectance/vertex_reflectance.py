@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
+from scan2albedo.core import ArrayLike, BoolArray, FloatArray, IntArray, checked_array, finite_rows
 from scan2albedo.errors import ReflectanceError
 
 EXPONENTS = (1.0, 8.0, 64.0)
@@ -88,7 +87,7 @@ def lobe_weights_of_phong(strength: float, exponent: float) -> FloatArray:
     root = np.sqrt(np.sin(angle))
     lobes = np.stack([(s + 2) / 8 * np.cos(angle) ** s for s in EXPONENTS], 1)
     weights, _ = nnls(lobes * root[:, None], np.cos(2 * angle) ** exponent * root)
-    return np.asarray(strength * weights)
+    return strength * weights
 
 
 def reflectance_from_albedo(
@@ -108,8 +107,8 @@ def reflectance_from_albedo(
         Vertices to keep, those with a finite albedo when omitted.
     """
     albedo = checked_array(albedo_linear, ("V", 3), "albedo_linear", ReflectanceError)
-    lobes = np.asarray(weights, np.float64)
+    lobes = np.asarray(weights, float)
     if lobes.shape not in ((3,), albedo.shape):
         raise ReflectanceError(f"weights are {lobes.shape}, expected (3,) or {albedo.shape}")
-    kept = np.isfinite(albedo).all(1) if known is None else np.asarray(known)
+    kept = finite_rows(albedo) if known is None else np.asarray(known)
     return VertexReflectance(albedo, np.broadcast_to(lobes, albedo.shape), cast("BoolArray", kept))

@@ -5,10 +5,18 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import sparse
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
+from scan2albedo.core import (
+    SMALLEST,
+    ArrayLike,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    all_finite,
+    checked_array,
+    norms,
+)
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.geometry.mesh import face_cross_products, normalized
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, project
@@ -80,7 +88,7 @@ def rig_of_head_poses(
     for name, index in zip(("view", "flash"), numbers, strict=True):
         if len(index) and not (index.min() >= 0 and index.max() < len(turn)):
             raise ReflectanceError(f"{name} reaches {index.min()} to {index.max()} of {len(turn)} poses")
-    inner = np.broadcast_to(np.asarray(intrinsics, np.float64), turn.shape)
+    inner = np.broadcast_to(np.asarray(intrinsics, float), turn.shape)
     cameras = inner @ np.concatenate([turn, shift[:, :, None]], axis=2)
     centers = -np.einsum("cji,cj->ci", turn, shift)
     return CaptureRig(cameras[numbers[0]], centers[numbers[1]], numbers[1])
@@ -139,7 +147,7 @@ class VertexSamples:
             raise ReflectanceError(f"light is {light.min()} at least, expected 0 or more")
         bad = valid & ~(np.isfinite(observed) & np.isfinite(sigma) & (sigma > _LEAST_SIGMA))
         bad |= valid & ~np.isfinite(self.lobes).all(-1, keepdims=True)
-        if not all(one is None or np.isfinite(one).all() for one in (self.slopes, self.normal_spread)):
+        if not all(one is None or all_finite(one) for one in (self.slopes, self.normal_spread)):
             raise ReflectanceError("slopes and normal_spread must be finite; leave them out if unknown")
         if bad.any():
             pair, vertex, _ = np.argwhere(bad)[0]
@@ -153,7 +161,7 @@ class VertexSamples:
     @property
     def pair_count(self) -> IntArray:
         """(V,) pictures with an observation of a vertex."""
-        return np.asarray(self.valid.any(-1).sum(0), np.int64)
+        return np.asarray(self.valid.any(-1).sum(0), int)
 
     def of_pairs(self, pairs: ArrayLike) -> Self:
         """Return the samples of some pictures: indices, or a mask (J,)."""
@@ -181,7 +189,7 @@ class VertexSamples:
         if self.slopes is None:
             return self.lobes
         turned = np.zeros(self.lobes.shape)
-        rows, angle = np.arange(self.lobes.shape[1]), np.nan_to_num(np.asarray(tilt, np.float64))
+        rows, angle = np.arange(self.lobes.shape[1]), np.nan_to_num(np.asarray(tilt, float))
         turn_lobes(self.lobes, self.slopes, angle, rows, turned)
         return turned
 
@@ -236,7 +244,7 @@ def sample_vertices(
         pixels, _ = project(cameras[view], xyz)
         usable = seen[view] & lit[light] & (lobes[j, :, 0] > 0)
         around, share = pixels_around(olat.valid.shape[1:3], pixels)
-        four, noise = (image[j][around].astype(np.float64) for image in (olat.linear, olat.sigma))
+        four, noise = (image[j][around].astype(float) for image in (olat.linear, olat.sigma))
         valid[j] = (usable & share.any(0))[:, None] & olat.valid[j][around].all(0)
         slopes = (four[[1, 2]] + four[3] - four[0] - four[[2, 1]]) / 2
         # Each slope's own noise has the mean variance of the four.
@@ -246,9 +254,9 @@ def sample_vertices(
     # Root mean square angles between normals of vertices and of their triangles, by area.
     across, corners = face_cross_products(xyz, index), index.ravel()
     cosine = np.einsum("fkc,fc->fk", normal[index], normalized(across))
-    angle, weight = np.arccos(np.clip(cosine, -1, 1)), np.repeat(np.linalg.norm(across, axis=1), 3)
+    angle, weight = np.arccos(np.clip(cosine, -1, 1)), np.repeat(norms(across), 3)
     square = np.bincount(corners, weight * angle.ravel() ** 2, len(xyz))
-    normal_spread = np.sqrt(square / np.maximum(np.bincount(corners, weight, len(xyz)), np.finfo(float).tiny))
+    normal_spread = np.sqrt(square / np.maximum(np.bincount(corners, weight, len(xyz)), SMALLEST))
     return VertexSamples(
         *(observed, np.sqrt(variance), valid, lobes, rig.light, lobe_slopes, normal_spread),
         visibility.form_factors(),

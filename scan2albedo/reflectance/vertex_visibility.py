@@ -3,10 +3,18 @@
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import sparse
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array, checked_mesh
+from scan2albedo.core import (
+    ArrayLike,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    checked_array,
+    checked_mesh,
+    finite_rows,
+    norms,
+)
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import edges_with_faces, face_cross_products, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, project
@@ -99,7 +107,7 @@ class VertexVisibility:
         """
         position = camera_centers(camera[None])[0]
         sight = position - self._vertices
-        distance = np.linalg.norm(sight, axis=1)
+        distance = norms(sight)
         n_v = np.einsum("vc,vc->v", self._normals, sight) / np.maximum(distance, 1e-12)
         result = self.reached(position) & (n_v > cosine)
         if not result.any():
@@ -107,7 +115,7 @@ class VertexVisibility:
         rows = np.flatnonzero(result)
         n_v = n_v[rows]
         pixels, depth = project(camera, self._vertices[rows])
-        good = np.asarray(np.isfinite(pixels).all(1))
+        good = finite_rows(pixels)
         pixels = np.where(good[:, None], pixels, 0.0)
         pixel_mm = depth / math.sqrt(abs(float(np.linalg.det(camera[:, :3]))))
         # A step in depth above 3 mm, and above what the slope of the surface against the picture plane
@@ -115,7 +123,7 @@ class VertexVisibility:
         slope = np.minimum(np.sqrt(np.maximum(1 - n_v**2, 0)) / n_v, 5)
         allowed = 3 + 2 * margin_px * pixel_mm * slope
         for side in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-            along = pixel_directions(camera, pixels + margin_px * np.array(side, np.float64))
+            along = pixel_directions(camera, pixels + margin_px * np.array(side, float))
             hits = self._caster.first_hit(np.broadcast_to(position - self._center, along.shape), along)
             missed = hits.face < 0
             other = np.where(missed, 0.0, hits.distance) * (along @ camera[2, :3])
@@ -132,7 +140,7 @@ def pixels_around(shape: tuple[int, ...], pixels: FloatArray) -> tuple[tuple[Int
     last = np.array(shape[1::-1]) - 1
     inside = np.all((pixels >= 0) & (pixels <= last), axis=1)
     place = np.where(inside[:, None], pixels, 0.0)
-    corner = np.minimum(place.astype(np.int64), np.maximum(last - 1, 0))
+    corner = np.minimum(place.astype(int), np.maximum(last - 1, 0))
     (left, top), (right, below) = corner.T, np.minimum(corner + 1, last).T
     x, y = (place - corner).T
     weights = inside * np.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y])

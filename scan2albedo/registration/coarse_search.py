@@ -7,8 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
-from scan2albedo.core import Meter
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core import FloatArray, IntArray, Meter
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.alignment import NearestGrid, align_on_grid
 from scan2albedo.geometry.oriented_points import OrientedPoints
@@ -65,7 +64,7 @@ def coarse_poses(
         trace = np.einsum("nij,ij->n", poses.rotations[i + 1 :], poses.rotations[i])
         near = np.einsum("ni,ni->n", offset, offset) < 10**2
         alike[i + 1 :] |= near & (trace > same_trace)
-    return poses.subset(np.array(kept, np.int64))
+    return poses.subset(np.array(kept, int))
 
 
 def anchored_starts(anchors: OrientedPoints, front: FloatArray, rotation_count: int) -> Poses:

@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core import Meter, PlanStep
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core import FloatArray, IntArray, Meter, PlanStep
 from scan2albedo.geometry.rasterization import interpolate, rasterize
 from scan2albedo.geometry.rigid import Similarity, compose, rotation_angle_rad, rotation_from_vector
 from scan2albedo.optimization.annealing import simulated_annealing
@@ -61,7 +60,7 @@ class DepthDerivativeObjective:
         total = float(self._pixel_weights.sum())
         if total == 0:
             return 1.0
-        limit = 0.5 * self._frame.pixel
+        limit = self._frame.pixel / 2
         with np.errstate(invalid="ignore"):
             off = np.abs(_slopes(self._draw(parameters)) - self._slopes)
         return float(np.vdot(self._pixel_weights, np.fmin(off, limit).sum(0))) / (2 * limit * total)

@@ -1,13 +1,11 @@
 """How much a posed scan looks like a face: its depth image, and the relief that scan and model share."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core import ArrayLike, BoolArray, FloatArray, IntArray, NDArray
 from scan2albedo.geometry.oriented_points import SurfaceNoise
 from scan2albedo.geometry.rasterization import nearest_depths
 from scan2albedo.geometry.rigid import transform_points
@@ -138,8 +136,8 @@ class FaceImage:
         )
         whole = both / float(np.sqrt(of_scan * of_model))
 
-        def window(values: NDArray[Any]) -> FloatArray:
-            return gaussian_filter(values.astype(np.float64), _WINDOW_PIXELS)
+        def window(values: NDArray) -> FloatArray:
+            return gaussian_filter(values.astype(float), _WINDOW_PIXELS)
 
         # Flat windows correlate by chance; a slope of 0.1 must be there before they count.
         floor = _FLAT_SLOPE_SQUARED * (window(weights > 0) + 1e-9)
@@ -167,7 +165,7 @@ class FaceImage:
         """Return (2, S, S) slopes without their quadratic trend, 0 outside, and where they exist (S, S)."""
         smooth = np.where(mask, depth, 0.0)
         if smoothing > 0:
-            weight = np.maximum(gaussian_filter(mask.astype(np.float64), smoothing), 1e-9)
+            weight = np.maximum(gaussian_filter(mask.astype(float), smoothing), 1e-9)
             smooth = np.where(mask, gaussian_filter(smooth, smoothing) / weight, 0.0)
         used = np.zeros_like(mask)
         used[:-1, :-1] = mask[:-1, :-1] & mask[:-1, 1:] & mask[1:, :-1]

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core import ArrayLike, ByteArray, Float32Array, FloatArray, IntArray, NDArray, RealArray
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.pinhole import project
 from scan2albedo.geometry.rasterization import Raster, interpolate, pixels_from_uv, rasterize
@@ -24,16 +23,16 @@ PORTRAIT_MARGIN = 1.12
 class Picture:
     """What a camera sees."""
 
-    linear: NDArray[np.float32]
+    linear: Float32Array
     """(H, W, 3): colour before a black background."""
-    alpha: NDArray[np.float32]
+    alpha: Float32Array
     """(H, W): the part of each pixel that the face covers."""
 
     def auto_exposure(self) -> float:
         """Return the factor that keeps the brightest parts just below white."""
         return auto_exposure(self.linear[self.alpha > 0])
 
-    def srgb(self, exposure: float | None = None) -> NDArray[np.uint8]:
+    def srgb(self, exposure: float | None = None) -> ByteArray:
         """Return (H, W, 3) sRGB bytes of `exposure` times the picture, by itself when None, on white.
 
         ValueError for an exposure that is not finite and above 0.
@@ -60,7 +59,7 @@ def checked_exposure(exposure: float) -> float:
 def portrait_frame(vertices: FloatArray) -> tuple[FloatArray, float, float]:
     """Return the middle (3,) of vertices (V, 3), half their greater width or height, and their depth."""
     low, high = vertices.min(0), vertices.max(0)
-    return (low + high) / 2, 0.5 * float(np.max((high - low)[:2])), float((high - low)[2])
+    return (low + high) / 2, float(np.max((high - low)[:2])) / 2, float((high - low)[2])
 
 
 @dataclass(frozen=True)
@@ -86,9 +85,9 @@ class SeenSamples:
         pairs = [(getattr(self, name), getattr(others, name)) for name in ("index", "corners", "weight")]
         return SeenSamples(self.shape, self.side, *map(np.concatenate, pairs))
 
-    def interpolated(self, values: NDArray[np.floating]) -> FloatArray:
+    def interpolated(self, values: RealArray) -> FloatArray:
         """Return (N, ...) values (V, ...) of the vertices at the points seen."""
-        return np.asarray(np.einsum("nk,nk...->n...", self.weight, values[self.corners]))
+        return np.einsum("nk,nk...->n...", self.weight, values[self.corners])
 
     def raised(
         self, vertices: FloatArray, normals: FloatArray, share: float = 1.0, *, outward: bool = False
@@ -108,14 +107,14 @@ class SeenSamples:
         if outward:
             below = np.maximum(below, 0.0)
         toward_planes = np.einsum("nk,nk,nkc->nc", self.weight, below, normals[self.corners])
-        return np.asarray(flat + share * toward_planes)
+        return flat + share * toward_planes
 
     def picture(self, values: FloatArray) -> FloatArray:
         """Return (H, W, C) the means over each pixel's samples of values (N, C), 0 where nothing is seen."""
         (height, width), side = self.shape, self.side
         made = np.zeros((height * side * width * side, values.shape[1]))
         made[self.index] = values
-        return np.asarray(made.reshape(height, side, width, side, -1).mean((1, 3)))
+        return made.reshape(height, side, width, side, -1).mean((1, 3))
 
 
 def seen_samples(
@@ -163,11 +162,11 @@ class View:
     def rotation(self) -> FloatArray:
         """(3, 3): its rows point right, up and toward the viewer."""
         nod = rotation_from_vector([np.deg2rad(-self.pitch_deg), 0, 0])
-        return np.asarray(nod @ rotation_from_vector([0, np.deg2rad(self.yaw_deg), 0]))
+        return nod @ rotation_from_vector([0, np.deg2rad(self.yaw_deg), 0])
 
     def project(self, vertices: ArrayLike) -> FloatArray:
         """Return (V, 3) coordinates relative to the centre: right, up, toward the viewer."""
-        return np.asarray((np.asarray(vertices, float) - np.asarray(self.center_mm)) @ self.rotation.T)
+        return (np.asarray(vertices, float) - np.asarray(self.center_mm)) @ self.rotation.T
 
     def pixels(self, vertices: ArrayLike, size: int) -> FloatArray:
         """Return the places (V, 2), column and row, of vertices in a picture of `size` pixels a side."""
@@ -185,11 +184,11 @@ def render_mesh(
     faces: ArrayLike,
     *,
     vertex_color_srgb: ArrayLike | None = None,
-    texture_srgb: tuple[ArrayLike, NDArray[np.uint8]] | None = None,
+    texture_srgb: tuple[ArrayLike, ByteArray] | None = None,
     view: View | None = None,
     size: int = 512,
     shaded: bool = True,
-) -> NDArray[np.uint8]:
+) -> ByteArray:
     """Render a mesh orthographically as (size, size, 3) uint8 sRGB before white.
 
     `vertices` (V, 3): +x to the right, +y up, +z to the viewer. `vertex_color_srgb` (V, 3) is within [0, 1],
@@ -197,13 +196,13 @@ def render_mesh(
     before it. Without `view` all of the mesh is shown from the front. `shaded` multiplies colours by a
     headlight's shading.
     """
-    xyz, index = np.asarray(vertices, float), np.asarray(faces, np.int64)
+    xyz, index = np.asarray(vertices, float), np.asarray(faces, int)
     view = view if view is not None else View.around(xyz)
     raster = view.raster(xyz, index, size)
     if texture_srgb is not None:
         corners, image = np.asarray(texture_srgb[0], float), texture_srgb[1]
         uv = np.einsum("nk,nkc->nc", raster.barycentric[raster.covered], corners[raster.face[raster.covered]])
-        pixels = np.round(pixels_from_uv(uv, image.shape[:2])).astype(np.int64)
+        pixels = np.round(pixels_from_uv(uv, image.shape[:2])).astype(int)
         column, row = np.clip(pixels, 0, [image.shape[1] - 1, image.shape[0] - 1]).T
         picture = np.zeros((size, size, 3))
         picture[raster.covered] = image[row, column] / 255.0

@@ -5,10 +5,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import FloatArray
-from scan2albedo.core.lights import EnvironmentLight, PointLight
+from scan2albedo.core import ArrayLike, EnvironmentLight, FloatArray, PointLight
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.lighting.environment_light import environment_light_on
 from scan2albedo.lighting.shading import Reflectance, lamp_factors
@@ -44,7 +42,7 @@ def each_lamp(
     The colour is that of a matte white surface at the origin that faces the lamp. `view`, (3,) or (N, 3),
     unit, points toward the viewer.
     """
-    toward_viewer = np.ascontiguousarray(np.atleast_2d(np.asarray(view, np.float64)))
+    toward_viewer = np.ascontiguousarray(np.atleast_2d(np.asarray(view, float)))
     lamps = [
         (x.direction, x.distance_mm, x.radius_deg, x.intensity * np.array(x.color_linear))
         for x in light.lamps

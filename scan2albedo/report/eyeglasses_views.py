@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import affine_transform, binary_dilation
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.core import BoolArray, FloatArray, IntArray, RawScan, all_finite, finite_rows, norms
 from scan2albedo.eyeglasses import Camera, RegisteredEyeglasses
 from scan2albedo.eyeglasses.canonicalization import CanonicalEyeglasses
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, KEY_POINT_PLACES
@@ -48,12 +47,12 @@ def glasses_panels(frames: Sequence[tuple[str, FloatArray, CanonicalEyeglasses]]
     drawn = frames[:MOST_SHOWN]
     before = [transform_points(c.canonical_from_frame, c.scale * given) for _, given, c in drawn]
     pairs = zip(drawn, before, strict=True)
-    moved = [np.linalg.norm(canonical.vertices - placed, axis=1) for (_, _, canonical), placed in pairs]
+    moved = [norms(canonical.vertices - placed) for (_, _, canonical), placed in pairs]
     most = max(float(m.max()) for m in moved)
     views = [View.around(np.concatenate(before), pitch_deg=pitch) for pitch in (0.0, _ABOVE_DEG)]
     panels = []
     for (name, _, canonical), placed, distance in zip(drawn, before, moved, strict=True):
-        dots = canonical.keypoints[np.isfinite(canonical.keypoints).all(1)]
+        dots = canonical.keypoints[finite_rows(canonical.keypoints)]
         # Each column of the weights has a hue, mixed by weight.
         hues = colormaps["tab20"](np.arange(canonical.weights.shape[1]) % 20)[:, :3]
         heat = heat_colors(distance, 0, max(most, 1e-9), "viridis")
@@ -113,9 +112,9 @@ def _view_panel(frame: RegisteredEyeglasses, number: int, view: SeenView, head: 
     height, width = given_camera.shape
     outlined = [project(camera, frame.vertices)[0], given_labels]
     if given_mask is not None:
-        outlined.append(np.argwhere(given_mask)[:, ::-1].astype(np.float64))
+        outlined.append(np.argwhere(given_mask)[:, ::-1].astype(float))
     points, limit = np.concatenate(outlined), np.array([width, height]) - 0.5
-    points = points[np.isfinite(points).all(1)]
+    points = points[finite_rows(points)]
     if len(points) == 0:
         points = np.array([[-0.5, -0.5], limit])
     room = _MARGIN * np.array([width, height])
@@ -129,7 +128,7 @@ def _view_panel(frame: RegisteredEyeglasses, number: int, view: SeenView, head: 
     mask = np.zeros(given_camera.shape, bool) if given_mask is None else given_mask
     shift, size = zoom[[1, 0], 2], (_SIZE, _SIZE)
     map_back = [1 / scale] * 2, -shift / scale, size
-    gray = affine_transform(0.5 * mask, *map_back, order=1, mode="grid-constant", cval=1.0)
+    gray = affine_transform(mask / 2, *map_back, order=1, mode="grid-constant", cval=1.0)
     picture = np.repeat(np.round(255 * gray).astype(np.uint8)[:, :, None], 3, axis=2)
     # Where the frame is seen, and where the head is in front of it.
     shown = seen_samples(frame.vertices, frame.faces, normalized_cameras((zoom @ camera)[None])[0], size)
@@ -170,7 +169,7 @@ def key_point_chart(
         upright = align_key_points(keypoints, in_own_axes(keypoints))
         vertices, marks = transform_points(upright, mesh.vertices), transform_points(upright, keypoints)
         faces = mesh.faces
-    points = {name: p for name, p in zip(KEY_POINT_NAMES, marks, strict=True) if np.isfinite(p).all()}
+    points = {name: p for name, p in zip(KEY_POINT_NAMES, marks, strict=True) if all_finite(p)}
     x, _, z = map(float, (vertices.min(0) + vertices.max(0)) / 2)
     half = float(np.ptp(vertices, axis=0).max()) * 3 / 4
     temple = [name for name in points if name.startswith(("left_temple", "left_ear"))]

@@ -5,11 +5,11 @@ from __future__ import annotations
 import textwrap
 from dataclasses import dataclass, replace
 from io import BytesIO
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from scan2albedo.core import BoolArray, ByteArray, FloatArray, RealArray, Values
 from scan2albedo.geometry.mesh import far_faces
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.io.color import encode_srgb_bytes, label_colors, linear_to_srgb
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from scan2albedo.core.raw_scan import RawScan
     from scan2albedo.fitting import FittedFace
 
-Picture = NDArray[np.uint8]
+Picture = ByteArray
 
 RESIDUAL_SCALE_MM = 2.0
 """Residual shown in the brightest colour of the heat map."""
@@ -35,9 +35,9 @@ class Panel:
 
     title: str
     picture: Picture
-    dots: NDArray[np.float64] | None = None
+    dots: FloatArray | None = None
     """(N, 2) pixel positions (column, row) to mark, such as landmarks."""
-    dot_colors: NDArray[np.float64] | None = None
+    dot_colors: FloatArray | None = None
     """(N, 3) sRGB; lime when omitted."""
 
 
@@ -117,24 +117,24 @@ def result_panels(
     return panels
 
 
-def preview_srgb(linear: NDArray[np.floating], mask: NDArray[np.bool_]) -> Picture:
+def preview_srgb(linear: RealArray, mask: BoolArray) -> Picture:
     """Return (H, W, 3) sRGB bytes of a linear image times its `preview_factor`, white outside the mask."""
     return _chart(linear_to_srgb(np.clip(linear * preview_factor(linear, mask), 0, 1)), mask)
 
 
-def preview_factor(linear: NDArray[np.floating], mask: NDArray[np.bool_]) -> float:
+def preview_factor(linear: RealArray, mask: BoolArray) -> float:
     """Return the factor that puts the 90th percentile of the brightest channel at 0.55."""
     return 0.55 / white_level(linear, mask, 90)
 
 
-def white_level(values: NDArray[np.floating], mask: NDArray[np.bool_], percentile: float = 99.9) -> float:
+def white_level(values: RealArray, mask: BoolArray, percentile: float = 99.9) -> float:
     """Return a percentile of an image's brightest channel (H, W) or (H, W, C) in its mask; 1 for black."""
     inside = values[mask]
     bright = np.percentile(inside if values.ndim == 2 else inside.max(-1), percentile) if len(inside) else 0
     return float(bright) if bright > 0 else 1.0
 
 
-def _chart(srgb: NDArray[np.floating], mask: NDArray[np.bool_]) -> Picture:
+def _chart(srgb: RealArray, mask: BoolArray) -> Picture:
     """Return (H, W, 3) bytes of an image (H, W) or (H, W, 3) in [0, 1], clipped, white outside the mask."""
     colors = srgb if srgb.ndim == 3 else np.repeat(srgb[..., None], 3, axis=2)
     return np.round(np.where(mask[..., None], np.clip(colors, 0, 1), 1.0) * 255).astype(np.uint8)
@@ -143,7 +143,7 @@ def _chart(srgb: NDArray[np.floating], mask: NDArray[np.bool_]) -> Picture:
 def _scan_panel(title: str, scan: RawScan, fitted: FittedFace, view: View) -> Panel:
     placed = transform_points(fitted.model_from_scan, scan.vertices)
     near = ~far_faces(scan.vertices, scan.faces)  # stray faces in front would hide the face
-    colors: dict[str, Any] = {"shaded": not scan.has_color}
+    colors: Values = {"shaded": not scan.has_color}
     if scan.uv is not None and scan.texture_linear is not None:
         colors["texture_srgb"] = scan.uv[near], encode_srgb_bytes(scan.texture_linear)
     elif scan.vertex_color_linear is not None:

@@ -1,9 +1,8 @@
 """Pictures of reflectances: albedo, weights of the lobes, which of them is identified, and faces relit."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core import BoolArray, ByteArray, FloatArray, IntArray, finite_rows
 from scan2albedo.geometry.mesh import face_cross_products, normalized
 from scan2albedo.geometry.operators import filled_over_mesh
 from scan2albedo.geometry.pinhole import camera_centers
@@ -51,7 +50,7 @@ def reflectance_panels(mesh: MeshReflectance, fit: ReflectanceFit | None = None)
     return panels
 
 
-def face_picture(mesh: MeshReflectance, color: FloatArray) -> NDArray[np.uint8]:
+def face_picture(mesh: MeshReflectance, color: FloatArray) -> ByteArray:
     """Return the mesh seen from +z in sRGB colours (V, 3), without shading."""
     view = View.around(mesh.vertices)
     return render_mesh(mesh.vertices, mesh.faces, vertex_color_srgb=color, view=view, size=360, shaded=False)
@@ -115,7 +114,7 @@ def draw_in_camera(
 ) -> tuple[FloatArray, BoolArray]:
     """Return colours (V, 3) as a camera (3, 4) sees them (H, W, 3), and where they are all known (H, W)."""
     seen = seen_samples(vertices, faces, camera, shape)
-    known = seen.interpolated(np.isfinite(color).all(1).astype(float)) > 1 - 1e-9
+    known = seen.interpolated(finite_rows(color).astype(float)) > 1 - 1e-9
     colors = np.where(known[:, None], seen.interpolated(np.nan_to_num(color)), 0.0)
     made = seen.picture(np.column_stack([colors, known]))
     return made[..., :3], made[..., 3] > 0
@@ -155,6 +154,6 @@ def relit_picture(
     shadows = ShadowMap(RayCaster(vertices - middle, faces), curved - middle, normal, RAY_OFFSET_MM)
     lit = (lobes[:, 0] > 0) & (shadows.visible((light - middle) / distance, distance) > 0)
     radiance = lobes[:, :1] * albedo + (lobes[:, 1:] * gloss).sum(1)[:, None]
-    certain = seen.interpolated(reflectance.known.astype(np.float64)) > 1 - 1e-9
+    certain = seen.interpolated(reflectance.known.astype(float)) > 1 - 1e-9
     made = seen.picture(np.column_stack([radiance * lit[:, None], certain]))
     return made[..., :3], made[..., 3] == 1

@@ -3,15 +3,12 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.special import logsumexp
 
-from scan2albedo.core import PlanStep
+from scan2albedo.core import ByteArray, Float32Array, GeometryImage, PlanStep, RawScan, on_grid
 from scan2albedo.core.arguments import described, require_type
-from scan2albedo.core.arrays import on_grid
-from scan2albedo.core.geometry_image import GeometryImage, check_size
-from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.core.geometry_image import check_size
 from scan2albedo.errors import GeometryImageError
 from scan2albedo.face_model.annotation import FittedSurface
 from scan2albedo.face_model.appearance import appearance, placed
@@ -146,13 +143,13 @@ def geometry_image_of_scan(scan: RawScan, size: int = 512) -> GeometryImage:
     if len(faces) > MOST_FACES:
         # qslim returns nothing where parts of a mesh meet in one vertex: such vertices are split first.
         split, source = igl.split_nonmanifold(faces)[:2]
-        fewer, index, _, _ = igl.qslim(vertices[source], np.asarray(split, np.int64), MOST_FACES, False)
+        fewer, index, _, _ = igl.qslim(vertices[source], np.asarray(split, int), MOST_FACES, False)
         if len(index) == 0:
             raise GeometryImageError(
                 f"{scan.name}: its {len(split)} faces cannot be simplified to the {MOST_FACES} that charts "
                 "are cut from; give a mesh of fewer faces"
             )
-        vertices, faces = np.asarray(fewer, np.float64), np.asarray(index, np.int64)
+        vertices, faces = np.asarray(fewer, float), np.asarray(index, int)
     # xatlas computes in float32 with absolute tolerances: it gets the mesh at the origin, of a head's size.
     used = vertices[np.unique(faces)]
     low, high = used.min(0), used.max(0)
@@ -165,7 +162,7 @@ def geometry_image_of_scan(scan: RawScan, size: int = 512) -> GeometryImage:
     pack.create_image = False
     atlas.generate(xatlas.ChartOptions(), pack)
     chart_vertex, chart_faces, uv = atlas[0]
-    chart_vertex, chart_faces = chart_vertex.astype(np.int64), chart_faces.astype(np.int64)
+    chart_vertex, chart_faces = chart_vertex.astype(int), chart_faces.astype(int)
     # xatlas may need more than the resolution asked for; scale all charts into one square.
     extent = np.array([atlas.width, atlas.height], float) / max(atlas.width, atlas.height, 1)
     uv = np.asarray(uv, float) * extent
@@ -194,7 +191,7 @@ def without_covers(fitted: FittedSurface, scan: RawScan) -> RawScan:
     return scan.without_faces(covered)
 
 
-def _annotation(fitted: FittedSurface, region: NDArray[np.uint8], attribute: str) -> NDArray[np.float32]:
+def _annotation(fitted: FittedSurface, region: ByteArray, attribute: str) -> Float32Array:
     return fitted.model.region_values(attribute)[region].astype(np.float32)
 
 

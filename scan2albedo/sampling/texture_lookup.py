@@ -1,15 +1,22 @@
 """Colour of a raw scan at given surface points, whether each was well seen, and by which camera."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, on_grid
+from scan2albedo.core import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    RawScan,
+    Values,
+    norms,
+    on_grid,
+    triangle_sides,
+)
+from scan2albedo.core.compiled import compiled
 from scan2albedo.core.geometry_image import NO_CAMERA
-from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.geometry import mesh
 from scan2albedo.geometry.closest_points import ClosestHits, surface_query
 from scan2albedo.geometry.pinhole import camera_centers, fit_camera
@@ -62,7 +69,7 @@ def texture_on_chart(
     normals: FloatArray,
     steps: FloatArray,
     image_from_scan: FloatArray,
-) -> dict[str, Any]:
+) -> Values:
     """Return the fields of a `GeometryImage` that hold a scan's texture; none for scans without colour.
 
     At the texels `inside` (H, W) it is that of `sample_colors`; the image's frame is `image_from_scan` (4, 4)
@@ -72,7 +79,7 @@ def texture_on_chart(
         return {}
     found = sample_colors(scan, points, normals, steps)
     linear, seen = on_grid(inside, found.color_linear), on_grid(inside, found.seen)
-    texture: dict[str, Any] = {"texture_linear": linear, "texture_valid": seen}
+    texture: Values = {"texture_linear": linear, "texture_valid": seen}
     if not found.pictured.all():
         if not found.seen.any():
             return {}
@@ -94,7 +101,7 @@ class Samples:
     texture, `pixel` (N, 2) is where they lie in it.
     """
 
-    color_linear: NDArray[np.float32]
+    color_linear: Float32Array
     seen: BoolArray
     face: IntArray
     pictured: BoolArray
@@ -132,13 +139,13 @@ def sample_colors(
     at_edge = (np.where(on_edge, 0.0, hits.barycentric).sum(1) < 1e-6) & (on_edge.sum(1) >= 1)
     offset = points - hits.points
     sideways = offset - np.einsum("ij,ij->i", offset, normals)[:, None] * normals
-    valid &= ~(at_edge & (np.linalg.norm(sideways, axis=1) > 0.5))
+    valid &= ~(at_edge & (norms(sideways) > 0.5))
     pixel = None
     if scan.uv is not None and scan.texture_linear is not None:
         color, inside, pictured, pixel = _photograph(scan, near, hits, steps)
         # Faces need enough photograph pixels for their area.
         e1, e2 = scan.uv[:, 1] - scan.uv[:, 0], scan.uv[:, 2] - scan.uv[:, 0]
-        texture_area = 0.5 * np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0])
+        texture_area = np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0]) / 2
         density = texture_area / np.maximum(mesh.face_areas(scan.vertices, scan.faces), 1e-12)
         used = density[texture_area > 0]
         valid &= (density > (MIN_DENSITY * np.median(used) if len(used) else np.inf))[face] & inside
@@ -152,7 +159,7 @@ def sample_colors(
 
 def _photograph(
     scan: RawScan, near: IntArray, hits: ClosestHits, steps: FloatArray
-) -> tuple[NDArray[np.float32], BoolArray, BoolArray, FloatArray]:
+) -> tuple[Float32Array, BoolArray, BoolArray, FloatArray]:
     """Average bilinear samples over each texel's footprint in the photograph; hits among faces `near`.
 
     Also return whether its centre is in the photograph, which wraps around only by whole periods for a
@@ -213,7 +220,7 @@ def texture_cameras(scan: RawScan) -> tuple[IntArray, FloatArray] | None:
             continue
         tolerance = _OFF * float(np.ptp(pixels[inside].reshape(-1, 2), axis=0).max())
         every = np.flatnonzero(inside)
-        some = every[np.linspace(0, len(every) - 1, min(len(every), 4000)).astype(np.int64)]
+        some = every[np.linspace(0, len(every) - 1, min(len(every), 4000)).astype(int)]
         points, places = corners[some].reshape(-1, 3), pixels[some].reshape(-1, 2)
         extents = np.linalg.svd(points - points.mean(0), compute_uv=False)
         if extents[2] < _RELIEF * extents[0]:
@@ -241,14 +248,14 @@ def _distances(camera: FloatArray, points: FloatArray, places: FloatArray) -> Fl
     """Return how far from `places` (..., 2) a camera (3, 4) projects points (..., 3)."""
     image = points @ camera[:, :3].T + camera[:, 3]
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(np.linalg.norm(image[..., :2] / image[..., 2:] - places, axis=-1))
+        return norms(image[..., :2] / image[..., 2:] - places)
 
 
 def texel_steps(vertices: FloatArray, uv: FloatArray, faces: IntArray, shape: tuple[int, int]) -> FloatArray:
     """Return (F, 3, 2): displacement in mm of one texel to the right and one texel down on each face."""
     corners, chart = vertices[faces], uv[faces]
-    edges = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], 2)
-    chart_edges = np.stack([chart[:, 1] - chart[:, 0], chart[:, 2] - chart[:, 0]], 2)
+    edges = np.stack(triangle_sides(corners), 2)
+    chart_edges = np.stack(triangle_sides(chart), 2)
     usable = np.abs(np.linalg.det(chart_edges)) > 1e-15
     inverse = np.zeros_like(chart_edges)
     inverse[usable] = np.linalg.inv(chart_edges[usable])
@@ -258,7 +265,7 @@ def texel_steps(vertices: FloatArray, uv: FloatArray, faces: IntArray, shape: tu
 
 def moved_colors(
     scan: RawScan, seen: BoolArray, points: FloatArray, normals: FloatArray
-) -> dict[str, NDArray[np.float32]]:
+) -> dict[str, Float32Array]:
     """Return the colours (H, W, 3) at the texels `seen` (H, W), by what may have been done to the texture.
 
     Of those texels are `points` and `normals` (N, 3), mm in the scan's frame.
@@ -268,7 +275,7 @@ def moved_colors(
     assert scan.texture_linear is not None
     last = np.array(scan.texture_linear.shape[1::-1]) - 1
     # Means over squares of about a texel.
-    step = float(np.median(np.linalg.norm(np.diff(pixel, axis=0), axis=1)))
+    step = float(np.median(norms(np.diff(pixel, axis=0))))
     square = np.tile(step * np.eye(2), (len(pixel), 1, 1))
     found = {}
     for name, (sign_u, sign_v, u, v) in MOVES.items():
@@ -278,7 +285,7 @@ def moved_colors(
     return found
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def mean_over_footprints(photograph, centre, footprint, taps):  # type: ignore[no-untyped-def]
     """Return (N, C) float32 means of samples of a photograph (H, W, C) over each texel's footprint.
 

@@ -4,10 +4,8 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import FloatArray, IntArray, on_grid
-from scan2albedo.core.geometry_image import GeometryImage
+from scan2albedo.core import ByteArray, FloatArray, GeometryImage, IntArray, on_grid
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model import AnnotatedSurface, variation
 from scan2albedo.geometry.mesh import normalized, vertex_normals
@@ -69,7 +67,7 @@ class FaceSurface:
     faces: IntArray
     normals: FloatArray
     uv: FloatArray
-    region: NDArray[np.uint8]
+    region: ByteArray
     landmarks: FloatArray
 
 

@@ -6,7 +6,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from scan2albedo.core.arrays import FloatArray, IntArray, smoothstep
+from scan2albedo.core import FloatArray, IntArray, arc_lengths, norms, smoothstep
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.geometry.mesh import normalized, vertex_components, without_unreferenced
 
@@ -86,7 +86,7 @@ class GlassesShape:
 
     def depth(self, x: FloatArray) -> FloatArray:
         """Return z of the front at `x`."""
-        return np.asarray(-(x**2) / (2 * self.wrap_radius))
+        return -(x**2) / (2 * self.wrap_radius)
 
 
 def rim_curve(shape: GlassesShape) -> tuple[FloatArray, FloatArray]:
@@ -99,12 +99,12 @@ def rim_curve(shape: GlassesShape) -> tuple[FloatArray, FloatArray]:
     direction = np.stack([np.cos(angle), np.sin(angle)], 1)
     radius = (np.abs(direction / half) ** shape.squareness).sum(1) ** (-1 / shape.squareness)
     outline = radius[:, None] * direction
-    run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(outline, axis=0), axis=1))])
+    run = arc_lengths(outline)
     place = np.linspace(0, run[-1], RIM_POINTS, endpoint=False)
     flat = np.stack([np.interp(place, run, outline[:, k]) for k in range(2)], 1)
     slope = np.sign(flat) * np.abs(flat / half) ** (shape.squareness - 1) / half
     normal = np.zeros((RIM_POINTS, 3))
-    normal[:, :2] = slope / np.linalg.norm(slope, axis=1)[:, None]
+    normal[:, :2] = slope / norms(slope)[:, None]
     x = flat[:, 0] + shape.lens_center[0]
     return np.stack([x, flat[:, 1], shape.depth(x)], 1), normal
 
@@ -154,8 +154,8 @@ def bend_points(
     points keep their distances from them, as in thin rods; volumes change to second order only.
     """
     if bend == GlassesBend():
-        return np.array(points, np.float64)
-    x, y, z = np.moveaxis(np.asarray(points, np.float64), -1, 0)
+        return np.array(points, float)
+    x, y, z = np.moveaxis(np.asarray(points, float), -1, 0)
     # The temples bend outward from the hinges on.
     way = np.clip(hinge[2] - z, 0, None)
     reach = np.linspace(0, max(float(way.max(initial=1.0)), 1.0), _LINE_POINTS)
@@ -258,7 +258,7 @@ def eyeglasses(
     half = _half_glasses(measures, welded=welded, nose_pads=nose_pads, double_bridge=double_bridge)
     points = np.concatenate(half.points)
     # The mirrored vertices: the seam's own, then new ones.
-    other, apart = np.zeros(half.count, np.int64), np.ones(half.count, bool)
+    other, apart = np.zeros(half.count, int), np.ones(half.count, bool)
     apart[half.seam] = False
     other[half.seam] = half.seam
     other[apart] = half.count + np.arange(apart.sum())
@@ -298,8 +298,8 @@ class _Half:
     points: list[FloatArray] = field(default_factory=list)
     faces: list[IntArray] = field(default_factory=list)
     marks: dict[str, int] = field(default_factory=dict)
-    seam: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
-    lens_edge: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
+    seam: IntArray = field(default_factory=lambda: np.zeros(0, int))
+    lens_edge: IntArray = field(default_factory=lambda: np.zeros(0, int))
     count: int = 0
 
     def add(self, points: FloatArray) -> IntArray:
@@ -414,7 +414,7 @@ def _add_temple(half: _Half, shape: GlassesShape, patch: _Patch, welded: bool) -
     frames = _path_frames(path)
     frames[0] = [[1, 0, 0], [0, 0, 1], [0, 1, 0]]
     ellipse = _ellipse(len(loop), shape.temple_width / 2, shape.temple_height / 2, np.pi / 4)
-    run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    run = arc_lengths(path)
     blend = np.clip(run / 8.0, 0, 1) if welded else np.ones(len(path))
     rings = _blended(path, frames, points, ellipse, blend)
     numbers = half.add_tube(rings, loop if welded else None)

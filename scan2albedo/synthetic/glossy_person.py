@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core import BoolArray, FloatArray, IntArray, norms
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.operators import vertex_average
@@ -95,7 +95,7 @@ class GlossyPerson:
         the distance to 1 at `reference_distance_mm`, if that is given.
         """
         offset = light - seen.position
-        reach = np.linalg.norm(offset, axis=1)
+        reach = norms(offset)
         radiance = self._reflected(seen, offset / reach[:, None], reach)
         if reference_distance_mm is None:
             return radiance

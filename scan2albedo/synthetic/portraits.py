@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, on_grid
+from scan2albedo.core import ArrayLike, BoolArray, FloatArray, IntArray, NDArray, on_grid
 from scan2albedo.geometry.pinhole import camera_centers, project
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.synthetic.glossy_person import GlossyFace, GlossyPerson
@@ -19,9 +18,9 @@ _LEAST_GAIN = 0.1
 class FlashCapture(GlossyFace):
     """J = views x flashes pairs of pictures of a `GlossyFace`, in the frame of the face, mm."""
 
-    flash: NDArray[np.generic]
+    flash: NDArray
     """(J, S, S, 3) uint8, uint16 or float32: values with a flash in the room's light; flashes run fastest."""
-    room: NDArray[np.generic]
+    room: NDArray
     """(J, S, S, 3): in the room's light alone, one picture a view, repeated."""
     skin: BoolArray
     """(J, S, S): pixels that show the face, and not hair."""
@@ -51,7 +50,7 @@ class FlashCapture(GlossyFace):
     def cameras(self) -> FloatArray:
         """(J, 3, 4) projection matrices of the pictures."""
         poses = np.concatenate([self.head_rotations, self.head_translations[..., None]], axis=2)
-        return np.asarray((self.intrinsics @ poses)[self.view])
+        return (self.intrinsics @ poses)[self.view]
 
     def __len__(self) -> int:
         return len(self.flash)
@@ -113,7 +112,7 @@ def flash_capture(
         # The room: three lamps 3 m away and light from everywhere, half each.
         places_of_lamps = (-35.0, 50.0), (40.0, 35.0), (5.0, 70.0)
         lamps = [person.lit(seen, TARGET_MM + 3000 * toward(*lamp)) / 3 for lamp in places_of_lamps]
-        ambient = room * _ROOM_COLOR * (0.5 * sum(lamps) + 0.5 * seen.diffuse_linear / np.pi)
+        ambient = room * _ROOM_COLOR * (sum(lamps) / 2 + seen.diffuse_linear / 2 / np.pi)
         rooms.append(on_grid(seen.mask, ambient.astype(np.float32)))
         skin.append(on_grid(seen.mask, seen.on_face))
         for strength, position in zip(gain, centers[:flashes], strict=True):
@@ -143,7 +142,7 @@ def flash_capture(
 class FacePhotograph(GlossyFace):
     """A picture of a `GlossyFace`; frame: the face model's, mm."""
 
-    image: NDArray[np.generic]
+    image: NDArray
     """(S, S, 3) uint8, uint16 or float32: the picture as stored."""
     skin: BoolArray
     """(S, S): pixels that show the face, and not hair."""

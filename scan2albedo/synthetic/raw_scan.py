@@ -5,12 +5,8 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import FloatArray, IntArray, on_grid
-from scan2albedo.core.geometry_image import GeometryImage
-from scan2albedo.core.lights import PointLight
-from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.core import Float32Array, FloatArray, GeometryImage, IntArray, PointLight, RawScan, on_grid
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry import pinhole, rigid
 from scan2albedo.geometry.mesh import face_normals, normalized, vertex_normals
@@ -119,7 +115,7 @@ def capture(
     points = origins[seen] + hits.distance[seen, None] * rays[seen]
     # Counter-clockwise triangles of the plane without long edges.
     plane = unrolled[seen]
-    triangles = Delaunay(plane).simplices.astype(np.int64)
+    triangles = Delaunay(plane).simplices.astype(int)
     clockwise = signed_areas(plane, triangles) < 0
     triangles[clockwise] = triangles[clockwise][:, ::-1]
     corners = plane[triangles]
@@ -132,12 +128,12 @@ def capture(
     for k, (camera, place) in enumerate(zip(pods, pinhole.camera_centers(pods), strict=True)):
         toward_pod = normalized(place - points)
         hidden = np.asarray((np.abs(pinhole.project(camera, points)[0] - 0.5) > 0.4975).any(1))
-        hidden[~hidden] = scene.occluded((points + 0.5 * toward_pod)[~hidden], toward_pod[~hidden])
+        hidden[~hidden] = scene.occluded((points + toward_pod / 2)[~hidden], toward_pod[~hidden])
         cosine = np.einsum("ij,ij->i", normals, toward_pod[triangles[:, 0]])
         facing[:, k] = np.where(hidden[triangles].any(1), -1.0, cosine)
     kept = (leaning > _LEAST_COSINE) & (facing.max(1) > _LEAST_COSINE)
     used, renumbered = np.unique(triangles[kept], return_inverse=True)
-    numbered, facing = renumbered.reshape(-1, 3).astype(np.int64), facing[kept]
+    numbered, facing = renumbered.reshape(-1, 3).astype(int), facing[kept]
     # The pod that sees a face best, averaged twelve times around, so that the seam is one line.
     lead = np.stack([facing[:, k] - np.delete(facing, k, axis=1).max(1) for k in range(len(pods))], 1)
     for k in range(len(pods)):
@@ -184,7 +180,7 @@ def flash_pictures(
     noise: float = 0.004,
     colors: FloatArray | None = None,
     ambient: AmbientLight | None = None,
-) -> tuple[NDArray[np.float32], float]:
+) -> tuple[Float32Array, float]:
     """Return both pods' pictures side by side (size, 2 size, 3), linear from 8 bits, and their exposure.
 
     The exposure keeps the face's brightest pixel just below white; clothes may clip, and have no highlight.
@@ -232,7 +228,7 @@ class SyntheticTruth:
     """(4, 4): true pose: maps scan points into the model's frame."""
     image: GeometryImage
     """True position and normal of each texel of the model's chart (model's frame, mm)."""
-    albedo_linear: NDArray[np.float32]
+    albedo_linear: Float32Array
     """(H, W, 3): true albedo on the model's chart; zeros outside ``image.mask``."""
     landmarks: FloatArray
     """(68, 3): true landmarks in the model's frame, mm."""
@@ -317,7 +313,7 @@ def scan_of(
 def assembled(
     measured: RangeMesh,
     pods: FloatArray,
-    texture: NDArray[np.float32],
+    texture: Float32Array,
     scan_from_model: FloatArray,
     scanner: Scanner,
     rng: np.random.Generator,
@@ -332,7 +328,7 @@ def assembled(
     vertices, faces = seated.join(
         [(points, measured.faces[kept]), *seated.crumb_meshes(points, rng, scanner.crumbs)]
     )
-    number = np.zeros(len(faces), np.int64)
+    number = np.zeros(len(faces), int)
     number[: kept.sum()] = measured.face_pod[kept]
     uv = np.stack([pinhole.project(camera, vertices)[0] for camera in pods])[number[:, None], faces]
     pictured = (np.abs(uv - 0.5) < 0.5).all((1, 2))

@@ -8,10 +8,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.core.lights import PointLight
+from scan2albedo.core import (
+    ArrayLike,
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    NDArray,
+    PointLight,
+    RealArray,
+    norms,
+)
 from scan2albedo.errors import import_open3d
 from scan2albedo.geometry.mesh import RayHits, normalized
 from scan2albedo.geometry.pinhole import look_at
@@ -23,7 +30,7 @@ class RayScene:
 
     def __init__(self, vertices: ArrayLike, faces: ArrayLike) -> None:
         o3d = import_open3d()
-        xyz = np.asarray(vertices, np.float64)
+        xyz = np.asarray(vertices, float)
         self._center = (xyz.min(0) + xyz.max(0)) / 2
         self._tensor = o3d.core.Tensor
         self._scene = o3d.t.geometry.RaycastingScene()
@@ -31,16 +38,16 @@ class RayScene:
         self._scene.add_triangles(points, self._tensor(np.ascontiguousarray(faces, np.uint32)))
 
     def _rays(self, origins: ArrayLike, directions: ArrayLike):  # type: ignore[no-untyped-def]
-        start = np.asarray(origins, np.float64) - self._center
-        heading = np.broadcast_to(np.asarray(directions, np.float64), start.shape)
+        start = np.asarray(origins, float) - self._center
+        heading = np.broadcast_to(np.asarray(directions, float), start.shape)
         return self._tensor(np.concatenate([start, heading], 1).astype(np.float32))
 
     def first_hit(self, origins: ArrayLike, directions: ArrayLike) -> RayHits:
         """Return the first hit of each ray from `origins` (N, 3) along unit `directions` (N, 3)."""
         answer = self._scene.cast_rays(self._rays(origins, directions))
-        distance = answer["t_hit"].numpy().astype(np.float64)
-        face = answer["primitive_ids"].numpy().astype(np.int64)
-        u, v = answer["primitive_uvs"].numpy().astype(np.float64).T
+        distance = answer["t_hit"].numpy().astype(float)
+        face = answer["primitive_ids"].numpy().astype(int)
+        u, v = answer["primitive_uvs"].numpy().astype(float).T
         face[~np.isfinite(distance)] = -1
         barycentric = np.stack([1 - u - v, u, v], 1)
         barycentric[face < 0] = 0
@@ -48,14 +55,14 @@ class RayScene:
 
     def occluded(self, origins: ArrayLike, directions: ArrayLike, reach: ArrayLike = np.inf) -> BoolArray:
         """Return (N,) True where the ray hits the mesh nearer than `reach` ((N,) or scalar, mm)."""
-        rays, limit = self._rays(origins, directions), np.asarray(reach, np.float64)
+        rays, limit = self._rays(origins, directions), np.asarray(reach, float)
         if limit.ndim == 0:
             return self._scene.test_occlusions(rays, 0.0, float(limit)).numpy().astype(bool)
         return self._scene.cast_rays(rays)["t_hit"].numpy() < limit
 
     def hidden(self, eye: FloatArray, points: FloatArray, behind_mm: float) -> BoolArray:
         """Return (N,) True for points (N, 3) more than `behind_mm` behind what `eye` (3,) sees."""
-        distance = np.linalg.norm(points - eye, axis=1)
+        distance = norms(points - eye)
         toward = (points - eye) / distance[:, None]
         return self.occluded(np.broadcast_to(eye, points.shape), toward, distance - behind_mm)
 
@@ -135,7 +142,7 @@ def incident_light(position: FloatArray, light: PointLight) -> tuple[FloatArray,
         intensity = np.full(count, float(light.intensity))
         return np.tile(light.direction, (count, 1)), np.full(count, np.inf), intensity
     offset = light.distance_mm * light.direction - position
-    reach = np.linalg.norm(offset, axis=1)
+    reach = norms(offset)
     return offset / reach[:, None], reach, light.intensity * (light.distance_mm / reach) ** 2
 
 
@@ -161,7 +168,7 @@ def oren_nayar(
     theta_r, phi_r = polar(toward_viewer)
     alpha, beta = np.maximum(theta_i, theta_r), np.minimum(theta_i, theta_r)
     variance = sigma_rad**2
-    a, b = 1 - 0.5 * variance / (variance + 0.33), 0.45 * variance / (variance + 0.09)
+    a, b = 1 - variance / 2 / (variance + 0.33), 0.45 * variance / (variance + 0.09)
     facets = b * np.maximum(0, np.cos(phi_r - phi_i)) * np.sin(alpha) * np.tan(beta)
     return np.cos(theta_i) * (a + facets)
 
@@ -186,7 +193,7 @@ def auto_exposure(radiance_linear: ArrayLike) -> float:
 
 def photograph(
     radiance_linear: ArrayLike, *, exposure: float, noise: float, bits: int | None, rng: np.random.Generator
-) -> NDArray[np.float32]:
+) -> Float32Array:
     """Return the linear picture decoded from what the camera stored of radiance of any shape.
 
     The sensor sees `exposure` times the radiance, 1 being white, with Gaussian noise of standard deviation
@@ -200,7 +207,7 @@ def photograph(
         return sensor
     levels = 2**bits - 1
     # In float32, as the picture is: half the memory, and the same bits as ever.
-    stored = np.round(encoded_srgb(sensor) * levels).astype(np.int64)
+    stored = np.round(encoded_srgb(sensor) * levels).astype(int)
     return srgb_to_linear(np.arange(levels + 1) / levels).astype(np.float32)[stored]
 
 
@@ -255,7 +262,7 @@ class Portrait:
         white = float(np.quantile(brightest, 1 - self.saturated_part)) if len(brightest) else 0.0
         return 1 / white if white > 0 else 1.0
 
-    def stored(self, linear: NDArray[np.floating], rng: np.random.Generator) -> NDArray[np.generic]:
+    def stored(self, linear: RealArray, rng: np.random.Generator) -> NDArray:
         """Return the values that the camera stores of light (H, W, 3), white = 1, with its noise."""
         values = linear ** np.float32(1 / self.gamma)
         values += np.float32(self.noise) * rng.standard_normal(values.shape, dtype=np.float32)

@@ -6,11 +6,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, on_grid
-from scan2albedo.core.geometry_image import GeometryImage
-from scan2albedo.core.lights import PointLight
+from scan2albedo.core import BoolArray, Float32Array, FloatArray, GeometryImage, PointLight, norms, on_grid
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.synthetic.face_shape import Expression, face_geometry_image, face_surface, person
@@ -29,7 +26,7 @@ class SyntheticScene:
 
     image: GeometryImage
     """With texture, ready for `estimate_albedo`."""
-    albedo_linear: NDArray[np.float32]
+    albedo_linear: Float32Array
     """(H, W, 3): the truth; zeros outside the mask."""
     lights: tuple[PointLight, ...]
     """Relative to ambient = 1."""
@@ -98,7 +95,7 @@ def hemisphere(
     """
     uv = texel_coordinates(size)
     disc = 2 * uv - 1
-    radius = np.linalg.norm(disc, axis=1)
+    radius = norms(disc)
     inside = radius < 1
     # Equal area: rho = 2 R sin(theta / 2), scaled so that theta = 90 degrees lies on the rim.
     z = 1 - radius**2

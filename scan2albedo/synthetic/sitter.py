@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import gaussian_filter
 
-from scan2albedo.core.arrays import FloatArray, IntArray, smoothstep
+from scan2albedo.core import FloatArray, IntArray, norms, smoothstep
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.mesh import grid_faces, join, normalized, vertex_normals, without_unreferenced
 from scan2albedo.geometry.parametrization import boundary_loop
@@ -184,7 +184,7 @@ def hair_shell(
     flat = directions.reshape(-1, 3)
     far = 400.0
     hits = RayScene(vertices, faces).first_hit(center + far * flat, -flat)
-    skull = 1 / np.linalg.norm(flat / SKULL_SEMI_AXES_MM, axis=1)
+    skull = 1 / norms(flat / SKULL_SEMI_AXES_MM)
     surface = np.where(hits.face >= 0, far - hits.distance, 0.0)
     radius = gaussian_filter(np.maximum(skull, surface).reshape(size), (3, 5), mode=("nearest", "wrap"))
     # Strands that run from the crown down, over broader waves, in mm.
@@ -265,6 +265,6 @@ def head_around(
     angle = np.abs(np.arctan2(rim[:, 0], rim[:, 1] - (rim[:, 1].max() + rim[:, 1].min()) / 2))
     chin = smoothstep((angle - np.deg2rad(95)) / np.deg2rad(40))[None, :, None]
     collar = (1 - chin) * skull + chin * neck
-    around = np.cumsum(np.linalg.norm(rim - np.roll(rim, 1, axis=0), axis=1))
+    around = np.cumsum(norms(rim - np.roll(rim, 1, axis=0)))
     uv = np.stack(np.broadcast_arrays(around[None] / 200, share[..., 0]), -1)
     return collar.reshape(-1, 3), grid_faces(rings, len(loop), wrap=True), uv.reshape(-1, 2)

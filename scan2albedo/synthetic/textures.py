@@ -4,13 +4,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 from skimage.measure import points_in_poly
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, smoothstep
+from scan2albedo.core import ArrayLike, BoolArray, FloatArray, arc_lengths, norms, smoothstep
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model import AnnotatedSurface
 
@@ -29,7 +28,7 @@ def smooth_noise(uv: ArrayLike, cells: tuple[float, float], rng: np.random.Gener
     lattice = rng.normal(size=tuple(max(4, int(np.ceil(c))) for c in cells))
     coordinates = np.stack([xy[:, 0] * cells[0], xy[:, 1] * cells[1]])
     # Between lattice points a cubic spline through white noise keeps 0.866 of its standard deviation.
-    return np.asarray(map_coordinates(lattice, coordinates, order=3, mode="grid-wrap") / 0.866)
+    return map_coordinates(lattice, coordinates, order=3, mode="grid-wrap") / 0.866
 
 
 def wood(uv: ArrayLike, rng: np.random.Generator, *, grain: float = 1.0) -> FloatArray:
@@ -154,7 +153,7 @@ def paint_face(
         here = uv[near]
         opening = smoothstep(_signed_distance(here, outline) / 0.003 + 0.5)[:, None]
         width = np.linalg.norm(corners[3] - corners[0])
-        from_pupil = np.linalg.norm(here - corners.mean(0) - [0, 0.04 * width], axis=1) / width
+        from_pupil = norms(here - corners.mean(0) - [0, 0.04 * width]) / width
         ball = _SCLERA * (1 + 0.02 * smooth_noise(here, (60, 60), rng))[:, None]
         rays = iris * (1 + 0.25 * smooth_noise(here, (300, 300), rng))[:, None]
         ball = ball + (rays - ball) * smoothstep((0.215 - from_pupil) / 0.02)[:, None]
@@ -179,7 +178,7 @@ def _blob(uv: FloatArray, center: FloatArray, radius: float) -> FloatArray:
 
 def _curve(points: FloatArray) -> FloatArray:
     """Return 240 points of a natural cubic spline through (K, 2) points."""
-    knots = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    knots = arc_lengths(points)
     return CubicSpline(knots, points, bc_type="natural")(np.linspace(0, knots[-1], 240))
 
 
@@ -190,7 +189,7 @@ def _near(uv: FloatArray, points: FloatArray, margin: float) -> BoolArray:
 
 def _distance(uv: FloatArray, line: FloatArray) -> FloatArray:
     """Return (N,) distance to a polyline's points (K, 2), inf from 0.04 on."""
-    return np.asarray(cKDTree(line).query(uv, distance_upper_bound=0.04)[0])
+    return cKDTree(line).query(uv, distance_upper_bound=0.04)[0]
 
 
 def _signed_distance(uv: FloatArray, outline: FloatArray) -> FloatArray:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core import BoolArray, FloatArray, IntArray, finite_rows
 from scan2albedo.face_model import default_model
 from scan2albedo.geometry.pinhole import camera_centers, look_at, pixel_directions, pixel_grid, project
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
@@ -172,7 +172,7 @@ def wearer(
     labels[hidden[:, glasses.keypoint_vertices]] = np.nan
     labels[:, rng.choice(len(points), missing, replace=False)] = np.nan
     for view in labels:
-        labelled = np.flatnonzero(np.isfinite(view).all(1))
+        labelled = np.flatnonzero(finite_rows(view))
         wrong = rng.choice(labelled, min(outliers, len(labelled)), replace=False)
         view[wrong] += rng.uniform(-150, 150, (len(wrong), 2))
     labels[((labels < 0) | (labels > picture_size - 1)).any(2)] = np.nan

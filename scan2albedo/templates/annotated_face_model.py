@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from scan2albedo.core import RawScan
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core import FloatArray, IntArray, RawScan, norms
 from scan2albedo.errors import ModelError, RegistrationError, ScanError, errors_of
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.face_model.annotation import FILLED_REGION, LANDMARK_LEVELS, MOUTH_REGION
@@ -238,7 +237,7 @@ def _annotated_model(surface: TemplateSurface, given: DenseTemplate, control_siz
         subdivision = model.subdivision(LANDMARK_LEVELS)
         points = project(subdivision, model.control_vertices, landmarks, normals)
         apart = subdivision.points_matrix(points) @ model.control_vertices - landmarks
-        farthest = float(np.linalg.norm(apart, axis=1)[17:].max())
+        farthest = float(norms(apart)[17:].max())
         if farthest > _REACH_MM:
             notes.append(f"no landmarks: one would lie {farthest:.1f} mm beside the template")
         else:

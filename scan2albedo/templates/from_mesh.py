@@ -4,12 +4,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core import ByteArray, FloatArray, IntArray, all_finite, finite_rows, norms, row_sums
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model import AnnotatedSurface, Region
 from scan2albedo.face_model.annotation import FILLED_REGION, LANDMARK_LEVELS, REST_REGION, surface_frames
@@ -59,7 +58,7 @@ def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_s
     disc, filled = clean_template(surface, name)
     # The template vertices that it uses, and its faces among them.
     source, clean_faces = without_unreferenced(disc.vertices, disc.faces)
-    clean, faces = disc.vertices[source], np.array(given.faces, np.int64)
+    clean, faces = disc.vertices[source], np.array(given.faces, int)
     control, control_faces = fit_limit_surface(clean, clean_faces, control_size)
     subdivision = LoopSubdivision.of(len(control), control_faces, LANDMARK_LEVELS)
     # The cleaned vertices are placed on the limit surface, loose ones where the nearest of these is.
@@ -87,7 +86,7 @@ def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_s
         table[FILLED_REGION] = Region(FILLED_REGION, index, 0.5, 0.0, False)
     chart, chart_note = _chart(vertex_uv(given), source, (control, control_faces), matrix, name)
     corners_uv, uv_note = corner_uv(given)
-    off = np.linalg.norm(offset[source], axis=1)
+    off = norms(offset[source])
     away = f"the surface keeps {off.mean():.1f} mm (mean) and {off.max():.0f} mm (most) from the template"
     coarse = f"{away}; a greater control_size follows it better" if off.mean() > 1 else ""
     notes = (*disc.notes, coarse, chart_note, uv_note)
@@ -112,7 +111,7 @@ def vertex_uv(given: DenseTemplate) -> FloatArray | None:
     """Return (T, 2) where all corners of a vertex agree, (0, 0) without a face; None at seams and gaps."""
     if given.uv is None or np.ndim(given.uv) != 3:
         return given.uv
-    faces, corners = np.array(given.faces, np.int64), np.asarray(given.uv, np.float64)
+    faces, corners = np.array(given.faces, int), np.asarray(given.uv, float)
     if corners.shape != (len(faces), 3, 2):
         raise ModelError(f"{given.name}: uv has shape {corners.shape}, expected ({len(faces)}, 3, 2)")
     uv = np.zeros((len(given.vertices), 2))
@@ -124,10 +123,10 @@ def corner_uv(given: DenseTemplate) -> tuple[FloatArray | None, str]:
     """Return (F, 3, 2) the coordinates of the faces' corners, and a note where they can carry no texture."""
     if given.uv is None:
         return None, ""
-    uv = np.asarray(given.uv, np.float64)
-    corners = uv if uv.ndim == 3 else uv[np.array(given.faces, np.int64)]
+    uv = np.asarray(given.uv, float)
+    corners = uv if uv.ndim == 3 else uv[np.array(given.faces, int)]
     why = ""
-    if not np.isfinite(corners).all():
+    if not all_finite(corners):
         why = f"{int((~np.isfinite(corners)).any((1, 2)).sum())} faces have no texture coordinates"
     elif (corners < -UV_SLACK).any() or (corners > 10 + UV_SLACK).any():
         why = "texture coordinates lie beyond the tiles of UDIM (u and v from 0 to 10)"
@@ -148,13 +147,13 @@ def _chart(
 
     note = ""
     if uv is not None:
-        given = np.asarray(uv, np.float64)
+        given = np.asarray(uv, float)
         if given.shape != (matrix.shape[0], 2):
             said = f"{name}: uv has shape {given.shape}, expected ({matrix.shape[0]}, 2)"
             raise ModelError(f"{said}: one coordinate a vertex; split vertices at seams or leave uv out")
         known = given[source]
         note = "a new chart was drawn: the uv given holds NaN"
-        if np.isfinite(known).all():
+        if all_finite(known):
             rows = matrix[source]
             tie = 1e-6 * sparse.identity(rows.shape[1])
             chart = np.clip(splu((rows.T @ rows + tie).tocsc()).solve(rows.T @ known), 0.0, 1.0)
@@ -165,7 +164,7 @@ def _chart(
     return parametrize_disc(*mesh), note
 
 
-def _regions(given: DenseTemplate, faces: IntArray) -> tuple[NDArray[np.uint8], dict[str, Region]]:
+def _regions(given: DenseTemplate, faces: IntArray) -> tuple[ByteArray, dict[str, Region]]:
     """Return the region (T,) of each template vertex, and the regions by name."""
     name, named, count = given.name, dict(given.regions or {}), len(given.vertices)
     if taken := sorted({REST_REGION, FILLED_REGION} & set(named)):
@@ -202,12 +201,12 @@ def _landmarks(
         if landmarks.min() < 0 or landmarks.max() >= len(vertices):
             wrong = landmarks.min() if landmarks.min() < 0 else landmarks.max()
             raise ModelError(f"{name}: landmark vertex {wrong} out of range 0 ... {len(vertices) - 1}")
-        chosen = landmarks.astype(np.int64)
+        chosen = landmarks.astype(int)
     elif landmarks.shape == (68, 3):
         # Points in the template's own unit and frame: the nearest cleaned vertices.
         points, cleaned = landmarks.astype(float), vertices[source]
-        if not np.isfinite(points).all():
-            wrong = int(np.flatnonzero(~np.isfinite(points).all(1))[0])
+        if not all_finite(points):
+            wrong = int(np.flatnonzero(~finite_rows(points))[0])
             raise ModelError(f"{name}: landmark {wrong} is NaN or infinite; give its point, or no landmarks")
         distance, nearest = cKDTree(cleaned).query(points)
         distance /= float(np.ptp(cleaned, axis=0).max() / np.ptp(disc.vertices[source], axis=0).max())
@@ -239,13 +238,13 @@ def fit_limit_surface(vertices: FloatArray, faces: IntArray, size: int) -> tuple
         lifted = np.asfortranarray(np.hstack([vertices, 12 * across]))
         target = int(len(faces) * size / len(vertices))
         collapsed, index, _, _ = igl.decimate(lifted, np.asfortranarray(faces.astype(np.int32)), target)
-        start, control_faces = np.ascontiguousarray(collapsed[:, :3]), np.asarray(index, np.int64)
+        start, control_faces = np.ascontiguousarray(collapsed[:, :3]), np.asarray(index, int)
     count = len(start)
     subdivision = LoopSubdivision.of(count, control_faces, 2)
     chosen = np.unique(np.linspace(0, len(vertices) - 1, min(len(vertices), 30_000)).astype(int))
     targets, normals = vertices[chosen], across[chosen]
     ring = adjacency(count, control_faces)
-    valence = np.maximum(np.asarray(ring.sum(1)).ravel(), 1)
+    valence = np.maximum(row_sums(ring), 1)
     smooth = sparse.identity(count) - sparse.diags(1 / valence) @ ring
     stiff = SMOOTHNESS * len(chosen) / count * (smooth.T @ smooth)
     control = start

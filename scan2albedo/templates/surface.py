@@ -4,12 +4,12 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numba import njit
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_mesh
+from scan2albedo.core import BoolArray, FloatArray, IntArray, checked_mesh, norms
+from scan2albedo.core.compiled import compiled
 from scan2albedo.errors import ModelError, errors_of
 from scan2albedo.geometry import mesh as meshes
-from scan2albedo.geometry.mesh import boundary_loops, edges_with_faces, face_cross_products
+from scan2albedo.geometry.mesh import boundary_loops, edges_with_faces, face_cross_products, face_edges
 from scan2albedo.geometry.parametrization import boundary_loop
 from scan2albedo.geometry.rigid import compose
 from scan2albedo.io.repair import first_equal_row
@@ -89,7 +89,7 @@ def template_surface(vertices: FloatArray, faces: IntArray, name: str) -> Templa
 
 def _proper(xyz: FloatArray, faces: IntArray) -> IntArray:
     """Drop faces with a repeated corner, no area, or the same corners as an earlier face."""
-    area = np.linalg.norm(face_cross_products(xyz, faces), axis=1)
+    area = norms(face_cross_products(xyz, faces))
     good = faces[area > 1e-14 * area.max()]
     return good[first_equal_row(np.sort(good, axis=1)) == np.arange(len(good))]
 
@@ -110,7 +110,7 @@ def _manifold(faces: IntArray, name: str) -> tuple[IntArray, int]:
         if uses.max() > 2:
             # At an edge of more than two faces those with a free edge go, or all.
             size = int(kept.max()) + 1
-            keys = np.sort(kept[:, [[0, 1], [1, 2], [2, 0]]], axis=2) @ [size, 1]
+            keys = np.sort(face_edges(kept), axis=2) @ [size, 1]
             key = edges @ [size, 1]
             at_knot = np.isin(keys, key[uses > 2]).any(1)
             loose = at_knot & np.isin(keys, key[uses == 1]).any(1)
@@ -128,7 +128,7 @@ def _manifold(faces: IntArray, name: str) -> tuple[IntArray, int]:
             )
     if len(kept) < len(faces):
         kept = largest_component(int(faces.max()) + 1, kept)
-    oriented = np.asarray(igl.bfs_orient(kept)[0], np.int64)
+    oriented = np.asarray(igl.bfs_orient(kept)[0], int)
     if meshes.neighbouring_faces(oriented)[2].any():
         raise ModelError(f"{name}: the surface cannot be oriented (it is one-sided); use an orientable mesh")
     return oriented, len(faces) - len(kept)
@@ -147,7 +147,7 @@ def clean_template(surface: TemplateSurface, name: str) -> tuple[TemplateSurface
         mesh = largest_component(len(xyz), mesh[(depth[mesh] > low + _BACK_OF_HEAD * (high - low)).all(1)])
     # Every boundary loop is closed but the one with the greatest length in mm.
     loops = [loop for loop in boundary_loops(mesh) if len(loop) >= 3]
-    length = [float(np.linalg.norm(xyz[loop] - xyz[np.roll(loop, 1)], axis=1).sum()) for loop in loops]
+    length = [float(norms(xyz[loop] - xyz[np.roll(loop, 1)]).sum()) for loop in loops]
     rim = int(np.argmax(length)) if loops else -1
     holes = [loop for i, loop in enumerate(loops) if i != rim and len(loop) <= 600]
     closed = np.concatenate([mesh, *(fill_hole(xyz, mesh, loop) for loop in holes)])
@@ -172,7 +172,7 @@ def fill_hole(vertices: FloatArray, faces: IntArray, loop: IntArray) -> IntArray
     # Where the mesh has an edge between two vertices of the loop.
     place = np.full(len(vertices), -1)
     place[ring] = np.arange(len(ring))
-    ends = place[faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)]
+    ends = place[face_edges(faces).reshape(-1, 2)]
     ends = ends[(ends >= 0).all(1)]
     joined = np.zeros((len(ring), len(ring)), bool)
     joined[ends[:, 0], ends[:, 1]] = joined[ends[:, 1], ends[:, 0]] = True
@@ -185,10 +185,10 @@ def fill_hole(vertices: FloatArray, faces: IntArray, loop: IntArray) -> IntArray
         j = int(split[i, k])
         patch.append((ring[i], ring[j], ring[k]))
         pending += [(i, j), (j, k)]
-    return np.array(patch, np.int64).reshape(-1, 3)
+    return np.array(patch, int).reshape(-1, 3)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _least_area_splits(points, joined):  # type: ignore[no-untyped-def]
     n = len(points)
     # More than any triangulation's area, so that a chord already in the mesh is the last resort.

@@ -4,9 +4,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
+from scan2albedo.core import (
+    SMALLEST,
+    ArrayLike,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    all_finite,
+    checked_array,
+    norms,
+)
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.lenses import rims
@@ -79,7 +87,7 @@ def insert_lens(
         twice_area = x * np.roll(y, -1) - np.roll(x, -1) * y
         cx, cy = (((p + np.roll(p, -1)) * twice_area).sum() / (3 * twice_area.sum()) for p in (x, y))
         rim = replace(rim, normal=axis, center=middle + cx * plane.across + cy * plane.up)
-        radius = float(np.linalg.norm(rim.points - rim.center, axis=1).mean())
+        radius = float(norms(rim.points - rim.center).mean())
         # From a reader's slit to a diving mask: others are not millimetres.
         if not 5 <= radius <= 100:
             said = f"its mean radius is {radius:.3g} mm, which no lens has"
@@ -98,7 +106,7 @@ def rim_key_points(keypoints: FloatArray, side: int) -> FloatArray:
     Raises EyeglassesError, naming key point and lens, when one is missing.
     """
     marks = keypoints[RIMS[side]]
-    missing = [KEY_POINT_NAMES[i] for i in RIMS[side] if not np.isfinite(keypoints[i]).all()]
+    missing = [KEY_POINT_NAMES[i] for i in RIMS[side] if not all_finite(keypoints[i])]
     if missing:
         said = f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
         advice = "give them, or None in place of this lens"
@@ -125,7 +133,7 @@ def lens_mesh(
     # Taken around the centre: far from the origin the cross products would lose their digits.
     cross = face_cross_products(vertices - middle, faces)
     axis = cross.sum(0)
-    if normal is not None and np.asarray(normal, np.float64) @ axis < 0:
+    if normal is not None and np.asarray(normal, float) @ axis < 0:
         faces, cross, axis = faces[:, [0, 2, 1]], -cross, -axis
     folded = ~(cross @ axis > 0)
     if folded.any():
@@ -228,7 +236,7 @@ def trace_lenses(scene: LensScene, lenses: Sequence[InsertedLens], seen: SceneRa
                 cosine = np.sqrt(np.clip((1 - np.einsum("ni,ni->n", heading, mirrored)) / 2, 0, 1))
                 beta = material.beta + (1 - material.beta) * (1 - cosine) ** 5
                 # All other shares shrink alike, so that together they stay 1.
-                alpha = alpha * (1 - beta) / max(1 - material.beta, np.finfo(float).tiny)
+                alpha = alpha * (1 - beta) / max(1 - material.beta, SMALLEST)
             rest, tint = np.maximum(1 - alpha - beta, 0.0)[:, None], alpha[:, None]
             if material.tinting == "filter":
                 rest, tint = rest + tint * np.asarray(material.tint_linear), np.zeros_like(tint)

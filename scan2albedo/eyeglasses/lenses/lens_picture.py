@@ -2,12 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
+from scan2albedo.core import ArrayLike, BoolArray, FloatArray, IntArray, NDArray, Values, checked_array, norms
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import checked_keypoints
 from scan2albedo.eyeglasses.lenses import inserted_lenses as inserted
@@ -117,7 +115,7 @@ def insert_lenses(
     surfaces and lenses cast shadows; in photographs none do, whose background counts as far away. Light does
     not bounce otherwise. 256 lights are 1 % rms off 8,192 directions, 64 are 2.5 %; cost grows with them.
     """
-    matrix = pinhole.normalized_cameras(np.asarray(camera, np.float64)[None])[0]
+    matrix = pinhole.normalized_cameras(np.asarray(camera, float)[None])[0]
     images: list[FloatArray | None] = [None, None]
     for k, (name, image) in enumerate((("picture", picture_linear), ("environment", environment_linear))):
         if image is not None:
@@ -141,7 +139,7 @@ def insert_lenses(
         middles = list(checked_array(lens_centers, (2, 3), "lens_centers", finite=EyeglassesError))
     given = np.asarray(frame.vertices), np.asarray(frame.faces), marks
     sides = [(side, material) for side, material in enumerate(materials) if material is not None]
-    seat: dict[str, Any] = {"seat_mm": _SEAT_MM, "rim_masks": rim_masks}
+    seat: Values = {"seat_mm": _SEAT_MM, "rim_masks": rim_masks}
     placed = tuple(inserted.insert_lens(*given, k, own, center=middles[k], **seat) for k, own in sides)
     bare, glass_notes = inserted.without_glass(frame, placed, marks)
     scene, notes = LensScene(bare, surfaces), list(glass_notes)
@@ -160,7 +158,7 @@ def insert_lenses(
     made = _View(scene, placed, colors, matrix, region).pixels(window, options.supersampling)
     image, without = empty.copy(), empty.copy()
     unknown, seen = np.zeros((height, width), bool), np.full((height, width), -1, np.int8)
-    wholes: tuple[NDArray[Any], ...] = (image, without, unknown, seen)
+    wholes: tuple[NDArray, ...] = (image, without, unknown, seen)
     for whole, values in zip(wholes, (made.shaded, made.bare, made.unknown, made.lens), strict=True):
         whole[window] = values.reshape(whole[window].shape)
     for lens in placed:
@@ -180,7 +178,7 @@ def _lens_region(
     camera: FloatArray, lenses: Sequence[inserted.InsertedLens], shape: tuple[int, int]
 ) -> Window:
     """Return rows and columns of the pixels that may see a lens, with one to spare around them."""
-    size = np.array(shape[::-1], np.float64)
+    size = np.array(shape[::-1], float)
     low, high = np.zeros(2), np.zeros(2)
     if lenses:
         pixels, depth = pinhole.project(camera, np.concatenate([lens.vertices for lens in lenses]))
@@ -271,7 +269,7 @@ class _View:
         if len(bands := blocks(len(pixels), 2**15)) > 1:
             parts = [self._rays(pixels[band]) for band in bands]
             names = ("bare", "shaded", "unknown", "lens", "surface", "distance")
-            joined: dict[str, Any] = {n: np.concatenate([getattr(part, n) for part in parts]) for n in names}
+            joined: Values = {n: np.concatenate([getattr(part, n) for part in parts]) for n in names}
             return _SeenRays(**joined, glancing=sum(part.glancing for part in parts))
         scene, center = self.scene, pinhole.camera_centers(self.camera[None])[0]
         straight = scene.rays(center, pinhole.pixel_directions(self.camera, pixels), pixels)
@@ -304,6 +302,6 @@ class _View:
         lens, face, distance = np.full(len(pixels), -1), straight.hits.face.copy(), straight.hits.distance
         lens[near], face[near] = paths.first, paths.rays.hits.face
         distance = distance.copy()
-        distance[near] = np.linalg.norm(paths.rays.ends - center, axis=1)
+        distance[near] = norms(paths.rays.ends - center)
         surface = np.where(face >= 0, scene.surface_of_face[face], -1)
         return _SeenRays(colors.bare.copy(), shaded, unknown, lens, surface, distance, paths.glancing)

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import FloatArray, checked_array
+from scan2albedo.core import ArrayLike, FloatArray, checked_array, norms
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.geometry.mesh import normalized
 
@@ -71,7 +70,7 @@ def refract(lens: ThinLens, camera: ArrayLike, points: ArrayLike) -> RefractedRa
     normal = normal / np.linalg.norm(normal)
     from_center = np.broadcast_to(origins - center, through.shape)
     height = from_center @ normal
-    flat = np.abs(height) <= _GRAZING * np.linalg.norm(from_center, axis=1)
+    flat = np.abs(height) <= _GRAZING * norms(from_center)
     if flat.any():
         share = f"{int(flat.sum())} of {len(flat)} rays"
         raise EyeglassesError(f"the camera lies in the lens plane ({share}); move it, or leave this lens out")
@@ -95,9 +94,9 @@ def mirror_on_sphere(
     Rays meet the lens at `points` (N, 3) mm; `center` and `normal` (3,) are the lens's, toward the viewer,
     where the front bulges; its radius is infinite for a flat one.
     """
-    axis = normalized(np.asarray(normal, np.float64))
+    axis = normalized(np.asarray(normal, float))
     # Divided by the radius, so that a flat front is not a special case.
-    outward = normalized(axis + (points - np.asarray(center, np.float64)) / radius_mm)
+    outward = normalized(axis + (points - np.asarray(center, float)) / radius_mm)
     heading = normalized(directions)
     return heading - 2 * np.einsum("ni,ni->n", heading, outward)[:, None] * outward
 

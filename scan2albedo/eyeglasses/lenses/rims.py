@@ -5,10 +5,9 @@ from dataclasses import dataclass, replace
 from typing import Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
+from scan2albedo.core import ArrayLike, BoolArray, FloatArray, IntArray, all_finite, checked_array, norms
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import checked_mesh, checked_points
 from scan2albedo.eyeglasses.on_face.objective import BIAS_PX, ROBUST, VOTE
@@ -67,7 +66,7 @@ class LensPlane:
     def at(cls, center: FloatArray, normal: FloatArray) -> Self:
         """Return the plane across `normal` (3,) of any length."""
         axis = normalized(normal)
-        if not np.isfinite(axis).all() or not axis.any():
+        if not all_finite(axis) or not axis.any():
             raise EyeglassesError(f"a lens plane needs a finite normal, not zero, got {normal.tolist()}")
         across = normalized(np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis))
         return cls(center, across, np.cross(axis, across), axis)
@@ -125,7 +124,7 @@ def pane_faces(
         rest = kept & ~panes
         if not panes.any() or not rest.any():
             break
-        reach = np.linalg.norm(vertices[faces[panes].ravel()] - plane.center, axis=1).max()
+        reach = norms(vertices[faces[panes].ravel()] - plane.center).max()
         if rim_points is not None and reach > _OUTER * radius:
             # The frame itself is larger than one lens, and without it there is no rim.
             apart = ClosestPointQuery(vertices, faces[rest]).query(rim_points).distance
@@ -330,11 +329,11 @@ def subdivide_rim(
         following = np.roll(outline, -1, 0)
         middle = four_point_middles(outline)
         distance, nearest = tree.query(middle)
-        pulled = distance <= _PULL * np.linalg.norm(following - outline, axis=1)
+        pulled = distance <= _PULL * norms(following - outline)
         middle[pulled] = vertices[nearest[pulled]]
         outline = np.stack([outline, middle], 1).reshape(-1, 3)
         # Two middles drawn to one vertex would leave an edge without length.
-        outline = outline[np.linalg.norm(outline - np.roll(outline, 1, 0), axis=1) > 0]
+        outline = outline[norms(outline - np.roll(outline, 1, 0)) > 0]
     at = plane.angles(outline)
     return np.stack([np.interp(angles, at, own, period=2 * np.pi) for own in plane.profile(outline)])
 
@@ -416,7 +415,7 @@ def refine_lens_rim(
             off_px[number] = np.median(off[trusted] if trusted.sum() >= count else off)
             precision += (edge.rows * edge.weight[:, None]).T @ edge.rows
             pull += edge.rows.T @ (edge.weight * (edge.off_px + edge.rows @ state))
-        state = np.asarray(np.linalg.solve(precision, pull), np.float64)
+        state = np.asarray(np.linalg.solve(precision, pull), float)
     if np.isnan(off_px).all():
         return rim
     if off_px[worst := int(np.nanargmax(off_px))] > ROBUST * deviation_px:
@@ -503,13 +502,13 @@ def _find_edge(
     toward = projected(camera[None], curve.center[None])[0] - pixels
     inward *= np.sign((toward * inward).sum(1, keepdims=True))
     rows = np.einsum("ni,nij,njp->np", inward, slopes, curve.moves)
-    reach = 3 * np.hypot(curve.open_mm * np.linalg.norm(rows[:, curve.shift], axis=1), deviation_px)
+    reach = 3 * np.hypot(curve.open_mm * norms(rows[:, curve.shift]), deviation_px)
     found = search_edges(field, pixels, inward, np.minimum(reach, REACH_PX))
     kept = np.isfinite(found)
     if kept.mean() < 0.5:
         return None
     rows[:, column] = 1.0
     off = (found - state[column])[kept]
-    weight = np.minimum(VOTE * np.linalg.norm(along[kept], axis=1) / 2, 1.0) / deviation_px**2
+    weight = np.minimum(VOTE * norms(along[kept]) / 2, 1.0) / deviation_px**2
     weight /= 1 + (off / (ROBUST * deviation_px)) ** 2
     return _FoundEdge(np.flatnonzero(kept), off, rows[kept], weight)

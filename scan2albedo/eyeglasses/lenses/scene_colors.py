@@ -7,11 +7,10 @@ from functools import cached_property
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core import ArrayLike, BoolArray, ByteArray, FloatArray, IntArray, norms
 from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens
 from scan2albedo.eyeglasses.lenses.scenes import LensScene, SceneRays, radiance_at
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, pixel_grid, project
@@ -65,7 +64,7 @@ class _PixelShadows(ShadowMap):
     def _stages(self) -> list[tuple[IntArray, IntArray]]:
         """Numbers (M,) of points, first those that ask for themselves, and of the points around (4, M)."""
         own = np.arange(len(self.position))
-        cell = np.round(self.pixels).astype(np.int64) + 2
+        cell = np.round(self.pixels).astype(int) + 2
         columns = int(cell[:, 0].max(initial=0)) + 2
         place = cell[:, 1] * columns + cell[:, 0]
         first = np.unique(place, return_index=True)[1]
@@ -86,7 +85,7 @@ class _PixelShadows(ShadowMap):
     def _alone(self) -> ShadowMap:
         return self._some(self._stages[0][0])
 
-    def visible(self, direction: ArrayLike, distance_mm: float = math.inf) -> NDArray[np.uint8]:
+    def visible(self, direction: ArrayLike, distance_mm: float = math.inf) -> ByteArray:
         """Return (N,) uint8, 1 where a light reaches the point."""
         lit = np.zeros(len(self.position), np.uint8)
         lit[self._stages[0][0]] = self._alone.visible(direction, distance_mm)
@@ -159,7 +158,7 @@ class LitScene:
         for lens in dimming:
             # Only rays that pass a ball around the lens are shot; float32 may reach a little farther.
             center = (lens.vertices.min(0) + lens.vertices.max(0)) / 2
-            reach = 1 + float(np.linalg.norm(lens.vertices - center, axis=1).max())
+            reach = 1 + float(norms(lens.vertices - center).max())
             way = center - position
             near.append((lens, lens.caster.to_local(position), way, (way**2).sum(1) - reach**2, reach))
         for toward, intensity, (facing, mirrored) in each_lamp(shadows, self._light, reflectance, view):
@@ -203,7 +202,7 @@ class PhotographedScene:
         """Return the photograph's own pixels for straight rays, and what it shows of the others' ends."""
         assert straight.pixels is not None
         last = np.array(self._picture.shape[1::-1]) - 1
-        column, row = np.clip(np.round(straight.pixels).astype(np.int64), 0, last).T
+        column, row = np.clip(np.round(straight.pixels).astype(int), 0, last).T
         return [RayColors.known(self._picture[row, column]), self.seen(bent), *map(self.mirrored, mirrored)]
 
     def seen(self, rays: SceneRays) -> RayColors:
@@ -214,7 +213,7 @@ class PhotographedScene:
             on = rays.chosen(hit)
             position, surface = on.ends, self._scene.surface_of_face[on.hits.face]
             colors, sampled = self._sample(project(self._camera, position)[0], surface)
-            distance = np.linalg.norm(position - self._center, axis=1)
+            distance = norms(position - self._center)
             first = self._scene.rays(self._center, (position - self._center) / distance[:, None])
             known = sampled & (first.hits.distance >= distance - _SAME_POINT * self._scene.caster.size)
             for number in np.unique(surface[~known]).tolist():

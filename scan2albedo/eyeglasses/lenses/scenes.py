@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, smoothstep
+from scan2albedo.core import ArrayLike, BoolArray, FloatArray, IntArray, all_finite, norms, smoothstep
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import checked_mesh
 from scan2albedo.geometry.mesh import RayHits, face_cross_products, normalized, vertex_normals
@@ -52,22 +51,22 @@ class Surface:
 
     def __post_init__(self) -> None:
         xyz, index = checked_mesh(self.vertices, self.faces, "a surface")
-        albedo = np.asarray(self.albedo_linear, np.float64)
+        albedo = np.asarray(self.albedo_linear, float)
         fields = {"vertices": xyz, "faces": index, "albedo_linear": albedo}
         shapes: dict[str, tuple[int, ...]] = {"albedo_linear": (3,) if albedo.ndim == 1 else (len(xyz), 3)}
         if self.texture_linear is not None:
             if self.uv is None:
                 raise ValueError("a texture needs uv")
             # Pictures of floats stay in 32 bits: twice as much is a lot for a large one.
-            texture, uv = np.asarray(self.texture_linear), np.asarray(self.uv, np.float64)
-            fields["texture_linear"] = texture if texture.dtype == np.float32 else texture.astype(np.float64)
+            texture, uv = np.asarray(self.texture_linear), np.asarray(self.uv, float)
+            fields["texture_linear"] = texture if texture.dtype == np.float32 else texture.astype(float)
             fields["uv"] = uv
             shapes["texture_linear"] = (*texture.shape[:2], 3)
             shapes["uv"] = (len(xyz), 2) if uv.ndim == 2 else (len(index), 3, 2)
         for name, shape in shapes.items():
             if fields[name].shape != shape:
                 raise ValueError(f"{name} must have shape {shape}, got {fields[name].shape}")
-            if not np.isfinite(fields[name]).all():
+            if not all_finite(fields[name]):
                 raise EyeglassesError(f"a surface's {name} are not finite; repair the input first")
         for name, value in fields.items():
             object.__setattr__(self, name, value)
@@ -135,7 +134,7 @@ class LensScene:
         flat = face_cross_products(self.vertices, corners)
         smooth = np.einsum("nk,nkc->nc", rays.hits.barycentric, self._normals[corners])
         agreement = np.einsum("nc,nc->n", flat, smooth)
-        size = np.linalg.norm(flat, axis=1) * np.linalg.norm(smooth, axis=1)
+        size = norms(flat) * norms(smooth)
         believed = np.abs(agreement) > _SMOOTH * size
         normal = normalized(np.where(believed[:, None], np.sign(agreement)[:, None] * smooth, flat))
         return np.where((np.einsum("nc,nc->n", flat, rays.directions) > 0)[:, None], -normal, normal)
@@ -179,7 +178,7 @@ def soft_environment(axes: ArrayLike, *, rows: int = 128) -> FloatArray:
 
     `axes` (3, 3) are those of `own_axes`: lamps stand around the wearer, the main one on their right.
     """
-    seen = texel_directions((rows, 2 * rows)) @ np.asarray(axes, np.float64).T
+    seen = texel_directions((rows, 2 * rows)) @ np.asarray(axes, float).T
     radiance = 0.4 + 0.2 * seen[..., 1]
     for direction, edge, strength in _LAMPS:
         rise = smoothstep((seen @ normalized(np.array(direction)) - edge) / _SOFTNESS + 0.5)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core import BoolArray, FloatArray, finite_rows, identities, norms
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.mean_keypoints import FRONT
 from scan2albedo.eyeglasses.skinning import known_bones, turn_conditions, turned_translations
@@ -75,7 +75,7 @@ class FrameMotion:
 
     def __init__(self, keypoints: FloatArray, state: FrameState) -> None:
         self.keypoints, self.state = keypoints, state
-        self.known: BoolArray = np.asarray(np.isfinite(keypoints).all(1))
+        self.known: BoolArray = finite_rows(keypoints)
         self.center = keypoints[self.known].mean(0)
 
     @cached_property
@@ -104,7 +104,7 @@ class FrameMotion:
     def positions(self, points: SkinnedPoints) -> FloatArray:
         """Return (N, 3) in the world."""
         blended = (points.weights @ self.transforms[:, :3].reshape(-1, 12)).reshape(-1, 3, 4)
-        return np.asarray(np.einsum("nij,nj->ni", blended[:, :, :3], points.rest) + blended[:, :, 3])
+        return np.einsum("nij,nj->ni", blended[:, :, :3], points.rest) + blended[:, :, 3]
 
     def rows(
         self, points: SkinnedPoints, positions: FloatArray, slopes: FloatArray, *, rigid: bool = False
@@ -146,7 +146,7 @@ class FrameMotion:
         rotations, bent = self.handles[:, :3, :3], self.keypoints + self.state.shifts
         k, j = bones.T
         before, along = normalized(self.keypoints[j] - self.keypoints[k]), bent[j] - bent[k]
-        length = np.linalg.norm(along, axis=1)[:, None]
+        length = norms(along)[:, None]
         after = along / length
         carried = np.einsum("bij,bj->bi", rotations[k], before)
         across = (np.eye(3) - np.einsum("bi,bj->bij", after, after)) / length[:, :, None]
@@ -156,7 +156,7 @@ class FrameMotion:
         np.add.at(drive, (k, k), -lever)
         _, system = turn_conditions(rotations, before, after, bones)
         flat = drive.transpose(0, 2, 1, 3).reshape(3 * count, 3 * count)
-        return np.asarray(np.linalg.solve(system, flat), np.float64)
+        return np.asarray(np.linalg.solve(system, flat), float)
 
 
 def bend_prior(motion: FrameMotion) -> tuple[FloatArray, FloatArray]:
@@ -169,12 +169,12 @@ def bend_prior(motion: FrameMotion) -> tuple[FloatArray, FloatArray]:
     k, j = bones.T
     # Stretches, whitened for the part that all share: of their mean only so much is left.
     bent = motion.keypoints + motion.state.shifts
-    length = np.linalg.norm(motion.keypoints[j] - motion.keypoints[k], axis=1)
+    length = norms(motion.keypoints[j] - motion.keypoints[k])
     along, sigma = bent[j] - bent[k], _STRETCH * length
     heading, number = normalized(along) / sigma[:, None], np.arange(len(bones))
     by_ends = np.zeros((len(bones), len(bent), 3))
     by_ends[number, j], by_ends[number, k] = heading, -heading
-    stretch, stretch_rows = (np.linalg.norm(along, axis=1) - length) / sigma, by_ends.reshape(len(bones), -1)
+    stretch, stretch_rows = (norms(along) - length) / sigma, by_ends.reshape(len(bones), -1)
     shared = 1 - _STRETCH / np.hypot(_STRETCH, np.sqrt(len(bones)) * _SCALE)
     stretch, stretch_rows = stretch - shared * stretch.mean(), stretch_rows - shared * stretch_rows.mean(0)
     # Relative turns R_j R_k^T as axes times angles; derivatives to first order in them.
@@ -186,8 +186,8 @@ def bend_prior(motion: FrameMotion) -> tuple[FloatArray, FloatArray]:
     turn_rows = ((turns[j] - turns[k]) / turn_rad[:, None]).reshape(3 * len(bones), -1)
     # Rigid motions of the shifts; key points that the frame lacks stay where they are.
     arm = np.where(motion.known[:, None], motion.keypoints - motion.center, 0.0)
-    moves = np.tile(np.eye(3), (len(arm), 1, 1))
-    about = np.cross(arm[:, None], np.eye(3)) / np.linalg.norm(arm, axis=1).mean()
+    moves = identities(len(arm), 3)
+    about = np.cross(arm[:, None], np.eye(3)) / norms(arm).mean()
     rigid_rows = np.concatenate([moves, about], 2) * motion.known[:, None, None]
     rigid_rows = rigid_rows.transpose(2, 0, 1).reshape(6, -1) / _RIGID_MM / motion.known.sum()
     rigid_rows = np.concatenate([rigid_rows, np.eye(rigid_rows.shape[1])[np.repeat(~motion.known, 3)]])

@@ -5,10 +5,20 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from scan2albedo.core import Plan, PlanStep, Trace
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
+from scan2albedo.core import (
+    ArrayLike,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    NDArray,
+    Plan,
+    PlanStep,
+    Trace,
+    all_finite,
+    checked_array,
+    finite_rows,
+)
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, checked_keypoints, checked_mesh, checked_weights
 from scan2albedo.eyeglasses.mean_keypoints import require_posable, usual_size_factor
@@ -107,7 +117,7 @@ class RegistrationInputs:
     weights: FloatArray | None
     views: tuple[ObservedView, ...]
     masks: tuple[BoolArray | None, ...]
-    pictures: tuple[NDArray[Any] | None, ...]
+    pictures: tuple[NDArray | None, ...]
     head: tuple[FloatArray, IntArray] | None
     start: FloatArray | None
     unit: float
@@ -116,12 +126,12 @@ class RegistrationInputs:
     @property
     def known(self) -> BoolArray:
         """(20,) key points that the frame has."""
-        return np.asarray(np.isfinite(self.keypoints).all(1))
+        return finite_rows(self.keypoints)
 
     @property
     def labelled(self) -> bool:
         """Whether any key point has a label in any view."""
-        return any((np.isfinite(view.labels).all(1) & self.known).any() for view in self.views)
+        return any((finite_rows(view.labels) & self.known).any() for view in self.views)
 
 
 def checked_inputs(
@@ -146,14 +156,14 @@ def checked_inputs(
         )
     vertices, faces = checked_mesh(parts[0], parts[1], "the glasses")
     keypoints = checked_keypoints("the glasses' keypoints", parts[2])
-    keypoints[~np.isfinite(keypoints).all(1)] = np.nan
+    keypoints[~finite_rows(keypoints)] = np.nan
     require_posable(keypoints, "the glasses")
     weights = None
     if parts[3] is not None:
         weights = checked_weights("the glasses' weights", parts[3], len(vertices))
         if np.abs(weights.sum(1) - 1).max(initial=0.0) > 1e-6:
             raise EyeglassesError("the glasses' weights must have rows of sum 1; solve them again")
-        if weights[:, ~np.isfinite(keypoints).all(1)].any():
+        if weights[:, ~finite_rows(keypoints)].any():
             raise EyeglassesError("the glasses' weights give a share to key points that the frame lacks")
     matrices = normalized_cameras(cameras)
     count = len(matrices)
@@ -197,7 +207,7 @@ def checked_inputs(
 class _CheckedView(NamedTuple):
     observed: ObservedView
     mask: BoolArray | None
-    picture: NDArray[Any] | None
+    picture: NDArray | None
 
 
 def _checked_view(
@@ -209,7 +219,7 @@ def _checked_view(
     picture: ArrayLike | None,
 ) -> _CheckedView:
     """Return one view with its labels (20, 2), mask, size and picture; raises as `register_on_face`."""
-    labelled = np.asarray(np.isfinite(labels).all(1))
+    labelled = finite_rows(labels)
     found = labels[labelled]
     if (np.abs(found) > 1e6).any():
         raise EyeglassesError(f"labels of view {number} reach {np.abs(found).max():.3g}: expected pixels")
@@ -217,7 +227,7 @@ def _checked_view(
     if image is not None:
         if image.shape != (*(shape or image.shape[:2]), 3):
             raise ValueError(f"picture {number} has shape {image.shape}, expected (H, W, 3) of {shape}")
-        if not np.isfinite(image).all():
+        if not all_finite(image):
             raise EyeglassesError(f"picture {number} holds numbers that are not finite")
         shape = image.shape[:2]
     distance = None

@@ -5,8 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan2albedo.core import PlanStep
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core import BoolArray, FloatArray, IntArray, PlanStep, all_finite
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.lenses.inserted_lenses import SIDES, insert_lens
 from scan2albedo.eyeglasses.lenses.optics import LensMaterial
@@ -29,7 +28,7 @@ def rim_openings(
     found, left = [], np.arange(len(faces))
     for side, rim in enumerate(RIMS):
         marks = keypoints[rim]
-        if not np.isfinite(marks).all():
+        if not all_finite(marks):
             continue
         try:
             plane = LensPlane.at(marks.mean(0), fit_normal(marks, vertices))
@@ -67,7 +66,7 @@ def fit_lenses_to_masks(
         for view, (camera, mask) in enumerate(zip(cameras, masks, strict=True)):
             if mask is not None:
                 pixels, depth = project(camera, places[~hidden_by(head, camera, places)])
-                column, row = np.round(np.where(depth[:, None] > 0, pixels, -1.0)).astype(np.int64).T
+                column, row = np.round(np.where(depth[:, None] > 0, pixels, -1.0)).astype(int).T
                 inside = (row >= 0) & (column >= 0) & (row < mask.shape[0]) & (column < mask.shape[1])
                 # Fewer of the 264 places say nothing.
                 if inside.sum() >= 40:

@@ -9,8 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from scan2albedo.core import Meter
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core import EPSILON, FloatArray, IntArray, Meter, finite_rows, norms
 from scan2albedo.eyeglasses.mean_keypoints import FRONT
 from scan2albedo.eyeglasses.on_face import frame_motion as moving
 from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions
@@ -123,7 +122,7 @@ class RegistrationObjective:
         self.keypoints, self.views, self.options = keypoints, views, options
         self._cameras = np.stack([view.camera for view in views])
         self._labels = np.stack([view.labels for view in views])
-        self._labelled = np.isfinite(self._labels).all(2) & np.isfinite(keypoints).all(1)
+        self._labelled = finite_rows(self._labels) & finite_rows(keypoints)
 
     def motion(self, state: moving.FrameState) -> moving.FrameMotion:
         """Return the frame's motion at a state."""
@@ -157,7 +156,7 @@ class RegistrationObjective:
         pixels, slopes, front = projected(self._cameras[view], place[mark])
         errors = np.full(self._labelled.shape, np.nan)
         difference = pixels - self._labels[view, mark]
-        errors[view, mark] = np.where(front, np.linalg.norm(difference, axis=1), np.inf)
+        errors[view, mark] = np.where(front, norms(difference), np.inf)
         slopes = np.where(front[:, None, None], slopes, 0.0) / noise
         residual = np.where(front[:, None], difference, 0.0) / noise
         # Where labels are off alike in all views: offsets that leave the least errors, their own included.
@@ -170,15 +169,15 @@ class RegistrationObjective:
             matrix, pull = np.zeros((len(place), 3, 3)), np.zeros((len(place), 3))
             np.add.at(matrix, mark, np.einsum("n,nki,nkj->nij", weight, slopes, slopes))
             np.add.at(pull, mark, np.einsum("n,nki,nk->ni", weight, slopes, residual))
-            offset = -np.asarray(np.linalg.solve(matrix + prior, pull[:, :, None])[:, :, 0], np.float64)
+            offset = -np.asarray(np.linalg.solve(matrix + prior, pull[:, :, None])[:, :, 0], float)
         # What is left of each key point's sums without its offset, as three values along the matrix's axes.
         values, axes = np.linalg.eigh(matrix - matrix @ np.linalg.inv(matrix + prior) @ matrix)
         # Less than rounding leaves, of labels in standard deviations a mm, says nothing.
-        size, least = np.sqrt(np.maximum(values, 0.0)), np.sqrt(np.finfo(float).eps)
+        size, least = np.sqrt(np.maximum(values, 0.0)), np.sqrt(EPSILON)
         along = np.einsum("nji,nj->ni", axes, -offset / _OFFSET_MM**2)
         three = np.repeat(np.arange(len(place)), 3)
         slopes = (size[:, :, None] * axes.transpose(0, 2, 1)).reshape(-1, 3)
-        values, votes = (along / np.maximum(size, least)).ravel(), (size > least).astype(np.float64).ravel()
+        values, votes = (along / np.maximum(size, least)).ravel(), (size > least).astype(float).ravel()
         sums.add(sums.rows(marks[three], place[three], slopes), values, votes)
         sums.cost += float(ROBUST**2 * np.log1p(square / ROBUST**2).sum())
         sums.cost += float((offset**2).sum() / _OFFSET_MM**2)

@@ -2,15 +2,23 @@
 
 import warnings
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.cluster.vq import kmeans2, vq
 from scipy.ndimage import binary_dilation, distance_transform_edt
 from scipy.special import expit, logsumexp
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    NDArray,
+    RealArray,
+    finite_rows,
+    norms,
+)
 from scan2albedo.eyeglasses.mean_keypoints import BEHIND
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
 from scan2albedo.geometry.mesh import normalized
@@ -36,7 +44,7 @@ class MaskDistance:
     The `field` (h, w) is that of a window around the mask, whose first pixel is `corner` (column, row).
     """
 
-    field: NDArray[np.float32]
+    field: Float32Array
     corner: tuple[int, int]
 
     @classmethod
@@ -167,28 +175,28 @@ def trace_outline(seen: SeenSamples) -> tuple[IntArray, FloatArray]:
     around = padded[rows[:, None, None] + way[:, None] + _AROUND, columns[:, None, None] + way + _AROUND]
     outward = np.stack([around.sum(1) @ way, around.sum(2) @ way], 1)
     some = outward.any(1)
-    return which[some], normalized(outward[some].astype(np.float64))
+    return which[some], normalized(outward[some].astype(float))
 
 
-def grouped_colors(picture: NDArray[Any], around: FloatArray) -> IntArray:
+def grouped_colors(picture: NDArray, around: FloatArray) -> IntArray:
     """Return (H, W) groups of the colours of a picture (H, W, 3), made for those near pixels (N, 2).
 
     k-means in the picture's own values, 24 means: frame, skin, eyes and hair, each in light and in shadow.
     """
     height, width = picture.shape[:2]
-    inside = np.isfinite(around).all(1)
+    inside = finite_rows(around)
     if not inside.any():
-        return np.zeros((height, width), np.int64)
+        return np.zeros((height, width), int)
     box = [around[inside].min(0), around[inside].max(0)]
     low, high = np.clip(box, 0, [width - 1, height - 1]).astype(int)
-    values = np.asarray(picture, np.float64).reshape(-1, 3)
-    near = np.asarray(picture[low[1] : high[1] + 1, low[0] : high[0] + 1], np.float64).reshape(-1, 3)
+    values = np.asarray(picture, float).reshape(-1, 3)
+    near = np.asarray(picture[low[1] : high[1] + 1, low[0] : high[0] + 1], float).reshape(-1, 3)
     some = near[:: max(1, len(near) // 8000)]
     some = some[np.argsort(some.sum(1), kind="stable")]
     centers = some[np.linspace(0, len(some) - 1, 24).astype(int)]
     with warnings.catch_warnings(action="ignore"):  # an empty group keeps its mean
         centers, _ = kmeans2(some, centers, 10, minit="matrix")
-    return vq(values, centers)[0].reshape(height, width).astype(np.int64)
+    return vq(values, centers)[0].reshape(height, width).astype(int)
 
 
 def color_odds(colors: IntArray, frame: BoolArray, part: BoolArray | None = None) -> FloatArray:
@@ -200,7 +208,7 @@ def color_odds(colors: IntArray, frame: BoolArray, part: BoolArray | None = None
     near = binary_dilation(frame if part is None else part, iterations=2 * _SIDE_PX) & ~frame
     counts = [1.0 + np.bincount(colors[where], minlength=colors.max() + 1) for where in (frame, near)]
     inside, outside = (np.log(count / count.sum()) for count in counts)
-    return np.asarray((inside - outside)[colors])
+    return (inside - outside)[colors]
 
 
 def search_colors(
@@ -220,12 +228,12 @@ def search_colors(
     side, ways = np.arange(-_SIDE_PX, _SIDE_PX + 1.0), np.arange(-farthest, farthest + 1.0)
     along = np.arange(ways[0] + side[0], ways[-1] + side[-1] + 1)
 
-    def across(image: NDArray[np.floating], where: FloatArray) -> FloatArray:
+    def across(image: RealArray, where: FloatArray) -> FloatArray:
         places = pixels[:, None] + where[:, None] * outward[:, None]
         return bilinear(image[..., None], places.reshape(-1, 2)).reshape(len(pixels), -1)
 
     # Over three pixels a picture is alike: together they say as much as one.
-    profile, seen = across(frame.astype(np.float64), side), across(odds / 3, along)
+    profile, seen = across(frame.astype(float), side), across(odds / 3, along)
     windows = np.lib.stride_tricks.sliding_window_view(seen, len(side), axis=1)
     prior = -((ways / np.maximum(reach_px / 3, 0.5)[:, None]) ** 2) / 2
     prior -= np.log(np.exp(prior).sum(1, keepdims=True))
@@ -277,7 +285,7 @@ class OutlineSampler:
         owner = points.weights.argmax(1)[foremost]
         px_per_mm = np.sqrt(abs(np.linalg.det(camera[:, :3]))) / project(camera, vertices)[1][foremost]
         reach = np.minimum(5.0 + 3 * points.weights[foremost] @ deviation_mm * px_per_mm, REACH_PX)
-        place = np.stack(np.divmod(seen.index, view.shape[1])[::-1], 1).astype(np.float64)
+        place = np.stack(np.divmod(seen.index, view.shape[1])[::-1], 1).astype(float)
         # Points nearer to the picture's border than to the observed outline may have it outside.
         border = np.minimum(place, [view.shape[1] - 1, view.shape[0] - 1] - place).min(1)
         limit = np.minimum(reach, border + 0.5)
@@ -331,7 +339,7 @@ class OutlineSampler:
         hidden = hidden_by(self.head, camera, points)
         if self.head is not None and len(points):
             center = camera_centers(camera[None])[0]
-            far = np.linalg.norm(points - center, axis=1)[:, None]
+            far = norms(points - center)[:, None]
             for step in ((1, 0), (-1, 0), (0, 1), (0, -1)):
                 ray = pixel_directions(camera, pixels + 4.0 * np.array(step))
                 hidden |= hidden_by(self.head, camera, center + far * ray)
@@ -344,6 +352,6 @@ class OutlineSampler:
         vertices = motion.positions(self.mesh.points)
         seen = seen_samples(vertices, self.shown[number], view.camera, view.shape)
         seen = seen.chosen(~hidden_by(self.head, view.camera, seen.interpolated(vertices)))
-        owner = np.full(view.shape, -1, np.int64)
+        owner = np.full(view.shape, -1, int)
         owner.flat[seen.index] = seen.corners[:, 0]
         return owner >= 0, owner

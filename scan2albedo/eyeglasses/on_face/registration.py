@@ -6,10 +6,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
-from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback
+from scan2albedo.core import ArrayLike, Budget, Meter, Plan, PlanStep, ProgressCallback, norms
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses.mean_keypoints import BEHIND
 from scan2albedo.eyeglasses.on_face import inputs, objective, outline, start_poses
@@ -276,7 +275,7 @@ class _Registration:
         # What labels leave open: outlines that have found a wrong place would call it certain.
         deviation_mm = mark_deviations(self.given, motion, before.at)
         if not self.given.labelled and any(view.colors is not None for view in views):
-            lever = np.linalg.norm(np.nan_to_num(self.given.keypoints - motion.center), axis=1)
+            lever = norms(np.nan_to_num(self.given.keypoints - motion.center))
             # Half the step between the slopes that were tried.
             deviation_mm = float(np.diff(start_poses.LEANS_RAD).max()) / 2 * lever
         # One clock for all tracings: the rows of a stage count from its start.
@@ -306,7 +305,7 @@ class _Registration:
                 world = self.objective.motion(state).world_from_frame
                 places.append(transform_points(world, self.given.keypoints[known] + state.shifts[known]))
             deviation = mark_deviations(self.given, self.objective.motion(found.state), found.at)[known]
-            moves.append(float((np.linalg.norm(places[1] - places[0], axis=1) / deviation).max()))
+            moves.append(float((norms(places[1] - places[0]) / deviation).max()))
             increases = sum(move > min(moves[:i]) for i, move in enumerate(moves) if i)
             settled = (moves[-1] < 0.5 or increases > 1) and rigid != self.options.bend
             found = replace(found, converged=settled)

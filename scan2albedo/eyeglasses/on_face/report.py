@@ -7,8 +7,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 from scipy.special import erfinv, log_ndtr
 
-from scan2albedo.core import Meter, Plan, PlanStep
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core import SMALLEST, BoolArray, FloatArray, Meter, Plan, PlanStep, finite_rows, norms
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
 from scan2albedo.eyeglasses.on_face.inputs import (
@@ -198,16 +197,16 @@ def _certainty(
     root = _root(weighted.linearize(motion.state, samples, rigid=not shown.bend).matrix)
     # Pictures from one place leave more open than the matrix says.
     inflation = 1.0
-    used = [view for view in given.views if view.outlined or np.isfinite(view.labels).all(1).any()]
+    used = [view for view in given.views if view.outlined or finite_rows(view.labels).any()]
     if used:
         centers = camera_centers(np.stack([view.camera for view in used]))
         away = np.linalg.norm(motion.positions(motion.marks)[given.known].mean(0) - centers[0])
-        if np.linalg.norm(centers - centers[0], axis=1).max() <= _APART * away:
+        if norms(centers - centers[0]).max() <= _APART * away:
             inflation = _ONE_VIEW if objective.contact is None else _ONE_VIEW_RESTED
 
     def deviations(of: SkinnedPoints, covariances: FloatArray) -> FloatArray:
         # Frames bend otherwise than their key points say.
-        bend_mm = of.weights @ np.linalg.norm(motion.state.shifts, axis=1)
+        bend_mm = of.weights @ norms(motion.state.shifts)
         unmodelled = np.hypot(_MODEL_MM, _MODEL_BENT * np.sqrt(np.maximum(bend_mm, 0.0)))
         distance = np.sqrt(np.maximum(np.trace(covariances, axis1=1, axis2=2), 0.0))
         return np.hypot(inflation * distance, unmodelled)
@@ -304,11 +303,11 @@ def _propose(
 
 def _root(matrix: FloatArray) -> FloatArray:
     """Return a root (P, P) of the inverse of a Gauss-Newton matrix of squared deviations."""
-    scale = np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
+    scale = np.sqrt(np.maximum(np.diag(matrix), SMALLEST))
     values, vectors = np.linalg.eigh(matrix / scale[:, None] / scale)
     # Open directions stay finite.
     values = np.maximum(values, values.max() / _ANYWHERE_MM**2)
-    return np.asarray(vectors / np.sqrt(values) / scale[:, None])
+    return vectors / np.sqrt(values) / scale[:, None]
 
 
 def depth_open(given: RegistrationInputs, motion: FrameMotion, at: Linearization) -> float:

@@ -8,14 +8,23 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 from scipy.special import xlogy
 
-from scan2albedo.core import Meter
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array
+from scan2albedo.core import (
+    SMALLEST,
+    ArrayLike,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    Meter,
+    all_finite,
+    checked_array,
+    finite_rows,
+    norms,
+)
 from scan2albedo.errors import EyeglassesError, needs_extra
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR
 from scan2albedo.eyeglasses.mean_keypoints import BEHIND, is_posable, own_axes
@@ -149,7 +158,7 @@ def _color_gain(
             count[k] = np.maximum(irfft2(spectrum * mask, size)[way[:, 1], way[:, 0]], 0.0)
 
     def entropy(n: FloatArray) -> FloatArray:
-        return np.asarray((xlogy(n, n).sum(1) - xlogy(n.sum(1), n.sum(1))).sum(0))
+        return (xlogy(n, n).sum(1) - xlogy(n.sum(1), n.sum(1))).sum(0)
 
     # A cell is several pixels wide, whose colours are alike over the rim's width.
     return VOTE * (entropy(counts) - entropy(counts.sum(0)[None]))
@@ -165,10 +174,10 @@ def starting_poses(
     poses = [] if given is None else [given]
     labels, cameras = np.stack([v.labels for v in views]), np.stack([v.camera for v in views])
     placed = triangulate(labels, cameras, noise_px=noise_px)
-    good = np.isfinite(placed.points).all(1) & np.isfinite(keypoints).all(1) & (placed.inliers.sum(0) >= 2)
+    good = finite_rows(placed.points) & finite_rows(keypoints) & (placed.inliers.sum(0) >= 2)
     if good.sum() >= 3:
         world, rest = placed.points[good], keypoints[good]
-        away = (np.linalg.norm(points - np.median(points, axis=0), axis=1) for points in (world, rest))
+        away = (norms(points - np.median(points, axis=0)) for points in (world, rest))
         large, small = (float(np.median(distance)) for distance in away)
         # More or less cannot be in the same unit.
         if not 1 / 3 < large / small < 3:
@@ -179,7 +188,7 @@ def starting_poses(
             poses.append(procrustes(rest, world))
     poses += [pose for view in views if (pose := _from_one_view(keypoints, view, noise_px)) is not None]
     if not poses:
-        labelled = [int(np.isfinite(view.labels).all(1).sum()) for view in views]
+        labelled = [int(finite_rows(view.labels).sum()) for view in views]
         remedy = "label 4 or more in one view, 3 or more in two, or give a start"
         if max(labelled) >= 4:
             remedy = "they contradict one another or the cameras; check labels and cameras, or give a start"
@@ -197,7 +206,7 @@ def states_of(poses: Sequence[FloatArray], keypoints: FloatArray) -> list[FrameS
 
 def _from_one_view(keypoints: FloatArray, view: ObservedView, noise_px: float) -> FloatArray | None:
     """Return the pose that most labels of one view agree with, by RANSAC; None for fewer than four."""
-    seen = np.isfinite(view.labels).all(1) & np.isfinite(keypoints).all(1)
+    seen = finite_rows(view.labels) & finite_rows(keypoints)
     if seen.sum() < 4:
         return None
     with needs_extra("opencv"):
@@ -218,7 +227,7 @@ def _from_one_view(keypoints: FloatArray, view: ObservedView, noise_px: float) -
     except cv2.error:
         # Labels in one spot, or seen from very far: this view alone fixes no pose.
         return None
-    if not found or not (np.isfinite(turn).all() and np.isfinite(shift).all()):
+    if not found or not (all_finite(turn) and all_finite(shift)):
         return None
     camera_from_frame = compose(cv2.Rodrigues(turn)[0], shift[:, 0])
     world_from_camera = compose(rotation.T, -rotation.T @ np.linalg.solve(intrinsic, view.camera[:, 3]))
@@ -291,7 +300,7 @@ def triangulate(labels_2d: ArrayLike, cameras: ArrayLike, *, noise_px: float = 2
     points = np.full((labels.shape[1], 3), np.nan)
     errors = np.full(labels.shape[:2], np.nan)
     for k in range(len(points)):
-        seen = np.flatnonzero(np.isfinite(labels[:, k]).all(1))
+        seen = np.flatnonzero(finite_rows(labels[:, k]))
         if len(seen) < 2:
             continue
         own, cams = labels[seen, k], matrices[seen]
@@ -299,7 +308,7 @@ def triangulate(labels_2d: ArrayLike, cameras: ArrayLike, *, noise_px: float = 2
         for pair in map(list, itertools.combinations(range(len(seen)), 2)):
             # u (p3 x) = p1 x and v (p3 x) = p2 x, each as a plane of unit normal: rays count, not pixels.
             rows = (own[pair][:, :, None] * cams[pair][:, 2:] - cams[pair][:, :2]).reshape(-1, 4)
-            rows = rows / np.maximum(np.linalg.norm(rows[:, :3], axis=1, keepdims=True), np.finfo(float).tiny)
+            rows = rows / np.maximum(np.linalg.norm(rows[:, :3], axis=1, keepdims=True), SMALLEST)
             place, _, rank, _ = np.linalg.lstsq(rows[:, :3], -rows[:, 3], rcond=1e-9)
             if rank == 3 and (cams[pair][:, 2, :3] @ place + cams[pair][:, 2, 3] > 0).all():
                 starts.append((*_seen_at(place, own, cams, noise_px), place))
@@ -328,4 +337,4 @@ def _seen_at(
     root = 1 / np.sqrt(1 + square[front, None])
     rows, off = (root[..., None] * slopes[front]).reshape(-1, 3), (root * errors[front]).ravel()
     step = -np.asarray(np.linalg.lstsq(rows, off, rcond=None)[0])
-    return float(np.log1p(square).sum()), np.linalg.norm(errors, axis=1), step
+    return float(np.log1p(square).sum()), norms(errors), step

@@ -9,6 +9,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from scan2albedo.core import Values
 from scan2albedo.errors import Scan2AlbedoError, needs_extra, one_line
 from scan2albedo.io.records import read_record
 from scan2albedo.io.result_records import ResultRecord, metric_columns
@@ -95,7 +96,7 @@ def rows_of_folders(out: Path) -> list[ScanRow]:
 
 def row_of_record(record: ResultRecord, folder: Path) -> ScanRow:
     """Return the row of one result."""
-    values: dict[str, Any] = {"source": record.input.file, "input_sha256": record.input.sha256}
+    values: Values = {"source": record.input.file, "input_sha256": record.input.sha256}
     seconds = record.metrics.get("seconds")
     values["seconds"] = sum(record.timings_s.values()) if seconds is None else seconds
     values.update(metric_columns(record.metrics))
@@ -181,7 +182,7 @@ def selected_rows(rows: Sequence[ScanRow], count: int) -> tuple[tuple[int, ...],
 
 def batch_section(
     rows: Sequence[ScanRow], anchors: Mapping[int, str], page: Path, most_rows: int = 10_000
-) -> dict[str, Any]:
+) -> Values:
     """Return the section about a batch, as the template shows it, for the page at `page`.
 
     `anchors` maps the positions of rows with a section to its anchor. The table has at most `most_rows`, for
@@ -229,7 +230,7 @@ def batch_section(
     }
 
 
-def _columns(rows: Sequence[ScanRow], done: Sequence[ScanRow]) -> dict[str, dict[str, Any]]:
+def _columns(rows: Sequence[ScanRow], done: Sequence[ScanRow]) -> dict[str, Values]:
     """Return the table's columns by name: figures that any scan has, then the user's own in their order."""
     names = list(dict.fromkeys(name for row in rows for name in row.values))
     left_out = {*FIGURES, *_SHOWN_ELSEWHERE}
@@ -246,7 +247,7 @@ def _columns(rows: Sequence[ScanRow], done: Sequence[ScanRow]) -> dict[str, dict
     return columns
 
 
-def _extremes(rows: Sequence[ScanRow], link: Callable[[int], str]) -> list[dict[str, Any]]:
+def _extremes(rows: Sequence[ScanRow], link: Callable[[int], str]) -> list[Values]:
     """Return the slowest and worst scans: (name, value with unit, link)."""
     extremes = []
     for title, column in _EXTREMES.items():

@@ -5,16 +5,24 @@ import hashlib
 import io
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
 from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace
 from scan2albedo.applications.relighting import RelightOptions, as_lit
-from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.core.geometry_image import GeometryImage, wound_like
+from scan2albedo.core import (
+    BoolArray,
+    ByteArray,
+    FloatArray,
+    GeometryImage,
+    NDArray,
+    RealArray,
+    Values,
+    all_finite,
+    norms,
+)
+from scan2albedo.core.geometry_image import wound_like
 from scan2albedo.errors import Scan2AlbedoError, one_line
 from scan2albedo.geometry.rasterization import area_mean, filled_from_nearest
 from scan2albedo.geometry.rays import RayCaster
@@ -48,7 +56,7 @@ def octahedral(normals: FloatArray) -> NDArray[np.int16]:
     return np.round(np.clip(folded, -1, 1) * 32767).astype("<i2")
 
 
-def mesh_entry(mesh: FaceMesh, topologies: dict[str, dict[str, Any]]) -> dict[str, Any]:
+def mesh_entry(mesh: FaceMesh, topologies: dict[str, Values]) -> Values:
     """Return a mesh as the viewer reads it; positions are off by half of a 65535th of the box at most.
 
     Its triangles and chart coordinates go to `topologies`, {key: {"faces", "uv", "wide"}}, once for all
@@ -78,7 +86,7 @@ def thinned_chart(image: GeometryImage, most: int = 60_000) -> FaceMesh:
         step += 1
     if step == 1:
         return full
-    index = np.full(image.shape, -1, np.int64)
+    index = np.full(image.shape, -1, int)
     index[image.mask] = np.arange(len(full.vertices))
     rows, columns = (np.arange(0, size - step, step) for size in image.shape)
     blocks = sliding_window_view(image.mask, (step + 1, step + 1))[::step, ::step]
@@ -97,13 +105,13 @@ def thinned_chart(image: GeometryImage, most: int = 60_000) -> FaceMesh:
 
 
 def texture_entry(
-    linear: NDArray[np.floating],
+    linear: RealArray,
     mask: BoolArray,
     size: int,
     *,
     quality: int | None = None,
     factor: float | None = None,
-) -> dict[str, Any]:
+) -> Values:
     """Return a linear texture (H, W, 3) as 8-bit sRGB for the viewer, continued beyond the mask (H, W).
 
     Its longest side has at most `size` texels; a JPEG of a quality, or PNG without loss. The texture is
@@ -113,27 +121,25 @@ def texture_entry(
     return {"factor": factor, **picture_entry(_pixels(linear, mask, size, factor), quality)}
 
 
-def patch_entry(
-    linear: NDArray[np.floating], under: NDArray[np.floating], mask: BoolArray, size: int, factor: float
-) -> dict[str, Any]:
+def patch_entry(linear: RealArray, under: RealArray, mask: BoolArray, size: int, factor: float) -> Values:
     """Return a texture (H, W, 3) as what is to be drawn over that of `under`, clear where the two agree."""
     over, below = (_pixels(texture, mask, size, factor) for texture in (linear, under))
     differs = (over != below).any(-1, keepdims=True)
     return picture_entry(np.concatenate([over, np.full_like(over[..., :1], 255)], -1) * differs, None)
 
 
-def _pixels(linear: NDArray[np.floating], mask: BoolArray, size: int, factor: float) -> NDArray[np.uint8]:
+def _pixels(linear: RealArray, mask: BoolArray, size: int, factor: float) -> ByteArray:
     return encode_srgb_bytes(np.clip(factor * _fitted(filled_from_nearest(linear, mask), size), 0, 1))
 
 
-def gray_entry(values: FloatArray, mask: BoolArray, size: int) -> dict[str, Any]:
+def gray_entry(values: FloatArray, mask: BoolArray, size: int) -> Values:
     """Return values (H, W) as 8 bits of their greatest, without loss; the viewer multiplies by `scale`."""
     scale = float(values[mask].max()) if mask.any() else 0.0
     parts = _fitted(filled_from_nearest(values[..., None], mask) / (scale or 1.0), size)[..., 0]
     return {"scale": scale, **picture_entry(np.round(255 * np.clip(parts, 0, 1)).astype(np.uint8), None)}
 
 
-def picture_entry(pixels: NDArray[np.uint8], quality: int | None) -> dict[str, Any]:
+def picture_entry(pixels: ByteArray, quality: int | None) -> Values:
     """Return 8-bit pixels as PNG, or as JPEG of a quality with full colour, in base64."""
     from PIL import Image
 
@@ -214,13 +220,13 @@ def residual_of_result(folder: Path, record: ResultRecord, mesh: FaceMesh) -> tu
 def viewer_entry(
     face: ProcessedFace,
     record: ResultRecord,
-    topologies: dict[str, dict[str, Any]],
+    topologies: dict[str, Values],
     residual_mm: FloatArray | None = None,
     *,
     size: int,
     quality: int | None = None,
     soft_shadows: bool = False,
-) -> dict[str, Any]:
+) -> Values:
     """Return all of a scan's viewer as JSON can hold it; `topologies` gets the triangles.
 
     Relit pictures show the face as `relight` lights it, without gaps and with skin's usual gloss: "filled" is
@@ -237,8 +243,8 @@ def viewer_entry(
     if record.environment is not None:
         harmonics = open_shading(record.environment)
     elif record.parameters.get("brdf") == "spherical-harmonics":
-        given = np.asarray(record.parameters.get("sh_coefficients"), np.float64)
-        harmonics = given if given.shape == (9, 3) and np.isfinite(given).all() else None
+        given = np.asarray(record.parameters.get("sh_coefficients"), float)
+        harmonics = given if given.shape == (9, 3) and all_finite(given) else None
     lights = []
     for light in record.lights:
         place = {"azimuth": math.degrees(light.azimuth_rad), "elevation": math.degrees(light.elevation_rad)}
@@ -263,7 +269,7 @@ def viewer_entry(
         "harmonics": None if harmonics is None else np.ravel(harmonics).tolist(),
         "castsShadows": face.casts_shadows,
         "shadowOffset": shadow_offset_mm(extent, face.shadow_offset_mm),
-        "reach": float(np.linalg.norm(face.mesh.vertices, axis=1).max()),
+        "reach": float(norms(face.mesh.vertices).max()),
         "frame": {**frame, "distance": max(DISTANCE_MM, 4 * radius)},
     }
     if image.texture_linear is not None:
@@ -272,7 +278,7 @@ def viewer_entry(
         both = lit.albedo_linear, face.albedo_linear
         entry["filled"] = patch_entry(*both, image.mask, size, entry["albedo"]["factor"])
     if lit.image.specular_scale is not None and skin.specular_strength > 0:
-        entry["gloss"] = gray_entry(lit.image.specular_scale.astype(np.float64), image.mask, size)
+        entry["gloss"] = gray_entry(lit.image.specular_scale.astype(float), image.mask, size)
     if soft_shadows and face.environment is not None and face.environment.occluded:
         # Red, green, blue of the soft light on each vertex as 16-bit parts of a scale.
         caster = RayCaster(*image.occluder_mesh()) if face.casts_shadows else None

@@ -10,6 +10,7 @@ from urllib.parse import quote
 import numpy as np
 
 from scan2albedo.applications.files import load_result
+from scan2albedo.core import Values
 from scan2albedo.errors import Scan2AlbedoError, one_line
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.result_records import ResultRecord, flat_figures
@@ -23,12 +24,12 @@ def scan_section(
     folder: Path,
     record: ResultRecord,
     page: Path,
-    topologies: dict[str, dict[str, Any]],
+    topologies: dict[str, Values],
     *,
     single: bool,
     anchor: str,
     name: str,
-) -> dict[str, Any]:
+) -> Values:
     """Return the section about the result in `folder`, as the template shows it, for the page at `page`.
 
     Of a `single` scan textures are kept without loss, the distance to the scan is measured again and soft
@@ -38,7 +39,7 @@ def scan_section(
     """
     size, quality = (1024, None) if single else (256, 80)
     viewer, viewer_missing, residual, measured = None, "", None, ""
-    charts: list[dict[str, Any]] = []
+    charts: list[Values] = []
     trace_missing = "no iterative stage ran"
     try:
         try:
@@ -90,7 +91,7 @@ def scan_section(
         raise Scan2AlbedoError(f"{text}; process the scan again") from error
 
 
-def _figures(record: ResultRecord) -> dict[str, Any]:
+def _figures(record: ResultRecord) -> Values:
     flat = flat_figures(record.metrics, "metrics")
     residual, error = flat.get("metrics_fit_residual_mean_mm"), flat.get("metrics_albedo_expected_error")
     headline = [] if residual is None else [f"fit {number_text(residual)} mm mean"]

@@ -15,6 +15,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from scan2albedo.core import Values
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import OutputError, Scan2AlbedoError, needs_extra, one_line
 from scan2albedo.io.atomic import write_text
@@ -101,8 +102,8 @@ def write_report(
         rows = batch.rows_of_catalogue(catalogue) if catalogue.is_file() else batch.rows_of_folders(folder)
         name = folder.resolve().name or str(folder)
         chosen, reason = batch.selected_rows(rows, scans)
-    topologies: dict[str, dict[str, Any]] = {}
-    anchors, sections, not_shown = dict[int, str](), list[dict[str, Any]](), list[tuple[str, str]]()
+    topologies: dict[str, Values] = {}
+    anchors, sections, not_shown = dict[int, str](), list[Values](), list[tuple[str, str]]()
     for k in chosen:
         scan, where = rows[k].name, rows[k].folder
         assert where is not None

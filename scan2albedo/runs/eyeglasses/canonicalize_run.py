@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from scan2albedo import eyeglasses
-from scan2albedo.core import Budget, PlanStep, ProgressCallback
+from scan2albedo.core import Budget, PlanStep, ProgressCallback, Values, norms
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import CanonicalizationOptions, skin, write_keypoints
 from scan2albedo.eyeglasses.frame_files import read_keypoints_with_unit, write_frame_glb
@@ -128,7 +128,7 @@ def canonicalize_frames(
     return CanonicalFiles(done, result, (*failures, *lost), called, time.perf_counter() - begun)
 
 
-def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, dict[str, Any]]:
+def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, Values]:
     """Write each frame's files into ``out / <name>`` and the set's into `out`; return figures by frame name.
 
     The figures are as in `result.json`. Raises OutputError, naming folder and cause.
@@ -144,14 +144,14 @@ def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, dict[str
             write_keypoints(folder / "keypoints.json", canonical.keypoints, unit="mm")
             # How bent the frame was, and what the GLB's cut to four joints a vertex costs.
             rigid = transform_points(canonical.canonical_from_frame, canonical.scale * frame.scan.vertices)
-            moved = np.linalg.norm(canonical.vertices - rigid, axis=1)
+            moved = norms(canonical.vertices - rigid)
             cut = skin(frame.scan.vertices, weights, canonical.handle_transforms) - canonical.vertices
             figures[frame.name] = {
                 "key_point_residual_mm": canonical.residual,
                 "moved_rms_mm": float(np.sqrt(np.mean(moved**2))),
                 "moved_max_mm": float(moved.max()),
                 "glb_weight_cut": weight_cut,
-                "glb_moved_max_mm": float(np.linalg.norm(cut, axis=1).max()),
+                "glb_moved_max_mm": float(norms(cut).max()),
             }
             mesh, keypoints = frame.files["mesh"], frame.files.get("keypoints")
             Staging(folder, _FRAME_FILES).write_record(

@@ -3,14 +3,13 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from scan2albedo import eyeglasses
-from scan2albedo.core import ProgressCallback
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core import FloatArray, IntArray, ProgressCallback, Values, norms
 from scan2albedo.errors import OutputError
 from scan2albedo.eyeglasses import Camera, LensMaterial, write_keypoints, write_labels
 from scan2albedo.fitting import fit
@@ -52,7 +51,7 @@ class GlassesDemoReport:
     called `observed`, and of the key points; `depth_error_mm` is along the line of sight, in the view where
     it is least. Deviations are the registration's own estimate."""
 
-    def figures(self) -> dict[str, Any]:
+    def figures(self) -> Values:
         """Return the figures as plain values for JSON."""
         placed, views = self.placed, [view.model_dump() for view in self.placed.views]
         rest = {"seconds": placed.seconds, "converged": placed.result.converged, "views": views}
@@ -84,10 +83,10 @@ def compare_with_wearer(placed: PlacedFrame, person: Wearer, head: Head = "fitte
     result, glasses = placed.result, person.glasses
     # Reading a mesh may drop and renumber vertices.
     same = cKDTree(glasses.rest_vertices).query(placed.given.frame.scan.vertices)[1]
-    error = np.linalg.norm(result.vertices - person.vertices[same], axis=1)
+    error = norms(result.vertices - person.vertices[same])
     seen, observed = person.seen[same], result.observed
     off = result.keypoints - person.keypoints
-    marks = np.linalg.norm(off, axis=1)
+    marks = norms(off)
     # Along the rays of visible key points, least of all views.
     depth_errors = []
     for center, hidden in zip(camera_centers(person.cameras), person.hidden, strict=True):

@@ -9,8 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from scan2albedo import eyeglasses
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.core import BoolArray, FloatArray, IntArray, RawScan, Values, all_finite, finite_rows
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import Camera, LensMaterial, read_cameras, write_keypoints
 from scan2albedo.eyeglasses.frame_files import read_keypoints_with_unit
@@ -64,7 +63,7 @@ class GlassesFrame:
     def missing_key_points(self) -> tuple[str, ...]:
         """Names of the key points that the file leaves out."""
         rows = zip(KEY_POINT_NAMES, self.keypoints, strict=True)
-        return tuple(name for name, point in rows if not np.isfinite(point).all())
+        return tuple(name for name, point in rows if not all_finite(point))
 
 
 @dataclass(frozen=True)
@@ -120,7 +119,7 @@ def read_frame(
     placed = keypoints is not None or (marks_file.is_file() and not fill)
     if placed:
         marks, marks_unit = read_keypoints_with_unit(marks_file)
-    own = np.isfinite(marks).all(1)
+    own = finite_rows(marks)
     deviations: dict[str, float] = {}
     told: list[str] = []
     usual = WIDTHS_MM if widths_mm is None else widths_mm
@@ -134,7 +133,7 @@ def read_frame(
         scale, how = MM_PER_UNIT.get(unit, 0.0), f"{unit}, as given"
         if marks_mm and not scale:
             # The unit in which the key points lie on the mesh: units are factors of ten apart.
-            known = marks[np.isfinite(marks).all(1)] * marks_mm
+            known = marks[finite_rows(marks)] * marks_mm
             query = ClosestPointQuery(parsed.vertices, parsed.faces).query
             away = {u: mm * float(np.median(query(known / mm).distance)) for u, mm in MM_PER_UNIT.items()}
             found = min(away, key=lambda u: away[u])
@@ -231,7 +230,7 @@ def read_registration(
         with errors_of(f"labels {labels}", EyeglassesError):
             pixels = listed.of_cameras([camera.name for camera in views])
     for camera, marks in zip(views, pixels, strict=True):
-        given, limit = marks[np.isfinite(marks).all(1)], np.array(camera.shape[::-1]) - 0.5
+        given, limit = marks[finite_rows(marks)], np.array(camera.shape[::-1]) - 0.5
         outside = int(((given < -0.5) | (given > limit)).any(1).sum())
         if len(given) == 0:
             notes.append(f"no label in the view of {camera.name!r}")
@@ -265,8 +264,8 @@ def read_registration(
     # That meshes have no colours does not matter here.
     notes += [f"{name}: {n}" for name, scan in read for n in scan.notes if "geometry only" not in n]
     read_files = {**files, **frame.files}
-    given = frame, views, skull, read_files, tuple(notes), pixels, found, pose
-    return GlassesInput(*given, None if pictures is None else photographs)
+    seen = None if pictures is None else photographs
+    return GlassesInput(frame, views, skull, read_files, tuple(notes), pixels, found, pose, seen)
 
 
 def read_lens_scene(
@@ -351,7 +350,7 @@ def material_pair(
     glass = _SUNGLASSES
     if not sunglasses:
         glass = LensMaterial(beta=_SUNGLASSES.beta if fresnel else 0.0, fresnel=fresnel)
-    given: dict[str, Any] = {"alpha": alpha, "beta": beta}
+    given: Values = {"alpha": alpha, "beta": beta}
     if tint is not None:
         given["tint_linear"] = numbers("--tint", tint, 3)
         if alpha is None and not sunglasses:
@@ -388,7 +387,7 @@ def _read_named(
 
 def _read_picture(file: Path, camera: Camera) -> FloatArray:
     """Return the linear picture (H, W, 3) of a camera."""
-    image = np.asarray(read_image_linear(file, upright=True), np.float64)
+    image = np.asarray(read_image_linear(file, upright=True), float)
     if image.shape[:2] != camera.shape:
         (height, width), (wanted_height, wanted_width) = image.shape[:2], camera.shape
         raise EyeglassesError(

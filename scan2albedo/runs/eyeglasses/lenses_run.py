@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 from pydantic import Field
 
 from scan2albedo import eyeglasses
-from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.core import ArrayLike, RawScan, finite_rows, norms
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import Camera, LensPictureOptions, Surface
 from scan2albedo.eyeglasses.keypoints import checked_keypoints
@@ -168,7 +167,7 @@ def render_lenses(
         if image is not None and image.shape != (*camera.shape, 3):
             raise ValueError(f"picture of {camera.name!r} is {image.shape}, expected {(*camera.shape, 3)}")
     marks = checked_keypoints("keypoints", keypoints)
-    known = marks[np.isfinite(marks).all(1)]
+    known = marks[finite_rows(marks)]
     if len(known):
         query = ClosestPointQuery(np.asarray(head.vertices), np.asarray(head.faces))
         hits = query.query(known)
@@ -188,7 +187,7 @@ def render_lenses(
         axes = own_axes(marks)
         if environment_linear is None:
             kind, environment_linear = "built-in", soft_environment(axes)
-        exposure = white_exposure(np.asarray(environment_linear, np.float64), axes[2])
+        exposure = white_exposure(np.asarray(environment_linear, float), axes[2])
     views = []
     for camera, photograph in zip(cameras, photographs, strict=True):
         begun = time.perf_counter()
@@ -265,7 +264,7 @@ def run_lenses(
             "tint_linear": _vector(lens.material.tint_linear),
             "center_mm": _vector(lens.optics.center),
             "normal": _vector(rim.normal),
-            "mean_radius_mm": float(np.linalg.norm(rim.points - rim.center, axis=1).mean()),
+            "mean_radius_mm": float(norms(rim.points - rim.center).mean()),
             "measured": float(rim.measured.mean()),
             "gaps": rim.gaps,
             "deviation_mm": None if rim.deviation is None else float(np.sqrt((rim.deviation**2).mean())),

@@ -10,8 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from scan2albedo import eyeglasses
-from scan2albedo.core import Budget, PlanStep, ProgressCallback
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core import Budget, FloatArray, PlanStep, ProgressCallback, Values, norms
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import write_keypoints, write_labels
 from scan2albedo.eyeglasses.frame_files import write_frame_glb
@@ -115,7 +114,7 @@ class PlacedFrame:
             for number, (camera, px) in enumerate(zip(self.given.cameras, proposed, strict=True))
         )
 
-    def figures(self) -> dict[str, Any]:
+    def figures(self) -> Values:
         """Return the figures of the whole, as in `result.json`."""
         result, given = self.result, ~np.isnan(self.result.label_errors_px)
         return {
@@ -125,7 +124,7 @@ class PlacedFrame:
             "depth_deviation_mm": result.depth_deviation,
             "observed_share": float(result.observed.mean()),
             "observed_deviation_rms_mm": _rms(result.deviation[result.observed]),
-            "bend_max_mm": float(np.linalg.norm(result.bend, axis=1).max()),
+            "bend_max_mm": float(norms(result.bend).max()),
             "evaluations": result.iterations,
             "seconds": self.seconds,
         }
@@ -173,7 +172,7 @@ def register_frame(
     return PlacedFrame(given, result, options, time.perf_counter() - begun)
 
 
-def write_registration_files(done: PlacedFrame, out: Path) -> dict[str, Any]:
+def write_registration_files(done: PlacedFrame, out: Path) -> Values:
     """Write a registered frame's files; return the figures of its `result.json`, or raise OutputError."""
     result, given = done.result, done.given
     assert given.labels is not None

@@ -3,10 +3,11 @@
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field
 
+from scan2albedo.core import Values
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.records import Figures, Record
 from scan2albedo.io.run_folder import OwnFiles, RunFolder, Staging
@@ -44,8 +45,8 @@ def publishing(
     out: Path,
     command: str,
     inputs: Sequence[str | Path],
-    options: dict[str, Any],
-    figures: dict[str, Any],
+    options: Values,
+    figures: Values,
     notes: Sequence[str] = (),
 ) -> Iterator[Staging[ReflectanceRecord]]:
     """Give the folder of a command's results, none of its `inputs`; its record is written last."""

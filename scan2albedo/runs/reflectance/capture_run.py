@@ -2,13 +2,11 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from scan2albedo import reflectance
-from scan2albedo.core import Budget, ProgressCallback
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core import SMALLEST, BoolArray, Budget, FloatArray, ProgressCallback, Values
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.geometry.mesh import vertex_components, vertex_normals
 from scan2albedo.io.color import encode_srgb_bytes
@@ -37,7 +35,7 @@ class FittedCapture:
     notes: tuple[str, ...] = ()
 
 
-def write_olat(capture: CaptureFiles, out: Path) -> dict[str, Any]:
+def write_olat(capture: CaptureFiles, out: Path) -> Values:
     """Write the light that each flash added as EXR pictures, one a pair, and a sheet; return the figures."""
     from skimage.util import montage
 
@@ -56,7 +54,7 @@ def write_olat(capture: CaptureFiles, out: Path) -> dict[str, Any]:
         # A sheet of all pictures in rows, small, as bright as their brightest percentile allows.
         step = max(1, -(-max(olat.linear.shape[1:3]) // 128))
         small = np.clip(olat.linear[:, ::step, ::step], 0, None)
-        level = max(float(np.percentile(small, 99.7)), np.finfo(float).tiny)
+        level = max(float(np.percentile(small, 99.7)), SMALLEST)
         small = np.where(olat.saturated[:, ::step, ::step], np.float32(level), small)
         lights = len(set(capture.rig.light.tolist()))
         columns = lights if len(small) % lights == 0 else min(11, len(small))
@@ -127,13 +125,13 @@ def fit_capture(
     return FittedCapture(capture, olat, samples, fit, held_out, error, tuple(notes))
 
 
-def write_fit(done: FittedCapture, out: Path, options: dict[str, Any]) -> dict[str, Any]:
+def write_fit(done: FittedCapture, out: Path, options: Values) -> Values:
     """Write reflectance, trace, overview and relit pictures; returns figures as in `reflectance.json`."""
     capture, fit = done.capture, done.fit
     mesh = MeshReflectance(capture.vertices, capture.faces, fit.reflectance)
     known = fit.reflectance.known
     identified = fit.identified[known].mean(0) if known.any() else np.zeros(6)
-    figures: dict[str, Any] = {
+    figures: Values = {
         "pairs": int(np.asarray(done.samples.valid).any((1, 2)).sum()),
         "pairs_of_capture": len(done.samples.light),
         "vertices": len(known),
@@ -184,7 +182,7 @@ def relit_pair(done: FittedCapture, pair: int) -> tuple[FloatArray, FloatArray, 
     capture, fit, rig = done.capture, done.error.fit, done.capture.rig
     normals = tilted_normals(vertex_normals(capture.vertices, capture.faces), fit.tilt)
     shown = replace(fit.reflectance, known=fit.drawn)
-    linear = done.olat.linear[pair].astype(np.float64)
+    linear = done.olat.linear[pair].astype(float)
     made, known = views.relit_picture(
         capture.vertices,
         capture.faces,

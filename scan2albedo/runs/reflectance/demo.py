@@ -3,15 +3,14 @@
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
 from scan2albedo import reflectance
 from scan2albedo.albedo import albedo_error
-from scan2albedo.core import ProgressCallback
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core import EPSILON, FloatArray, IntArray, ProgressCallback, Values, norms
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.io.atomic import write_text
@@ -32,7 +31,7 @@ CAPTURE_FILE, PHOTOGRAPH_FILE, LANDMARKS_FILE = "capture.json", "photograph.json
 _MESH, _IMAGE, _SKIN = "face.ply", "image.png", "skin.png"
 
 
-def report_lines(figures: dict[str, Any]) -> list[str]:
+def report_lines(figures: Values) -> list[str]:
     """Return the figures of `run_reflectance_demo` as text."""
     percent = {name: 100 * float(np.mean(figures[name])) for name in figures if name.endswith("_error")}
     return [
@@ -60,7 +59,7 @@ def run_reflectance_demo(
     seed: int = 0,
     on_progress: ProgressCallback | None = None,
     say: Callable[[str], None] = lambda line: None,
-) -> dict[str, Any]:
+) -> Values:
     """Photograph people with flashes, learn a model, use it on photographs of others, compare with the truth.
 
     Everything goes through files, as with real pictures: ``captures``, ``fits``, ``model``, ``samples``,
@@ -111,7 +110,7 @@ def run_reflectance_demo(
     for _ in range(30):
         a, b = nearest.diffuse_linear[used], truth[used]
         scaled = VertexReflectance(truth * (np.sum(a * b) / np.sum(b * b)), np.zeros_like(truth), seen)
-        nearest = models.model.project(scaled, prior=np.finfo(float).eps).reflectance
+        nearest = models.model.project(scaled, prior=EPSILON).reflectance
 
     def scaled_error(found: VertexReflectance) -> float:
         """Return the relative RMSE at the best scale, over vertices that were seen and are known."""
@@ -119,7 +118,7 @@ def run_reflectance_demo(
 
     def shape_error_mm(found: FloatArray) -> float:
         aligned = transform_points(procrustes(found, shape[seen]), found)
-        return float(np.linalg.norm(aligned - shape[seen], axis=1).mean())
+        return float(norms(aligned - shape[seen]).mean())
 
     return {
         "people": people,

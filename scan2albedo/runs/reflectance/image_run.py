@@ -11,9 +11,7 @@ from typing import Any
 import numpy as np
 
 from scan2albedo import reflectance
-from scan2albedo.core import Budget, ProgressCallback, Trace
-from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.core import Budget, FloatArray, IntArray, ProgressCallback, RawScan, Trace, Values
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.fitting import fit
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
@@ -85,7 +83,7 @@ def fit_photograph(
         vertices, geometry, trace = shaped_vertices(photograph, models, budget, on_progress)
         observation = observe(photograph, vertices, faces)
         angle = 0.0 if geometry is None else LANDMARK_NORMALS
-        more: dict[str, Any] = {"normal_error": angle, "budget": budget, "on_progress": on_progress}
+        more: Values = {"normal_error": angle, "budget": budget, "on_progress": on_progress}
         face = reflectance.fit_face(observation, models.model, vertices, faces, **more)
     return FittedPhotograph(photograph, vertices, faces, observation, face, geometry, trace + face.fit.trace)
 
@@ -104,7 +102,7 @@ def shaped_vertices(
             f"it has landmarks but no mesh, and {models.folder} holds no {SHAPE_FILE}; give a mesh, or build "
             "the model with --landmark-vertices"
         )
-    within: dict[str, Any] = {"budget": budget, "on_progress": on_progress}
+    within: Values = {"budget": budget, "on_progress": on_progress}
     first = _geometry(photograph, models.shape, **within)
     seen = observe(photograph, first.vertices, models.mean.faces)
     skin = reflectance.fit_image(seen, models.model, **within)
@@ -169,13 +167,11 @@ def observe(photograph: PhotographFiles, vertices: FloatArray, faces: IntArray) 
     )
 
 
-def write_fitted_photograph(
-    done: FittedPhotograph, models: FaceModels, out: Path, options: dict[str, Any]
-) -> dict[str, Any]:
+def write_fitted_photograph(done: FittedPhotograph, models: FaceModels, out: Path, options: Values) -> Values:
     """Write reflectance, mesh, pictures and trace; return figures as in `reflectance.json`."""
     face, fit, geometry = done.face, done.face.fit, done.geometry
     seen = np.asarray(done.observation.seen)
-    figures: dict[str, Any] = {
+    figures: Values = {
         "vertices": len(done.vertices),
         "seen_vertices": int(seen.sum()),
         "beats_mean": face.beats_mean,
@@ -229,12 +225,12 @@ def tune_model(
     photographs: Sequence[Path],
     held_out: Sequence[Path],
     out: Path,
-    options: dict[str, Any],
+    options: Values,
     *,
     budget: Budget | float | None = None,
     on_progress: ProgressCallback | None = None,
     say: Callable[[str], None] = lambda line: None,
-) -> dict[str, Any]:
+) -> Values:
     """Fine-tune a model with photograph files, test it on others, and write the model's folder anew.
 
     Others are `held_out`, or one of three photographs when empty. `say` gets a line for each photograph.
@@ -275,7 +271,7 @@ def tune_model(
     )
     if not tuning.converged:
         notes.append("budget or rounds ended while changes still helped")
-    figures: dict[str, Any] = {"photographs": [*map(str, tuned_with)], "held_out": [*map(str, tested_on)]}
+    figures: Values = {"photographs": [*map(str, tuned_with)], "held_out": [*map(str, tested_on)]}
     names = ("accepted_steps", "held_out_before", "held_out_after", "converged")
     figures |= {name: getattr(tuning, name) for name in names}
     mean = tuning.model.reconstruct(np.zeros(tuning.model.components)).reflectance

@@ -5,12 +5,11 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from scan2albedo import reflectance
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core import FloatArray, Values
 from scan2albedo.errors import ReflectanceError, errors_of, one_line
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.io.npz import read_npz
@@ -138,7 +137,7 @@ def default_model() -> FaceModels:
     arrays = read_npz(DEFAULT_MODEL_FILE, what="reflectance model", advice=advice, error=ReflectanceError)
 
     def part(name: str) -> list[FloatArray]:
-        return [arrays[f"{name}_mean"].astype(np.float64), arrays[f"{name}_step"] * arrays[f"{name}_basis"]]
+        return [arrays[f"{name}_mean"].astype(float), arrays[f"{name}_step"] * arrays[f"{name}_basis"]]
 
     template = AnnotatedFaceModel.default()
     to_surface, (_, faces) = template.subdivision(SURFACE_LEVELS).matrix, template.surface(SURFACE_LEVELS)
@@ -164,10 +163,10 @@ def default_model() -> FaceModels:
     return FaceModels(model, MeshReflectance(shape.mean, faces, mean_face), shape)
 
 
-def write_model_folder(built: FaceModels, out: Path, options: dict[str, Any]) -> dict[str, Any]:
+def write_model_folder(built: FaceModels, out: Path, options: Values) -> Values:
     """Write the model, its mean on the mean mesh, and a sheet; return figures as in `reflectance.json`."""
     model = built.model
-    figures: dict[str, Any] = {"vertices": len(model.known), "known_vertices": int(model.known.sum())}
+    figures: Values = {"vertices": len(model.known), "known_vertices": int(model.known.sum())}
     names = ("samples", "components", "explained", "deviation")
     figures |= {name: getattr(model, name) for name in names}
     with publishing(out, "build", built.sources, options, figures) as results:
@@ -205,11 +204,11 @@ def read_model_folder(path: Path) -> FaceModels:
     return FaceModels(model, mean, shape, folder=path)
 
 
-def write_samples(folder: Path, out: Path, *, count: int, seed: int, scale: float = 1.0) -> dict[str, Any]:
+def write_samples(folder: Path, out: Path, *, count: int, seed: int, scale: float = 1.0) -> Values:
     """Write reflectances drawn from the model in a folder, each a file, and a sheet; return the figures."""
     models = read_model_folder(folder)
     drawn = [models.model.sample(np.random.default_rng([seed, k]), scale=scale) for k in range(count)]
-    names, figures = ("coefficients", "clipped_share"), dict[str, Any](samples=count)
+    names, figures = ("coefficients", "clipped_share"), Values(samples=count)
     figures |= {name: [getattr(one, name) for one in drawn] for name in names}
     options = {"count": count, "seed": seed, "scale": scale}
     with publishing(out, "sample", (folder,), options, figures) as results:
