@@ -5,7 +5,7 @@ import numpy as np
 from scan2albedo.eyeglasses import Surface
 
 CORNERS = np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]])
-FACES = [[0, 1, 2], [0, 2, 3]]
+FACES = np.array([[0, 1, 2], [0, 2, 3]])
 
 
 def plate(half, z, **finish):

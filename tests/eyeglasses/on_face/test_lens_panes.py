@@ -21,12 +21,11 @@ def registered(frame, mesh, shown, size):
     truth = seen.vertices if mesh is frame else seen.vertices[np.unique(frame.rims)]
     rims = np.unique(mesh.rims)
     errors = np.linalg.norm(found.vertices - truth, axis=1)[rims]
-    return found, float(np.sqrt((errors**2).mean())), float(found.observed[rims].mean())
+    return found, np.sqrt((errors**2).mean()), found.observed[rims].mean()
 
 
 def check_all_four(frame, size, bar):
-    bare = without_lenses(frame)
-    for mesh in (frame, bare):
+    for mesh in (frame, without_lenses(frame)):
         for shown in (True, False):
             found, rms, observed = registered(frame, mesh, shown, size)
             assert rms < bar
