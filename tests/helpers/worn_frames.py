@@ -5,7 +5,7 @@ from scan2albedo.eyeglasses import register_on_face
 
 
 def register(worn, **changes):
-    """Register a wearer's frame as it was before it was bent, with some arguments in place of the wearer's."""
+    """Register a wearer's frame as it was before it was bent, with some arguments changed."""
     given = {
         "glasses": rest_frame(worn.sitter.seed),
         "keypoints_2d": worn.labels,

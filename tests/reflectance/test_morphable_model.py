@@ -9,7 +9,7 @@ from helpers.npz import assert_comes_back, cut, rewritten
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.reflectance import MorphableReflectanceModel, VertexReflectance
+from scan2albedo.reflectance import MorphableReflectanceModel, VertexReflectance, reflectance_from_albedo
 from scan2albedo.reflectance.morphable_model import reliability
 
 
@@ -50,19 +50,14 @@ def albedo_off(model, sample):
     return np.sqrt(np.mean((model.project(sample).reflectance.diffuse_linear - sample.diffuse_linear) ** 2))
 
 
-def test_coefficients_of_the_samples_have_unit_variance():
+def test_samples_come_back_with_their_weights_and_coefficients_of_unit_variance():
     samples = faces(9)
     model = learned(samples)
-    scores = np.stack([model.project(s).coefficients for s in samples])
+    projected = [model.project(sample) for sample in samples]
+    scores = np.stack([found.coefficients for found in projected])
     assert_allclose(np.cov(scores.T), np.eye(8), atol=1e-10)
     assert_allclose(scores.mean(0), 0, atol=1e-10)
-
-
-def test_samples_come_back_with_their_weights():
-    samples = faces(6)
-    model = learned(samples)
-    for sample in samples:
-        found = model.project(sample)
+    for sample, found in zip(samples, projected, strict=True):
         assert_allclose(found.reflectance.diffuse_linear, sample.diffuse_linear, atol=1e-12)
         assert_allclose(found.reflectance.weights, sample.weights, atol=1e-12)
         assert found.clipped_share == 0
@@ -71,8 +66,7 @@ def test_samples_come_back_with_their_weights():
 def test_noise_free_samples_of_a_low_rank_need_no_more_directions():
     model = learned(faces(12, rank=3))
     assert model.components == 3
-    unseen = faces(12, rank=3)[5]
-    assert albedo_off(model, unseen) < 1e-10
+    assert albedo_off(model, faces(12, rank=3)[5]) < 1e-10
 
 
 def test_fewer_components_are_the_first_ones():
@@ -82,7 +76,7 @@ def test_fewer_components_are_the_first_ones():
     assert cut.explained.sum() < full.explained.sum()
 
 
-def test_one_sample_is_a_mean_and_two_have_one_direction():
+def test_one_sample_or_its_copies_are_a_mean_and_two_have_one_direction():
     samples = faces(2)
     one = learned(samples[:1])
     assert one.components == 0
@@ -91,12 +85,9 @@ def test_one_sample_is_a_mean_and_two_have_one_direction():
     two = learned(samples)
     assert two.components == 1
     assert max(albedo_off(two, s) for s in samples) < 1e-12
-
-
-def test_identical_samples_have_no_direction():
-    model = learned(faces(1) * 5)
-    assert model.components == 0
-    assert model.total_variance == pytest.approx(0, abs=1e-25)
+    same = learned(samples[:1] * 5)
+    assert same.components == 0
+    assert same.total_variance == pytest.approx(0, abs=1e-25)
 
 
 def test_gaps_neither_move_the_mean_nor_pass_for_numbers():
@@ -118,11 +109,9 @@ def test_gaps_neither_move_the_mean_nor_pass_for_numbers():
 def test_a_reflectance_with_gaps_is_projected_from_what_it_knows():
     samples = faces(10, rank=3)
     model = learned(samples)
-    known = np.arange(60) < 20
-    part = VertexReflectance(samples[3].diffuse_linear, samples[3].weights, known)
+    part, single = (dataclasses.replace(samples[3], known=np.arange(60) < count) for count in (20, 1))
     found = model.project(part).reflectance
     assert_allclose(found.diffuse_linear, samples[3].diffuse_linear, rtol=1e-6)
-    single = VertexReflectance(samples[3].diffuse_linear, samples[3].weights, np.arange(60) == 0)
     assert np.abs(model.project(single, prior=1e-6).coefficients).max() < 10
 
 
@@ -130,14 +119,11 @@ def test_faces_without_lobes_and_black_channels_stay_so():
     rng = np.random.default_rng(4)
     diffuse = rng.uniform(0.2, 0.6, (5, 30, 3))
     diffuse[:, :, 2] = 0
-    dull = [VertexReflectance(c, np.zeros((30, 3)), np.ones(30, bool)) for c in diffuse]
-    model = learned(dull)
-    made = model.sample(1)
+    made = learned([reflectance_from_albedo(one) for one in diffuse]).sample(1)
     assert (made.reflectance.weights == 0).all()
     assert (made.reflectance.diffuse_linear[:, 2] == 0).all()
     assert made.clipped_share == 0
-    all_black = VertexReflectance(np.zeros((30, 3)), np.zeros((30, 3)), np.ones(30, bool))
-    assert learned([all_black] * 3).components == 0
+    assert learned([reflectance_from_albedo(np.zeros((30, 3)))] * 3).components == 0
 
 
 def test_a_lobe_that_one_sample_lacks_is_a_gap_in_its_shares_only():

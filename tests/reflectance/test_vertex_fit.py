@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from bench.flash_captures import design
 from bench.judging import relative_rmse
+from helpers.reflectance_errors import diffuse_error
 from numpy.testing import assert_allclose
 from worlds.flash_captures import head_capture, of_pairs, radiance, samples_of
 
@@ -38,11 +39,6 @@ def fit(noisy):
     return sound(noisy)
 
 
-def diffuse_error(fit, capture):
-    known = fit.reflectance.known
-    return relative_rmse(fit.reflectance.diffuse_linear[known], capture.truth.diffuse_linear[known])
-
-
 def sound(*arguments, **options):
     """Fit: numbers wherever known, none elsewhere, bounds kept, intervals around the estimate."""
     fit = fit_reflectance(*arguments, **options)
@@ -59,8 +55,9 @@ def sound(*arguments, **options):
     return fit
 
 
-def test_one_per_cent_of_noise(fit, capture):
+def test_one_per_cent_of_noise(fit, capture, noisy):
     assert fit.converged
+    assert np.array_equal(fit_reflectance(noisy).parameters, fit.parameters)
     assert diffuse_error(fit, capture) < 0.03
     sure, truth = fit.identified, capture.parameters
     inside = ((fit.low <= truth) & (truth <= fit.high))[sure].mean()
@@ -70,12 +67,11 @@ def test_one_per_cent_of_noise(fit, capture):
 
 def test_intervals_are_those_of_the_posterior_before_the_bounds(capture):
     matt = replace(capture, truth=replace(capture.truth, weights=np.zeros((1500, 3))))
-    pictures = of_pairs(matt, np.arange(0, 99, 9))
-    samples = samples_of(pictures, noise=0.01)
+    samples = samples_of(of_pairs(matt, np.arange(0, 99, 9)), noise=0.01)
     fit = fit_reflectance(samples, options=EXACT)
     steepest = np.where(samples.valid.any(-1), np.pi * samples.lobes[..., 0], 0).max(0)
     bounded = 0
-    mean, precision = fit.level * np.array(PRIOR_MEAN), 1 / (fit.level * np.array(PRIOR_STD)) ** 2
+    mean, precision = fit.level * np.array(PRIOR_MEAN), (fit.level * np.array(PRIOR_STD)) ** -2.0
     for v in np.flatnonzero(fit.pair_count > 3)[::50]:
         rows, right = design(samples, v)
         rows, right = rows[:-6], right[:-6]
@@ -115,12 +111,15 @@ def test_charbonnier_stands_between(capture):
     assert errors == sorted(errors)
 
 
-def test_pictures_twice_as_bright_give_twice_the_reflectance(noisy, fit):
+def test_pictures_twice_as_bright_give_twice_the_reflectance_and_stronger_flashes_the_less(noisy, fit):
     brighter = replace(noisy, observed_linear=2 * noisy.observed_linear, sigma=2 * noisy.sigma)
     twice = fit_reflectance(brighter)
     assert_allclose(twice.parameters, 2 * fit.parameters, rtol=1e-9, atol=1e-12)
     assert_allclose(twice.std, 2 * fit.std, rtol=1e-6)
     assert (twice.identified == fit.identified).all()
+    stronger = fit_reflectance(replace(noisy, lobes=3 * noisy.lobes))
+    assert_allclose(stronger.activation, fit.activation, rtol=1e-9)
+    assert_allclose(3 * stronger.std, fit.std, rtol=1e-6)
 
 
 def test_order_of_pictures_and_company_of_vertices_do_not_matter(noisy, monkeypatch):
@@ -136,10 +135,6 @@ def test_order_of_pictures_and_company_of_vertices_do_not_matter(noisy, monkeypa
         monkeypatch.setattr(vertex_fit, name, level * np.array(getattr(vertex_fit, name)))
     found = fit_reflectance(part, options=options)
     assert_allclose(found.parameters, whole.parameters[few], rtol=1e-6, atol=1e-9)
-
-
-def test_the_same_samples_give_the_same_bits(noisy, fit):
-    assert np.array_equal(fit_reflectance(noisy).parameters, fit.parameters)
 
 
 def test_the_trace_falls_and_a_budget_ends_it(capture):
@@ -205,7 +200,7 @@ def test_all_flashes_at_their_cameras(capture):
     assert diffuse_error(fit, capture) < 0.15
 
 
-def test_no_highlight_was_hit(capture, noisy):
+def test_no_highlight_was_hit(noisy):
     """A lobe that no picture shows keeps the prior's weight and width, and never explodes."""
     lobes = noisy.lobes.copy()
     lobes[..., 3] = 0.0
@@ -216,13 +211,11 @@ def test_no_highlight_was_hit(capture, noisy):
     assert np.isinf(fit.condition).all()
 
 
-def test_activation_says_how_near_a_highlight_came(fit, noisy, capture):
-    seen = noisy.valid.any(-1)
+def test_activation_says_how_near_a_highlight_came(fit):
     for k, exponent in enumerate((1, 8, 64)):
         found = fit.activation[:, k] ** (1 / exponent)
         assert (found <= 1 + 1e-12).all()
         assert_allclose(found, fit.activation[:, 0], rtol=1e-9)
-    assert seen.any()
     hit = fit.activation[:, 2] > 0.5
     assert fit.identified[hit, 5].all()
     assert fit.std[hit, 5].mean() < 0.5 * fit.std[~hit, 5].mean()
@@ -231,9 +224,8 @@ def test_activation_says_how_near_a_highlight_came(fit, noisy, capture):
 def test_the_condition_number_is_that_of_the_columns_as_they_are(noisy):
     squares = fit_reflectance(noisy, options=EXACT)
     for v in (0, 700):
-        rows = np.zeros((99, 3, 6))
-        for k in range(3):
-            rows[:, k, k], rows[:, k, 3:] = noisy.lobes[:, v, 0], noisy.lobes[:, v, 1:]
+        white, gloss = noisy.lobes[:, v, :1, None] * np.eye(3), noisy.lobes[:, v, None, 1:]
+        rows = np.concatenate([white, np.repeat(gloss, 3, 1)], 2)
         expected = np.linalg.cond(rows[noisy.valid[:, v]])
         assert squares.condition[v] == pytest.approx(expected, rel=1e-6)
 
@@ -299,12 +291,6 @@ def test_impossible_albedos_are_never_identified(capture):
     assert not fit.identified[above].any()
     assert (fit.low[above] == 0).all()
     assert np.array_equal(fit.identified[~above], free.identified[~above])
-
-
-def test_the_strength_of_the_flashes_changes_no_activation(noisy, fit):
-    stronger = fit_reflectance(replace(noisy, lobes=3 * noisy.lobes))
-    assert_allclose(stronger.activation, fit.activation, rtol=1e-9)
-    assert_allclose(3 * stronger.std, fit.std, rtol=1e-6)
 
 
 @pytest.mark.parametrize(

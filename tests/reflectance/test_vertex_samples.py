@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.plates import plate
 from worlds.two_balls import (
     BALL,
     BALL_RADIUS,
@@ -131,10 +132,8 @@ def test_sampling_is_the_same_far_from_the_origin(scene, look_up, samples):
 
 
 def test_a_bad_pixel_takes_its_neighbours_channel_only(look_up, olat, samples):
-    rows = 80
-    columns = 90
     valid = olat.valid.copy()
-    valid[:, rows, columns, 1] = False
+    valid[:, 80, 90, 1] = False
     found = look_up(replace(olat, valid=valid))
     lost = samples.valid & ~found.valid
     assert 0 < lost.sum() < 300
@@ -152,20 +151,18 @@ def test_sigma_follows_the_weights_of_pixels_where_the_position_is_known(look_up
 
 def test_sigma_grows_with_the_slope_of_the_picture(monkeypatch):
     # One picture whose light rises by 0.02 a pixel to the right, of a square seen from straight ahead.
-    size = 41
-    slope = 0.02
-    linear = np.broadcast_to(slope * np.arange(size)[None, :, None], (size, size, 3)).astype(np.float32)[None]
-    sigma, valid = np.full(linear.shape, 1e-6, np.float32), np.ones(linear.shape, bool)
+    linear = 0.02 * np.tile(np.arange(41, dtype=np.float32)[:, None], (1, 41, 1, 3))
+    sigma, valid = np.full_like(linear, 1e-6), np.ones(linear.shape, bool)
     olat = OlatImages(linear, sigma, valid, ~valid)
     camera = np.array([[[400.0, 0, -20, 12000], [0, -400, -20, 12000], [0, 0, -1, 600]]])
     rig = CaptureRig(camera, np.array([[0.0, 0, 600]]), np.zeros(1, np.int64))
-    square = np.array([[-20.0, -20, 0], [20, -20, 0], [20, 20, 0], [-20, 20, 0], [3.0, 4, 0]])
+    square = np.vstack([plate(20, 0.0).vertices, [3, 4, 0]])
     faces = [[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]]
     for spread in (0.0, 0.3, 1.0):
         monkeypatch.setattr("scan2albedo.reflectance.vertex_samples._POSITION_SIGMA_PX", spread)
         found = sample_vertices(olat, rig, square, faces)
         assert found.valid[0, 4].all()
-        assert found.sigma[0, 4] == pytest.approx(np.full(3, np.hypot(spread * slope, 1e-6)), rel=0.3)
+        assert found.sigma[0, 4] == pytest.approx(np.full(3, np.hypot(spread * 0.02, 1e-6)), rel=0.3)
 
 
 def test_grazing_views_and_lights_are_left_out(scene, look_up, samples, monkeypatch):
@@ -181,9 +178,7 @@ def test_grazing_views_and_lights_are_left_out(scene, look_up, samples, monkeypa
 def test_vertices_outside_the_picture_are_not_seen(scene, look_up):
     cameras = scene.rig.cameras.copy()
     cameras[:, 0] += 1e4 * cameras[:, 2]  # the same view, aimed far to the side
-    rig = CaptureRig(cameras, scene.rig.light_positions, scene.rig.light)
-    found = look_up(rig=rig)
-    assert not found.valid.any()
+    assert not look_up(rig=replace(scene.rig, cameras=cameras)).valid.any()
 
 
 def test_normals_of_the_mesh_are_used_when_none_are_given(look_up, samples):
@@ -196,13 +191,11 @@ def test_normals_of_the_mesh_are_used_when_none_are_given(look_up, samples):
 def test_a_vertex_without_a_normal_is_not_seen(scene, look_up):
     normals = scene.normals.copy()
     normals[500] = 0
-    found = look_up(normals=normals)
-    assert not found.valid[:, 500].any()
+    assert not look_up(normals=normals).valid[:, 500].any()
 
 
 def test_pictures_of_the_flash_at_the_head_itself_leave_no_nan(scene, look_up):
-    rig = CaptureRig(scene.rig.cameras, np.zeros((20, 3)), scene.rig.light)
-    found = look_up(rig=rig)
+    found = look_up(rig=replace(scene.rig, light_positions=np.zeros((20, 3))))
     assert not found.valid[:, scene.head].any()
 
 
