@@ -77,12 +77,7 @@ def test_images_keep_their_size_when_asked(albedo, shape):
 @pytest.mark.parametrize(
     ("sides", "names", "error", "words"),
     [
-        (
-            (128, 64),
-            ["ann", "bob"],
-            RecognitionError,
-            r"image 1 \(bob\) has \(64, 64\) .* images of one size",
-        ),
+        ((128, 64), ["ann", "bob"], RecognitionError, r"image 1 \(bob\) has \(64, 64\) .* of one size"),
         ((), [], RecognitionError, "no image was given"),
         ((128,), ["ann", "bob"], ValueError, "1 images, 2 names"),
     ],
@@ -123,10 +118,8 @@ def test_small_holes_are_filled_and_large_ones_stay(albedo, monkeypatch):
     monkeypatch.setattr(templates_module, "HOLE_RADIUS", 0.0)
     open_ = albedo_templates([holed], ["ann"], masks=[mask])
     monkeypatch.undo()
-    assert closed.mask[0, 10, 10]
-    assert not open_.mask[0, 10, 10]
-    assert not closed.mask[0, 22, 22]
-    assert not open_.mask[0, 22, 22]
+    assert closed.mask[0, [10, 22], [10, 22]].tolist() == [True, False]
+    assert open_.mask[0, [10, 22], [10, 22]].tolist() == [False, False]
     # What stood in the hole was never seen: the coefficient is that of its surroundings.
     whole = albedo_templates([albedo(0, steepness=2.0)], ["ann"])
     scale = np.abs(whole.coefficients).mean()

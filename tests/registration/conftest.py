@@ -6,11 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from helpers.meshes import bumpy_samples
+from helpers.poses import assert_near
 from worlds.raw_like import raw_like
 
 from scan2albedo import AnnotatedFaceModel, RawScan
 from scan2albedo.geometry.oriented_points import OrientedPoints
-from scan2albedo.geometry.rigid import compose, invert_rigid, procrustes, rotation_angle_rad, transform_points
+from scan2albedo.geometry.rigid import compose, invert_rigid, procrustes
+from scan2albedo.registration.inputs import Template
 from scan2albedo.synthetic.face_shape import person
 
 FACE_PART = 6706
@@ -23,11 +25,14 @@ class PosedScan:
     scan: RawScan
     model_from_scan: np.ndarray
 
-    def error(self, model_from_scan: np.ndarray) -> tuple[float, float]:
-        """Return how far a pose is off: degrees, and mm at the model's origin."""
-        truth, found = invert_rigid(self.model_from_scan), invert_rigid(model_from_scan)
-        angle = rotation_angle_rad(found[:3, :3].T @ truth[:3, :3])
-        return float(np.degrees(angle)), float(np.linalg.norm(found[:3, 3] - truth[:3, 3]))
+    def assert_found(self, model_from_scan: np.ndarray, degrees: float, millimetres: float) -> None:
+        """A pose is off by less, in mm at the model's origin."""
+        assert_near(model_from_scan, self.model_from_scan, degrees, millimetres)
+
+
+@pytest.fixture(scope="session")
+def template(model) -> Template:
+    return Template.of(model, 0)
 
 
 @pytest.fixture(scope="session")
@@ -87,13 +92,3 @@ def ict_scan_of_template(ict) -> Callable[[str, int], tuple[AnnotatedFaceModel, 
         return template, PosedScan(scan, model_from_generic @ invert_rigid(scan_from_shape))
 
     return make
-
-
-@pytest.fixture(scope="session")
-def posed() -> Callable[..., RawScan]:
-    """Return a scan moved by a rigid transform."""
-
-    def move(scan: RawScan, pose: np.ndarray) -> RawScan:
-        return RawScan(transform_points(pose, scan.vertices), scan.faces, name=scan.name)
-
-    return move

@@ -1,14 +1,14 @@
 """The cameras of textures that are photographs, against those that took them."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from helpers.meshes import grid
+from helpers.patches import patch
 
 from scan2albedo.core.geometry_image import NO_CAMERA
 from scan2albedo.core.raw_scan import RawScan
+from scan2albedo.geometry.mesh import face_cross_products, normalized
 from scan2albedo.geometry.pinhole import look_at, project
 from scan2albedo.geometry.rigid import compose, invert_rigid, random_rotation, transform_points
 from scan2albedo.sampling import geometry_image, geometry_image_of_scan
@@ -23,44 +23,19 @@ def hill(x, y):
     return 40 * np.exp(-(x**2 + y**2) / 1800) + 3 * np.sin(x / 9) * np.cos(y / 7)
 
 
-def patch(height, n=41, model_from_scan=None):
-    """A square patch z(x, y) of 100 mm with uv = position, in place of a fitted face."""
-    flat, faces = grid(n, n)
-    x, y = 100 * (flat[:, :2].T - 0.5)
-    return SimpleNamespace(
-        vertices=np.column_stack([x, y, height(x, y)]),
-        faces=faces,
-        uv=flat[:, :2],
-        residual_mm=np.zeros(n * n),
-        region=np.zeros(len(faces), np.uint8),
-        model_from_scan=model_from_scan,
-        model=SimpleNamespace(
-            region_values=lambda attribute: np.ones(256),
-            face_regions=lambda: np.ones(256, bool),
-            face_uv=None,
-        ),
-    )
-
-
-def photographed(places=PLACES, height=hill, n=41, noise_px=0.0):
+def photographed(noise_px=0.0):
     """A patch that cameras in a row took: the scan, and which camera took a face, that which it turns to."""
-    flat = patch(height, n)
-    corners = flat.vertices[flat.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    toward = places[None] - corners.mean(1)[:, None]
+    flat = patch(hill)
+    normals = face_cross_products(flat.vertices, flat.faces)
+    toward = PLACES - flat.vertices[flat.faces].mean(1)[:, None]
     taken = np.einsum("fkc,fc->fk", toward, normals).argmax(1)
-    cameras = [look_at(place, [0, 0, 0], focal_px=3000, shape=(PIXELS, PIXELS)) for place in places]
+    cameras = [look_at(place, [0, 0, 0], focal_px=3000, shape=(PIXELS, PIXELS)) for place in PLACES]
     seen = np.stack([project(camera, flat.vertices)[0] for camera in cameras])
     seen += noise_px * np.random.default_rng(0).standard_normal(seen.shape)
     pixels = seen[taken[:, None], flat.faces]
-    uv = np.stack(
-        [
-            (pixels[..., 0] + 0.5 + PIXELS * taken[:, None]) / (PIXELS * len(places)),
-            1 - (pixels[..., 1] + 0.5) / PIXELS,
-        ],
-        -1,
-    )
-    picture = np.full((PIXELS, PIXELS * len(places), 3), 0.4, np.float32)
+    column, row = (np.moveaxis(pixels, -1, 0) + 0.5) / PIXELS
+    uv = np.stack([(column + taken[:, None]) / 2, 1 - row], -1)
+    picture = np.full((PIXELS, 2 * PIXELS, 3), 0.4, np.float32)
     return RawScan(flat.vertices, flat.faces, uv=uv, texture_linear=picture), taken
 
 
@@ -148,7 +123,7 @@ def test_texels_know_their_camera_in_the_models_frame(seed):
         there = image.camera[image.mask] == number
         away = place - image.position[image.mask][there]
         assert there.mean() > 0.3
-        assert toward[there] == pytest.approx(away / np.linalg.norm(away, axis=1)[:, None], abs=1e-4)
+        assert toward[there] == pytest.approx(normalized(away), abs=1e-4)
     assert image.figures()["cameras"] == 2
 
 

@@ -1,67 +1,37 @@
 """Geometry images of surfaces whose answer is known in closed form."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.meshes import grid
+from helpers.patches import FlatAnnotation, Patch, patch, textured_scan
+from helpers.plates import CORNERS, FACES, plate
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo import AnnotatedFaceModel, fit, load_scan, register
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.errors import GeometryImageError
 from scan2albedo.geometry.closest_points import MAX_EXACT_FACES, ClosestPointQuery
+from scan2albedo.geometry.mesh import join
 from scan2albedo.geometry.operators import linear_refinement
-from scan2albedo.geometry.rigid import compose, invert_rigid, random_rotation, transform_points
+from scan2albedo.geometry.rigid import compose, random_rotation
 from scan2albedo.io.color import linear_to_srgb, srgb_to_linear
 from scan2albedo.sampling import geometry_image, texture_lookup
 from scan2albedo.sampling.geometry_images import texture_doubt
 from scan2albedo.sampling.texture_lookup import MOVES, moved_colors, sample_colors
 
-
-class FlatAnnotation:
-    """Region 3 for everything, and region 4 without highlights."""
-
-    face_uv = None
-
-    def region_values(self, attribute):
-        table = np.full(256, 0.7 if attribute == "specular_scale" else 1.0)
-        table[4] = 0.0
-        return table
-
-    def face_regions(self):
-        return np.ones(256, bool)
+WHITE = np.ones((16, 16, 3), np.float32)
 
 
-@dataclass
-class Patch:
-    """A square patch z(x, y) of 100 mm with uv = position, in place of a fitted face."""
+@pytest.fixture
+def one_tap(monkeypatch):
+    """Returns a function after which texels look a texture up at one place."""
 
-    vertices: np.ndarray
-    faces: np.ndarray
-    uv: np.ndarray
-    model_from_scan: np.ndarray
-    region: np.ndarray = field(init=False)
-    residual_mm: np.ndarray = field(init=False)
-    model: FlatAnnotation = field(default_factory=FlatAnnotation)
+    def look_up_once():
+        monkeypatch.setattr(texture_lookup, "FEWEST_TAPS", 1)
+        monkeypatch.setattr(texture_lookup, "MOST_TAPS", 1)
 
-    def __post_init__(self):
-        self.region = np.full(len(self.faces), 3, np.uint8)
-        self.residual_mm = np.zeros(len(self.vertices))
-
-
-def patch(height=lambda x, y: 0 * x, n=41, model_from_scan=None):
-    flat, faces = grid(n, n)
-    uv = flat[:, :2]
-    xy = 100 * (uv - 0.5)
-    vertices = np.column_stack([xy, height(*xy.T)])
-    return Patch(vertices, faces, uv, np.eye(4) if model_from_scan is None else model_from_scan)
-
-
-def textured_scan(fitted, texture, n_noise=0.0):
-    """The patch itself as a raw scan, in the scan's own frame, with uv = chart."""
-    vertices = transform_points(invert_rigid(fitted.model_from_scan), fitted.vertices)
-    return RawScan(vertices, fitted.faces, fitted.uv[fitted.faces], texture)
+    return look_up_once
 
 
 def test_position_follows_the_texel_centres_with_row_0_on_top():
@@ -89,39 +59,38 @@ def test_a_linear_texture_is_reproduced_in_any_pose(seed):
     rng = np.random.default_rng(seed)
     pose = compose(random_rotation(rng), rng.uniform(-500, 500, 3))
     fitted = patch(lambda x, y: 10 * np.cos(x / 30), model_from_scan=pose)
-    rows, columns = np.meshgrid(np.arange(256), np.arange(256), indexing="ij")
-    u, v = (columns + 0.5) / 256, 1 - (rows + 0.5) / 256
-    texture = np.stack([u, v, 0.25 + 0 * u], -1).astype(np.float32)
-    image = geometry_image(fitted, textured_scan(fitted, texture), size=64)
+
+    def linear(size):
+        row, column = (np.indices((size, size)) + 0.5) / size
+        return np.stack([column, 1 - row, 0.25 + 0 * row], -1).astype(np.float32)
+
+    image = geometry_image(fitted, textured_scan(fitted, linear(256)), size=64)
     assert image.texture_valid.mean() > 0.99
-    truth = np.stack(np.meshgrid((np.arange(64) + 0.5) / 64, 1 - (np.arange(64) + 0.5) / 64), -1)
     inside = np.s_[2:-2, 2:-2]
-    assert_allclose(image.texture_linear[inside][..., :2], truth[inside], atol=2e-3)
+    assert_allclose(image.texture_linear[inside], linear(64)[inside], atol=2e-3)
     assert_allclose(image.texture_linear[..., 2], 0.25, atol=1e-6)
 
 
 @pytest.mark.parametrize("size", [16, 64])
-def test_a_photograph_finer_than_the_texels_is_averaged_not_aliased(size, monkeypatch):
+def test_a_photograph_finer_than_the_texels_is_averaged_not_aliased(size, one_tap):
     fitted = patch()
     checker = (np.indices((509, 509)).sum(0) % 2).astype(np.float32)
     scan = textured_scan(fitted, np.repeat(checker[..., None], 3, 2))
     filtered = geometry_image(fitted, scan, size).texture_linear
-    monkeypatch.setattr(texture_lookup, "FEWEST_TAPS", 1)
-    monkeypatch.setattr(texture_lookup, "MOST_TAPS", 1)
+    one_tap()
     aliased = geometry_image(fitted, scan, size).texture_linear
     assert np.abs(filtered - 0.5).max() < 0.02
     assert np.abs(aliased - 0.5).max() > 0.2
 
 
 @pytest.mark.slow
-def test_the_footprint_average_agrees_with_supersampling(monkeypatch):
+def test_the_footprint_average_agrees_with_supersampling(one_tap):
     fitted = patch(lambda x, y: 12 * np.sin(x / 25) * np.cos(y / 30))
     noise = np.random.default_rng(0).random((700, 700, 3)).astype(np.float32)
     scan = textured_scan(fitted, noise)
     fine = geometry_image(fitted, scan, 1024).texture_linear.reshape(64, 16, 64, 16, 3).mean((1, 3))
     coarse = geometry_image(fitted, scan, 64).texture_linear
-    monkeypatch.setattr(texture_lookup, "FEWEST_TAPS", 1)
-    monkeypatch.setattr(texture_lookup, "MOST_TAPS", 1)
+    one_tap()
     plain = geometry_image(fitted, scan, 64).texture_linear
     error = np.abs(coarse - fine).mean()
     assert error < 0.01
@@ -139,18 +108,16 @@ def test_every_size_samples_the_same_surface(size):
 
 def test_the_texel_areas_tell_a_stretched_chart():
     fitted = patch()
-    even = geometry_image(fitted, None, 64).figures()["texel_area_p95_to_p5"]
-    fitted.uv = np.column_stack([fitted.uv[:, 0] ** 2, fitted.uv[:, 1]])
-    stretched = geometry_image(fitted, None, 64).figures()["texel_area_p95_to_p5"]
-    assert even == pytest.approx(1)
-    assert stretched > 3
+    assert geometry_image(fitted, None, 64).figures()["texel_area_p95_to_p5"] == pytest.approx(1)
+    fitted.uv = fitted.uv ** [2, 1]
+    assert geometry_image(fitted, None, 64).figures()["texel_area_p95_to_p5"] > 3
 
 
 def test_a_geometry_image_goes_back_to_the_mesh_it_came_from():
     model = AnnotatedFaceModel.default()
     vertices, faces = model.surface(2)
     uv = linear_refinement(len(model.control_vertices), model.control_faces, 2) @ model.uv
-    back, back_faces = geometry_image(Patch(vertices, faces, uv, np.eye(4)), None, 512).triangulated()
+    back, back_faces = geometry_image(Patch(vertices, faces, uv), None, 512).triangulated()
     assert ClosestPointQuery(vertices, faces).query(back).distance.mean() < 0.001
     assert ClosestPointQuery(back, back_faces).query(vertices).distance.mean() < 0.02
 
@@ -167,43 +134,35 @@ def test_the_border_is_the_rim_of_the_mask():
 
 def test_a_dense_scan_is_looked_up_as_an_ordinary_one_is():
     texture = np.random.default_rng(1).random((64, 64, 3)).astype(np.float32)
-    fitted = patch(lambda x, y: 5 * np.sin(x / 30))
-    few, many = (textured_scan(patch(lambda x, y: 5 * np.sin(x / 30), n), texture) for n in (160, 300))
+    fitted, *others = (patch(lambda x, y: 5 * np.sin(x / 30), n) for n in (41, 160, 300))
+    few, many = (textured_scan(other, texture) for other in others)
     assert len(few.faces) < MAX_EXACT_FACES < len(many.faces)
     first, second = (geometry_image(fitted, scan, 64) for scan in (few, many))
     assert np.abs(first.texture_linear - second.texture_linear).mean() < 0.01
     assert (first.seen == second.seen).mean() > 0.99
 
 
-def test_a_hole_in_the_scan_is_known_as_unseen():
-    fitted = patch()
-    scan = textured_scan(fitted, np.ones((16, 16, 3), np.float32))
-    center = fitted.vertices[fitted.faces].mean(1)
-    keep = np.linalg.norm(center, axis=1) > 15
-    holed = RawScan(scan.vertices, scan.faces[keep], scan.uv[keep], scan.texture_linear)
-    image = geometry_image(fitted, holed, size=100)
-    radius = np.linalg.norm(image.position, axis=-1)
-    assert not image.texture_valid[radius < 12].any()
-    assert image.texture_valid[radius > 18].all()
-
-
-def test_what_the_fit_left_out_gives_no_texture():
-    fitted = patch()
-    scan = textured_scan(fitted, np.ones((16, 16, 3), np.float32))
-    fitted.covered_faces = np.linalg.norm(fitted.vertices[fitted.faces].mean(1), axis=1) < 15
-    image = geometry_image(fitted, scan, size=100)
-    radius = np.linalg.norm(image.position, axis=-1)
-    assert not image.texture_valid[radius < 12].any()
-    assert image.texture_valid[radius > 18].all()
+def test_a_hole_in_the_scan_and_what_the_fit_left_out_are_unseen():
+    whole, covered = patch(), patch()
+    scan = textured_scan(whole, WHITE)
+    hole = np.linalg.norm(whole.vertices[whole.faces].mean(1), axis=1) < 15
+    covered.covered_faces = hole
+    for fitted, given in (
+        (whole, replace(scan, faces=scan.faces[~hole], uv=scan.uv[~hole])),
+        (covered, scan),
+    ):
+        image = geometry_image(fitted, given, size=100)
+        radius = np.linalg.norm(image.position, axis=-1)
+        assert not image.texture_valid[radius < 12].any()
+        assert image.texture_valid[radius > 18].all()
 
 
 def test_a_surface_that_faces_away_or_lies_far_off_is_unseen():
     fitted = patch()
-    scan = textured_scan(fitted, np.ones((16, 16, 3), np.float32))
-    flipped = RawScan(scan.vertices, scan.faces[:, ::-1], scan.uv[:, ::-1], scan.texture_linear)
-    far = RawScan(scan.vertices + [0, 0, 30], scan.faces, scan.uv, scan.texture_linear)
-    assert not geometry_image(fitted, flipped, 32).texture_valid.any()
-    assert not geometry_image(fitted, far, 32).texture_valid.any()
+    scan = textured_scan(fitted, WHITE)
+    flipped = replace(scan, faces=scan.faces[:, ::-1], uv=scan.uv[:, ::-1])
+    for unseen in (flipped, replace(scan, vertices=scan.vertices + [0, 0, 30])):
+        assert not geometry_image(fitted, unseen, 32).texture_valid.any()
 
 
 def test_vertex_colours_serve_where_there_is_no_texture():
@@ -228,15 +187,13 @@ def test_colours_that_no_picture_showed_are_taken_from_around():
     assert image.figures()["filled"] == image.filled.sum() / image.mask.sum()
     assert geometry_image(given, bare, 64).filled is None
     # Where the scan shows nothing of the face, its colours say nothing.
-    assert (
-        geometry_image(given, replace(bare, color_seen=np.zeros(len(hole), bool)), 64).texture_linear is None
-    )
+    unseen = replace(bare, color_seen=np.zeros_like(hole))
+    assert geometry_image(given, unseen, 64).texture_linear is None
 
 
 def test_of_a_template_only_the_annotated_part_is_the_face(monkeypatch):
     given = patch()
-    region = np.where(given.vertices[given.faces].mean(1)[:, 0] > 0, 4, 3).astype(np.uint8)
-    given.region = region
+    given.region = np.where(given.vertices[given.faces].mean(1)[:, 0] > 0, 4, 3).astype(np.uint8)
     assert geometry_image(given, None, 32).on_face is None
     monkeypatch.setattr(FlatAnnotation, "face_regions", lambda self: np.arange(256) == 4)
     image = geometry_image(given, None, 32)
@@ -264,7 +221,7 @@ def test_annotated_values_change_gradually_and_regions_stay_crisp():
 def test_texels_of_the_default_model_know_their_own_places():
     model = AnnotatedFaceModel.default()
     vertices, faces = model.surface(1)
-    fitted = Patch(vertices, faces, model.refined_uv(1), np.eye(4))
+    fitted = Patch(vertices, faces, model.refined_uv(1))
     assert geometry_image(fitted, None, 40).face_chart is None
     fitted.model = model
     fitted.levels = 1
@@ -275,12 +232,11 @@ def test_texels_of_the_default_model_know_their_own_places():
 
 
 def test_a_texture_is_looked_up_as_if_what_was_done_to_it_were_undone():
-    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-    faces, points = np.array([[0, 1, 2], [0, 2, 3]]), np.array([[30, 40, 0], [61, 45, 0], [52, 70, 0.0]])
+    points = np.array([[-20, -10, 0], [11, -5, 0], [2, 20, 0.0]])
     row, column = np.indices((100, 140)) / 140
     smooth = np.stack([row, column, row * column], axis=-1).astype(np.float32)
-    vertices = np.column_stack([100.0 * corners, np.zeros(4)])
-    scan = RawScan(vertices, faces, uv=(0.1 + 0.8 * corners)[faces], texture_linear=smooth)
+    square = plate(50, 0.0)
+    scan = RawScan(square.vertices, square.faces, (0.5 + 0.4 * CORNERS)[square.faces], smooth)
     seen, up = np.array([[True, False], [True, True]]), np.tile([0, 0, 1.0], (3, 1))
     right = moved_colors(scan, seen, points, up)["as it is"]
     assert not right[0, 1].any()
@@ -323,13 +279,12 @@ def test_what_was_done_to_a_texture_is_told_by_name(shared_data):
 
 def test_vertex_colours_are_those_of_the_faces_near_the_points():
     """The face's own, though the scan begins with something else that lies far away."""
-    square = np.array([[0.0, 0, 0], [9, 0, 0], [9, 9, 0], [0, 9, 0]])
-    faces = np.array([[0, 1, 2], [0, 2, 3]])
-    vertices = np.concatenate([square + 500, square])
+    square = plate(4.5, 0.0).vertices + [4.5, 4.5, 0]
+    vertices, faces = join([(square + 500, FACES), (square, FACES)])
     colors = np.zeros((8, 3), np.float32)
     colors[:4, 0] = 1
     colors[4:, 1:] = square[:, :2] / 9
-    scan = RawScan(vertices, np.concatenate([faces, faces + 4]), vertex_color_linear=colors)
+    scan = RawScan(vertices, faces, vertex_color_linear=colors)
     points = np.random.default_rng(0).uniform(1, 8, (40, 3)) * (1, 1, 0)
     found = sample_colors(scan, points, np.tile((0.0, 0, 1), (40, 1)), np.zeros((40, 3, 2)))
     assert_allclose(found.color_linear[:, 0], 0)

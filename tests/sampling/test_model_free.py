@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-import trimesh
 import xatlas
+from helpers.meshes import ball, sphere
 from numpy.testing import assert_allclose
 
 from scan2albedo.core.raw_scan import RawScan
@@ -12,8 +12,7 @@ from scan2albedo.sampling import geometry_image_of_scan, geometry_images
 
 
 def test_a_sphere_is_covered_once_with_true_positions_and_normals():
-    sphere = trimesh.creation.icosphere(4, 80.0)
-    image = geometry_image_of_scan(RawScan(sphere.vertices + 1000.0, sphere.faces), 256)
+    image = geometry_image_of_scan(RawScan(*sphere(4, 80.0, 1000.0)), 256)
     inside = image.mask
     assert inside.mean() > 0.3
     radius = np.linalg.norm(image.position[inside], axis=1)
@@ -24,10 +23,9 @@ def test_a_sphere_is_covered_once_with_true_positions_and_normals():
 
 def test_an_atlas_outlives_its_chart():
     """Its end waits for its threads, for ever where one of them is just going to sleep."""
-    sphere = trimesh.creation.icosphere(1, 80.0)
     kept = []
     for _ in range(2):
-        geometry_image_of_scan(RawScan(sphere.vertices, sphere.faces), 32)
+        geometry_image_of_scan(ball(1), 32)
         kept += geometry_images.LAST_ATLAS
     assert [type(atlas) for atlas in kept] == [xatlas.Atlas] * 2
     assert kept[0] is not kept[1]
@@ -35,35 +33,29 @@ def test_an_atlas_outlives_its_chart():
 
 @pytest.mark.slow
 def test_a_large_surface_is_simplified_first():
-    sphere = trimesh.creation.icosphere(6, 80.0)
-    image = geometry_image_of_scan(RawScan(sphere.vertices, sphere.faces), 128)
+    image = geometry_image_of_scan(RawScan(*sphere(6, 80.0)), 128)
     assert len(image.occluder[1]) <= 15_000
     assert_allclose(np.linalg.norm(image.position[image.mask], axis=1), 80, atol=0.5)
 
 
 def test_holes_that_meet_in_a_vertex_do_not_keep_a_surface_from_being_simplified(monkeypatch):
-    sphere = trimesh.creation.icosphere(3, 80.0)
-    around = np.flatnonzero((sphere.faces == 0).any(axis=1))
-    beside = [
-        face for face in around if len(np.intersect1d(sphere.faces[face], sphere.faces[around[0]])) == 1
-    ]
-    faces = np.delete(sphere.faces, [around[0], beside[0]], axis=0)
+    vertices, faces = sphere(3, 80.0)
+    first, *others = np.flatnonzero((faces == 0).any(axis=1))
+    opposite = next(face for face in others if len(np.intersect1d(faces[face], faces[first])) == 1)
+    faces = np.delete(faces, [first, opposite], axis=0)
     monkeypatch.setattr(geometry_images, "MOST_FACES", 600)
-    image = geometry_image_of_scan(RawScan(sphere.vertices, faces), 64)
+    image = geometry_image_of_scan(RawScan(vertices, faces), 64)
     assert len(image.occluder[1]) <= 600
     assert_allclose(np.linalg.norm(image.position[image.mask], axis=1), 80, atol=2)
 
 
 def test_colours_come_along():
-    box = trimesh.creation.icosphere(3, 50.0)
-    color = ((box.vertices + 50) / 100).astype(np.float32)
-    image = geometry_image_of_scan(RawScan(box.vertices, box.faces, vertex_color_linear=color), 128)
-    expected = (image.position[image.mask] + box.vertices.mean(0) + 50) / 100
+    image = geometry_image_of_scan(ball(3, 50.0), 128)
+    expected = image.position[image.mask] / 110 + 0.5
     assert image.texture_valid[image.mask].mean() > 0.95
     assert_allclose(image.texture_linear[image.mask], expected, atol=0.02)
 
 
 def test_too_small_a_size_is_refused():
-    sphere = trimesh.creation.icosphere(1, 80.0)
     with pytest.raises(GeometryImageError, match="size 7 does not suit"):
-        geometry_image_of_scan(RawScan(sphere.vertices, sphere.faces), 7)
+        geometry_image_of_scan(ball(1), 7)

@@ -3,11 +3,13 @@
 import igl
 import numpy as np
 import pytest
+from helpers.generic_face import generic_face
+from helpers.meshes import sphere
 from numpy.testing import assert_allclose
 
 import scan2albedo as s2a
 from scan2albedo.geometry.closest_points import ClosestPointQuery
-from scan2albedo.geometry.rigid import procrustes, rotation_from_vector, transform_points
+from scan2albedo.geometry.rigid import procrustes, rotation_angle_rad, rotation_from_vector, transform_points
 
 TURN = rotation_from_vector(np.array([1.2, -0.7, 2.0]))
 INNER = slice(17, 68)
@@ -27,18 +29,12 @@ def turned(own):
     return s2a.AnnotatedFaceModel.from_mesh(1000 * vertices @ TURN.T + 5000, faces[:, ::-1], name="own")
 
 
-def test_a_turned_template_gets_the_conventions_axes(own, turned):
-    vertices, _, _ = own
-    aligned = procrustes(turned.template_of(turned.control_vertices), vertices)
-    angle = np.degrees(np.arccos((np.trace(aligned[:3, :3]) - 1) / 2))
-    assert angle < 1
-    assert any("unit um" in note for note in turned.notes)
-    assert any(note.startswith("turned by ") for note in turned.notes)
-
-
-def test_the_template_finds_its_way_back_to_its_own_axes_and_unit(own, turned):
+def test_a_turned_template_gets_the_conventions_axes_and_finds_its_way_back(own, turned):
     vertices, _, _ = own
     carried = turned.template_of(turned.control_vertices)
+    assert np.degrees(rotation_angle_rad(procrustes(carried, vertices)[:3, :3])) < 1
+    assert any("unit um" in note for note in turned.notes)
+    assert any(note.startswith("turned by ") for note in turned.notes)
     back = transform_points(turned.template_from_model, carried)
     assert_allclose(back, 1000 * vertices @ TURN.T + 5000, atol=1e-3)
 
@@ -86,11 +82,8 @@ def test_what_is_given_is_kept(own):
 
 @pytest.mark.slow
 def test_a_template_without_a_face_keeps_its_axes_and_says_so():
-    vertices, faces = igl.icosahedron()
-    for _ in range(3):
-        vertices, faces = igl.upsample(vertices, faces)
-    vertices = vertices / np.linalg.norm(vertices, axis=1, keepdims=True) * [75, 110, 90]
-    model = s2a.AnnotatedFaceModel.from_mesh(vertices, faces, control_size=200)
+    vertices, faces = sphere(3, 1.0)
+    model = s2a.AnnotatedFaceModel.from_mesh(vertices * [75, 110, 90], faces, control_size=200)
     assert model.landmarks is None
     assert set(model.regions) == {"face"}
     assert "nothing annotated" in model.notes[-1]
@@ -110,22 +103,14 @@ def test_half_a_face_gets_regions_but_no_landmarks(own):
 @pytest.mark.slow
 @pytest.mark.parametrize("part", ["inner face", "face area", "whole head"])
 def test_the_generic_face_in_metres_and_turned(shared_data, part):
-    data = np.load(shared_data / "ict_faces.npz")
-    vertices, faces = data["shape_generic_neutral"].astype(float), data["faces"].astype(np.int64)
-    if part != "whole head":
-        faces = faces[: int(data["face_area_faces"])]
-    if part == "inner face":
-        faces = faces[(faces < int(data["narrow_face_vertices"])).all(1)]
+    vertices, faces, data = generic_face(shared_data, part)
     given = vertices @ TURN.T / 1000
     model = s2a.AnnotatedFaceModel.from_mesh(given, faces)
     found = transform_points(model.template_from_model, model.landmarks) * 1000
     error = np.linalg.norm(found - given[data["landmarks68"]] * 1000, axis=1)
     assert error[INNER].mean() < 3
-    assert_allclose(
-        transform_points(model.template_from_model, model.template_of(model.control_vertices)),
-        given,
-        atol=1e-9,
-    )
+    back = transform_points(model.template_from_model, model.template_of(model.control_vertices))
+    assert_allclose(back, given, atol=1e-9)
 
 
 @pytest.mark.slow
@@ -146,10 +131,8 @@ def test_the_mask_of_468_vertices_is_annotated_and_fits_a_scan_in_its_own_topolo
 
 @pytest.mark.slow
 def test_what_closes_the_hole_of_a_mouth_becomes_film(shared_data):
-    data = np.load(shared_data / "ict_faces.npz")
-    vertices, faces = data["shape_generic_neutral"].astype(float), data["faces"].astype(int)
-    narrow = faces[(faces < int(data["narrow_face_vertices"])).all(1)]
-    model = s2a.AnnotatedFaceModel.from_mesh(vertices, narrow)
+    vertices, faces, _ = generic_face(shared_data, "inner face")
+    model = s2a.AnnotatedFaceModel.from_mesh(vertices, faces)
     film = model.in_region("between_lips")
     centres = model.control_vertices[model.control_faces].mean(1)
     mouth = model.landmarks[60:68].mean(0)

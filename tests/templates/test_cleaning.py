@@ -1,16 +1,15 @@
 """Holes of a template are closed."""
 
-import igl
 import numpy as np
 import pytest
+from helpers.meshes import grid
 
 from scan2albedo.geometry.mesh import boundary_loops, boundary_vertex_mask, face_areas, face_cross_products
 from scan2albedo.templates.surface import fill_hole
 
 
 def test_a_hole_is_closed_with_least_area_and_the_right_orientation():
-    plane, faces = igl.triangulated_grid(9, 9)
-    vertices, faces = np.column_stack([plane, np.zeros(len(plane))]), np.asarray(faces, np.int64)
+    vertices, faces = grid(9, 9)
     centre = vertices[faces].mean(1)
     open_mesh = faces[np.linalg.norm(centre - [0.5, 0.5, 0], axis=1) > 0.25]
     rim, hole = boundary_loops(open_mesh)

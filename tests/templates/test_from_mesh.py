@@ -3,13 +3,15 @@ from functools import partial
 import igl
 import numpy as np
 import pytest
+from helpers.generic_face import generic_face
+from helpers.meshes import grid, sphere
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model.annotation import surface_frames
 from scan2albedo.geometry.closest_points import ClosestPointQuery
-from scan2albedo.geometry.mesh import boundary_loops, face_areas, face_cross_products
+from scan2albedo.geometry.mesh import boundary_loops, face_areas, face_cross_products, join
 
 plain_model = partial(AnnotatedFaceModel.from_mesh, annotate=False)
 """The domes below are not faces, so nothing is to be recognised in them."""
@@ -17,10 +19,10 @@ plain_model = partial(AnnotatedFaceModel.from_mesh, annotate=False)
 
 def dome(size: int = 40) -> tuple[np.ndarray, np.ndarray]:
     """A face-sized dome with a nose: (size^2, 3) mm."""
-    plane, faces = igl.triangulated_grid(size, size)
-    u, v = 2 * plane.T - 1
+    plane, faces = grid(size, size)
+    u, v, _ = 2 * plane.T - 1
     z = 60 * np.sqrt(1.7 - u**2 - 0.6 * v**2) + 25 * np.exp(-(u**2) / 0.04 - v**2 / 0.08)
-    return np.column_stack([70 * u, 95 * v, z]), np.asarray(faces, np.int64)
+    return np.column_stack([70 * u, 95 * v, z]), faces
 
 
 def without_disc(vertices, faces, x, y, radius):
@@ -83,11 +85,8 @@ def test_eye_holes_are_filled_named_and_loose_parts_carried_along():
     holed = without_disc(vertices, without_disc(vertices, faces, 30, 30, 10), -30, 30, 10)
     eyeball = np.array([[30.0, 30, 40], [32, 30, 40], [30, 32, 40]])
     count = len(vertices)
-    model = plain_model(
-        np.concatenate([vertices, eyeball]),
-        np.concatenate([holed, [[count, count + 1, count + 2]]]),
-        control_size=400,
-    )
+    both = join([(vertices, holed), (eyeball, np.array([[0, 1, 2]]))])
+    model = plain_model(*both, control_size=400)
     assert_sound(model)
     filled = model.region == model.regions["filled"].index
     centre = model.control_vertices[model.control_faces[filled]].mean(1)
@@ -104,9 +103,8 @@ def test_seams_with_doubled_vertices_are_welded():
     vertices, faces = dome(24)
     left = vertices[faces, 0].mean(1) < 0
     count = len(vertices)
-    model = plain_model(
-        np.concatenate([vertices, vertices]), np.where(left[:, None], faces, faces + count), control_size=200
-    )
+    split = np.where(left[:, None], faces, faces + count)
+    model = plain_model(np.tile(vertices, (2, 1)), split, control_size=200)
     assert_sound(model)
     carried = model.template_of(model.control_vertices)
     both = np.intersect1d(faces[left], faces[~left])
@@ -120,11 +118,8 @@ def test_an_inside_out_template_is_turned(dense):
 
 
 def test_a_closed_head_is_cut_open_at_the_back():
-    vertices, faces = igl.icosahedron()
-    for _ in range(3):
-        vertices, faces = igl.upsample(vertices, faces)
-    vertices = vertices / np.linalg.norm(vertices, axis=1, keepdims=True) * [75, 110, 90]
-    model = plain_model(vertices, faces, control_size=200)
+    vertices, faces = sphere(3, 1.0)
+    model = plain_model(vertices * [75, 110, 90], faces, control_size=200)
     assert_sound(model)
     assert np.ptp(model.control_vertices[:, 2]) < 160
 
@@ -142,9 +137,8 @@ def test_a_given_chart_is_kept_and_a_folded_one_replaced(dense):
 
 def test_regions_by_indices_and_masks(dense):
     vertices, faces, _ = dense
-    left = vertices[:, 0] > 5
-    low = vertices[faces][:, :, 1].mean(1) < -40
-    model = plain_model(vertices, faces, regions={"left": np.flatnonzero(left), "low": low}, control_size=300)
+    regions = {"left": np.flatnonzero(vertices[:, 0] > 5), "low": vertices[faces, 1].mean(1) < -40}
+    model = plain_model(vertices, faces, regions=regions, control_size=300)
     centre = model.control_vertices[model.control_faces].mean(1)
     names = {r.index: r.name for r in model.regions.values()}
     for spot, name in (([40, 40], "left"), ([-40, 40], "face"), ([-40, -70], "low")):
@@ -174,14 +168,13 @@ def test_a_few_faces_that_spoil_the_surface_are_dropped(dense):
 def test_what_cannot_be_used_is_refused_with_the_reason():
     vertices, faces = dome(12)
     every_edge_thrice = np.concatenate([faces, np.roll(faces, 7, axis=0) * [1, 1, 0] + [0, 0, 77]])
-    torus = _torus()
     cases = [
         (vertices[:, :2], faces, "shape"),
         (vertices, faces[:0], "point cloud"),
         (vertices, faces + 5, f"refer to vertices 5 to {faces.max() + 5} of"),
         (vertices, faces - 1, "refer to vertices -1 to"),
         (vertices, every_edge_thrice, "more than two faces"),
-        (*torus, "disc"),
+        (*torus(), "disc"),
     ]
     for v, f, message in cases:
         with pytest.raises(ModelError, match=message):
@@ -206,20 +199,14 @@ def test_wrong_annotations_are_refused_with_the_reason():
             plain_model(vertices, faces, **extra)
 
 
-def _torus() -> tuple[np.ndarray, np.ndarray]:
+def torus() -> tuple[np.ndarray, np.ndarray]:
     """A ring with a bite taken out of its surface: one rim and a handle."""
-    count = 16
-    i, j = np.meshgrid(np.arange(count), np.arange(count), indexing="ij")
-    a, b = 2 * np.pi * i.ravel() / count, 2 * np.pi * j.ravel() / count
-    vertices = np.column_stack(
-        [(80 + 30 * np.cos(b)) * np.cos(a), (80 + 30 * np.cos(b)) * np.sin(a), 30 * np.sin(b)]
-    )
-
-    def at(p, q):
-        return ((p % count) * count + q % count).ravel()
-
-    quads = np.stack([at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)], 1)
-    kept = quads[(i.ravel() > 3) | (j.ravel() > 3)]
+    a, b = 2 * np.pi * np.indices((16, 16)).reshape(2, -1) / 16
+    far = 80 + 30 * np.cos(b)
+    vertices = np.column_stack([far * np.cos(a), far * np.sin(a), 30 * np.sin(b)])
+    i, j = np.indices((16, 16))
+    quads = [(16 * ((i + p) % 16) + (j + q) % 16).ravel() for p, q in ((0, 0), (1, 0), (1, 1), (0, 1))]
+    kept = np.stack(quads, 1)[(i > 3).ravel() | (j > 3).ravel()]
     return vertices, np.concatenate([kept[:, [0, 1, 2]], kept[:, [0, 2, 3]]])
 
 
@@ -244,11 +231,7 @@ def test_the_468_vertex_mask(shared_data):
 @pytest.mark.slow
 @pytest.mark.parametrize("part", ["face area", "inner face"])
 def test_the_generic_face(shared_data, part):
-    data = np.load(shared_data / "ict_faces.npz")
-    vertices, faces = data["shape_generic_neutral"].astype(float), data["faces"].astype(np.int64)
-    faces = faces[: int(data["face_area_faces"])]
-    if part == "inner face":
-        faces = faces[(faces < int(data["narrow_face_vertices"])).all(1)]
+    vertices, faces, data = generic_face(shared_data, part)
     model = AnnotatedFaceModel.from_mesh(vertices, faces, landmarks=data["landmarks68"].astype(np.int64))
     assert_sound(model)
     assert 800 <= len(model.control_vertices) <= 1200

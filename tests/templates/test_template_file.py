@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.meshes import obj_text
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo import AnnotatedFaceModel
@@ -15,10 +16,7 @@ def obj(tmp_path_factory):
     model = AnnotatedFaceModel.default()
     path = tmp_path_factory.mktemp("template") / "mine.obj"
     vertices = np.concatenate([model.control_vertices, [[0, 0, 0]]])
-    lines = [f"v {x} {y} {z}" for x, y, z in vertices]
-    lines += [f"vt {u} {v}" for u, v in model.uv]
-    lines += ["f " + " ".join(f"{i}/{i}" for i in face + 1) for face in model.control_faces]
-    path.write_text("\n".join(lines) + "\n")
+    path.write_text(obj_text(vertices, model.control_faces, model.uv))
     return path
 
 
@@ -65,8 +63,5 @@ def test_a_file_without_a_template_is_refused_by_name(tmp_path, text):
     path.write_text(text)
     with pytest.raises(ModelError, match="mine"):
         AnnotatedFaceModel.from_file(path)
-
-
-def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(ModelError, match=r"gone\.ply"):
         AnnotatedFaceModel.from_file(tmp_path / "gone.ply")

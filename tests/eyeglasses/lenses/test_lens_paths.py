@@ -154,7 +154,7 @@ def lens_of(glasses, side=0, keypoints=None, **options):
     return insert_lens(glasses.vertices, glasses.faces, marks, side, LensMaterial(), **options)
 
 
-@pytest.mark.parametrize("bend", [GlassesBend(), GlassesBend(temple_spread_mm=8, bridge_deg=2, twist_deg=4)])
+@pytest.mark.parametrize("bend", [GlassesBend(), GlassesBend(8, 2, 4)])
 def test_lenses_sit_in_their_rims(bend):
     for seed in range(4):
         glasses = eyeglasses(seed, bend=bend)

@@ -11,7 +11,7 @@ from scan2albedo.geometry.mesh import face_areas, face_normals
 from scan2albedo.geometry.rigid import compose, random_rotation, transform_points
 from scan2albedo.synthetic import GlassesBend, eyeglasses
 
-BENT = GlassesBend(temple_spread_mm=8, bridge_deg=2, twist_deg=4)
+BENT = GlassesBend(8, 2, 4)
 BAR_MM = 0.2
 
 

@@ -80,9 +80,9 @@ def test_each_view_and_each_lens_is_judged_by_itself():
     assert steps[0].reason.startswith("the mask of view 1 shows no left lens")
     assert steps[1].reason.startswith("the masks of views 1, 2 show no right lens")
     mesh, shown, _ = shown_frame(BARE, [full, empty, half], eyes)
-    added = [len(faces) - len(BARE.faces) for faces in shown]
-    assert added[1] == 0
-    assert added[0] == 2 * added[2] > 0
+    both, none, one = (len(faces) - len(BARE.faces) for faces in shown)
+    assert none == 0
+    assert both == 2 * one > 0
     assert len(mesh.points.rest) > len(BARE.vertices)
     np.testing.assert_allclose(mesh.points.weights.sum(1), 1)
 
