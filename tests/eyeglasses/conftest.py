@@ -1,20 +1,11 @@
 """Wire glasses: tubes along a path, with key points on them."""
 
-from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from scan2albedo.geometry.mesh import grid_faces, normalized
-
-
-@dataclass(frozen=True)
-class Glasses:
-    """A mesh (V, 3), (F, 3) in mm with key points (K, 3)."""
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    handles: np.ndarray
 
 
 def build_tube(path, radius=2.0, sides=12):
@@ -42,8 +33,10 @@ def tube():
 
 @pytest.fixture(scope="session")
 def glasses():
+    """A mesh (V, 3), (F, 3) in mm with key points (K, 3)."""
     corner = [[64 + 6 * np.sin(t), 0, 6 * np.cos(t) - 6] for t in np.linspace(0, np.pi / 2, 5)]
     right = np.array([*corner, [70, 0, -120]])
     vertices, faces = build_tube(np.concatenate([right[::-1] * [-1, 1, 1], right]))
     side = np.array([[70.0, 0, -118], [70, 0, -60], [66, 0, -2]])
-    return Glasses(vertices, faces, np.concatenate([side * [-1, 1, 1], [[0, 0, 0]], side[::-1]]))
+    handles = np.concatenate([side * [-1, 1, 1], [[0, 0, 0]], side[::-1]])
+    return SimpleNamespace(vertices=vertices, faces=faces, handles=handles)

@@ -2,6 +2,7 @@ import itertools
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy import sparse
 from scipy.optimize import lsq_linear
 
@@ -32,7 +33,7 @@ def test_agrees_with_a_dense_reference(seed):
         reference = lsq_linear(
             factor.T, np.linalg.solve(factor, right[:, k]), (0, 1), method="bvls", tol=1e-14
         ).x
-        np.testing.assert_allclose(found.x[:, k], reference, atol=1e-8)
+        assert_allclose(found.x[:, k], reference, atol=1e-8)
     assert found.residual.max() <= 1e-10
     assert ((found.x == 0) | (found.x == 1)).any()
 
@@ -49,7 +50,7 @@ def test_a_budget_keeps_the_best_so_far():
         found, meter = solve(sparse.csr_matrix(matrix), right, Budget(evaluations=evaluations))
         energies.append(energy(found.x))
         assert meter.evaluations <= evaluations
-        np.testing.assert_array_equal(found.x, np.clip(found.x, 0, 1))
+        assert_array_equal(found.x, np.clip(found.x, 0, 1))
     assert energies[0] < energy(start)
     assert all(a >= b for a, b in itertools.pairwise(energies))
 
@@ -58,7 +59,7 @@ def test_it_begins_at_the_clipped_solution():
     matrix = sparse.csr_matrix(np.diag([2.0, 4.0, 5.0]) + 0.5)
     inside = np.array([[0.2], [0.5], [0.9]])
     found = minimize_bounded(matrix, matrix @ inside, tolerance=1e-12, meter=Meter("test", "1"))
-    np.testing.assert_allclose(found.x, inside, rtol=1e-12)
+    assert_allclose(found.x, inside, rtol=1e-12)
     assert found.steps.sum() == 0
 
 

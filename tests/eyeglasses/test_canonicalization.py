@@ -6,7 +6,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from helpers.eyeglasses import posed, volume
+from helpers.eyeglasses import nearest_weights, posed, volume
+from helpers.measures import rms
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.core import Budget
@@ -47,10 +48,6 @@ def error_and_result(glasses, weights, options=MEAN):
     assert_allclose(result.mean_keypoints, glasses.rest_keypoints, atol=1e-9)
     (found,) = result.frames
     return np.linalg.norm(found.vertices - glasses.rest_vertices, axis=1), found
-
-
-def rms(error):
-    return np.sqrt(np.mean(error**2))
 
 
 @cache
@@ -129,9 +126,7 @@ def test_a_set_meets_at_its_mean_whatever_its_poses_and_order():
 
 def test_plan_and_result_name_widths_of_the_meshes_and_single_bridges():
     frames = [eyeglasses(0), eyeglasses(1, double_bridge=True)]
-    weights = [
-        np.eye(20)[np.linalg.norm(f.vertices[:, None] - f.keypoints, axis=2).argmin(1)] for f in frames
-    ]
+    weights = [nearest_weights(frame.vertices, frame.keypoints) for frame in frames]
     points = [frame.keypoints for frame in frames]
     mixed = canonicalize(frames, points, weights=weights, options=MEAN)
     (row,) = mixed.plan.of_stage("eyeglasses.bridges")

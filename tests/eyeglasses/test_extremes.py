@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from helpers.meshes import grid
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import bounded_biharmonic_weights, solve_weights
@@ -18,7 +19,6 @@ def plain(glasses):
 
 def weights_of(vertices, faces, handles, spacing=SPACING):
     weights = bounded_biharmonic_weights(vertices, faces, handles, spacing)
-    assert np.isfinite(weights).all()
     assert np.abs(weights.sum(1) - 1).max() <= 1e-12
     return weights
 
@@ -93,7 +93,7 @@ def test_every_face_a_part_of_its_own(glasses, plain):
 def test_unreferenced_vertices_do_not_move_the_lattice(glasses, plain):
     strays = np.array([[1e5, 0, 0], [0, 0, 0], [-70, 1, -118]])
     weights = weights_of(np.vstack([glasses.vertices, strays]), glasses.faces, glasses.handles)
-    np.testing.assert_array_equal(weights[: len(plain)], plain)
+    assert_array_equal(weights[: len(plain)], plain)
     assert weights[-1, 0] > 0.9
 
 
@@ -110,7 +110,7 @@ def test_a_floater_moves_in_one_piece_and_disturbs_nothing(tube, glasses, plain,
     dust, faces = tube([[-70, distance, -118], [-60, distance, -118]], radius=1.5, sides=6)
     found = solve_weights(*with_part(glasses, dust, faces), glasses.handles, SPACING)
     whole, own = np.split(found.weights, [len(plain)])
-    np.testing.assert_allclose(whole, plain, atol=1e-12)
+    assert_allclose(whole, plain, atol=1e-12)
     assert np.abs(own - own[0]).max() == 0
     assert own[0, 0] > 0.5
     assert found.plan[1].evidence == f"1 parts, {len(dust)} vertices"

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.eyeglasses import nearest_weights
 from helpers.schemas import check_schema
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -26,10 +27,10 @@ CAMERAS = np.stack([look_at([x, 40, 500], [0, 0, -60], focal_px=500.0, shape=SHA
 
 
 def registered(masks=None, **options):
-    nearest = np.linalg.norm(GLASSES.vertices[:, None] - GLASSES.keypoints, axis=2).argmin(1)
     labels = np.stack([project(camera, GLASSES.keypoints)[0] for camera in CAMERAS])
     labels[1, 4:9] = np.nan
-    frame = (GLASSES.vertices, GLASSES.faces, GLASSES.keypoints, np.eye(20)[nearest])
+    weights = nearest_weights(GLASSES.vertices, GLASSES.keypoints)
+    frame = (GLASSES.vertices, GLASSES.faces, GLASSES.keypoints, weights)
     return register_on_face(frame, labels, masks, CAMERAS, **options)
 
 

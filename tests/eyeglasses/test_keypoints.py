@@ -9,6 +9,7 @@ from helpers.cli import invoke
 from helpers.commands import succeeded
 from helpers.eyeglasses import posed
 from helpers.schemas import check_schema
+from numpy.testing import assert_array_equal
 from scipy.sparse.csgraph import connected_components
 
 from scan2albedo.cli.commands import main
@@ -28,21 +29,21 @@ def test_the_skeleton_joins_all_20_and_is_symmetric():
     edges[tuple(np.transpose(SKELETON))] = True
     edges |= edges.T
     assert connected_components(edges)[0] == 1
-    np.testing.assert_array_equal(edges[np.ix_(MIRROR, MIRROR)], edges)
+    assert_array_equal(edges[np.ix_(MIRROR, MIRROR)], edges)
 
 
 def test_files_keep_key_points_and_fit_their_schema(tmp_path):
     points = np.random.default_rng(0).normal(0, 50, (20, 3))
     points[4] = np.nan
     write_keypoints(tmp_path / "a.json", points)
-    np.testing.assert_array_equal(read_keypoints(tmp_path / "a.json"), points)
+    assert_array_equal(read_keypoints(tmp_path / "a.json"), points)
     wrong = {"surprise": 1}, {"key_points": {"nose": [1, 2, 3]}}, {"unit": "inch"}
     tree = check_schema(tmp_path / "a.json", "eyeglasses_keypoints", *wrong)
     # A name left out is a missing key point.
     del tree["key_points"]["left_hinge"]
     (tmp_path / "a.json").write_text(json.dumps(tree))
     points[KEY_POINT_NAMES.index("left_hinge")] = np.nan
-    np.testing.assert_array_equal(read_keypoints(tmp_path / "a.json"), points)
+    assert_array_equal(read_keypoints(tmp_path / "a.json"), points)
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ import pytest
 import trimesh
 from helpers.cli import invoke
 from helpers.commands import refusal, succeeded
+from helpers.measures import row_lengths
 from helpers.records import read_json
 from helpers.schemas import check_schema
 
@@ -30,7 +31,7 @@ def proposed(vertices, faces, unit="mm", seed=0):
 
 def judged(points, found, truth, limit):
     """Whether errors are small, and no point is both far off and sure of itself."""
-    error = np.linalg.norm(points - truth, axis=1)
+    error = row_lengths(points - truth)
     assert np.median(error) < limit
     assert ((error < 2) | (error < 3 * found.deviation)).all()
     assert np.median(found.deviation) < 2.5
@@ -78,7 +79,7 @@ def test_a_front_alone_has_no_temples_and_says_so():
     points, found = proposed(glasses.vertices, glasses.faces[kept], "mm", seed=4)
     assert np.isnan(points[BEHIND]).all()
     assert np.isinf(found.deviation[BEHIND]).all()
-    error = np.linalg.norm(points - glasses.keypoints, axis=1)
+    error = row_lengths(points - glasses.keypoints)
     assert np.delete(error, [*BEHIND, 7, 16]).max() < 4
 
 
@@ -89,7 +90,7 @@ def test_of_a_rim_in_pieces_what_is_there_is_found_and_the_rest_is_unsure():
     # 40 degrees of the left rim, about its lowest place.
     lost = (np.abs(np.arctan2(away[:, 0], -away[:, 1])) < np.deg2rad(20)) & (np.abs(away[:, 0]) < 30)
     points, found = proposed(glasses.vertices, glasses.faces[~lost], "cm", seed=5)
-    error = np.linalg.norm(points - glasses.keypoints, axis=1)
+    error = row_lengths(points - glasses.keypoints)
     honest = error < 3 * found.deviation
     bottom = KEY_POINT_NAMES.index("left_rim_bottom")
     assert np.isinf(found.deviation[bottom]) or honest[bottom]

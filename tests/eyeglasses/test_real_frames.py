@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.measures import rms, row_lengths
 
 from scan2albedo.eyeglasses import bounded_biharmonic_weights, solve_weights
 from scan2albedo.io import load_scan
@@ -19,7 +20,7 @@ def test_weights_meet_the_bars_and_bend_the_frame_as_on_a_coarser_lattice(shared
     chosen = [int(np.argmin(scan.vertices[:, 0]))]
     distance = np.full(len(scan.vertices), np.inf)
     for _ in range(19):
-        distance = np.minimum(distance, np.linalg.norm(scan.vertices - scan.vertices[chosen[-1]], axis=1))
+        distance = np.minimum(distance, row_lengths(scan.vertices - scan.vertices[chosen[-1]]))
         chosen.append(int(np.argmax(distance)))
     points = scan.vertices[chosen]
     found = solve_weights(scan.vertices, scan.faces, points, spacing)
@@ -33,11 +34,11 @@ def test_weights_meet_the_bars_and_bend_the_frame_as_on_a_coarser_lattice(shared
     side = (points - (points.min(0) + points.max(0)) / 2) / np.ptp(points, axis=0)
     shift = np.stack([6 * side[:, 0] * side[:, 2], -3 * np.abs(side[:, 0]), np.zeros(20)], 1)
     coarser = bounded_biharmonic_weights(scan.vertices, scan.faces, points, 1.2 * spacing)
-    apart = np.linalg.norm((coarser - found.weights) @ shift, axis=1)
+    apart = row_lengths((coarser - found.weights) @ shift)
     assert apart.max() < 0.3
-    assert np.sqrt(np.mean(apart**2)) < 0.1
+    assert rms(apart) < 0.1
     # The bend keeps edges long.
     edges = np.sort(scan.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     moved = scan.vertices + found.weights @ shift
-    before, after = (np.linalg.norm(v[edges[:, 0]] - v[edges[:, 1]], axis=1) for v in (scan.vertices, moved))
+    before, after = (row_lengths(v[edges[:, 0]] - v[edges[:, 1]]) for v in (scan.vertices, moved))
     assert np.abs(after - before).max() < 0.5

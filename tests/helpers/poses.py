@@ -3,7 +3,9 @@
 import numpy as np
 
 from scan2albedo import RawScan
-from scan2albedo.geometry.rigid import invert_rigid, rotation_angle_rad, transform_points
+from scan2albedo.geometry.rigid import Similarity, invert_rigid, rotation_angle_rad, transform_points
+
+REST = Similarity(np.eye(3), np.zeros(3))
 
 
 def assert_near(found, expected, degrees, millimetres):

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.testing import assert_allclose, assert_array_equal
 from skimage.metrics import structural_similarity
 
 from scan2albedo.errors import RecognitionError
@@ -131,8 +132,8 @@ def test_many_blocks_hold_what_pairs_hold():
     # 17 blocks of 64 in the first set, of which 16 are prepared at once; 3 in the second.
     a, b = random_templates(4, 1030, (6, 7)), random_templates(5, 131, (6, 7))
     at_once = similarity_matrix(a, b, window=3)
-    np.testing.assert_array_equal(similarity_matrix(a.select(range(1020, 1030)), b, window=3), at_once[1020:])
-    np.testing.assert_allclose(similarity_matrix(b, a, window=3).T, at_once, atol=2e-6)
+    assert_array_equal(similarity_matrix(a.select(range(1020, 1030)), b, window=3), at_once[1020:])
+    assert_allclose(similarity_matrix(b, a, window=3).T, at_once, atol=2e-6)
     for i, j in ((0, 0), (1023, 130), (1024, 64), (5, 64)):
         pair = similarity_matrix(a.select([i]), b.select([j]), window=3)
         assert pair[0, 0] == pytest.approx(at_once[i, j], abs=1e-7)

@@ -16,7 +16,7 @@ from scan2albedo.reflectance import reflectance_from_albedo, shade_environment
 LIGHTS = 20000
 
 
-def smooth_light(seed: int, highest: int = 4) -> np.ndarray:
+def smooth_light(seed, highest=4):
     """Positive light whose harmonics fade, as those of environments do."""
     light = 0.15 * np.random.default_rng(seed).normal(size=(81, 3))
     light[(highest + 1) ** 2 :] = 0

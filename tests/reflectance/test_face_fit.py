@@ -1,9 +1,10 @@
 """An unknown face from one photograph: what parts left out decide, and what stays the mean face."""
 
-import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial import Delaunay
 from worlds.environments import generated_environment
 
@@ -103,7 +104,7 @@ def test_the_mean_face_stays_where_nothing_is_better(mean, fitted):
     assert not found.beats_mean
     assert found.details is None
     assert is_mean(found)
-    np.testing.assert_array_equal(found.reflectance.diffuse_linear, mean.diffuse_linear)
+    assert_array_equal(found.reflectance.diffuse_linear, mean.diffuse_linear)
     assert [step.ran for step in found.plan] == [False, False, False]
     assert all("do not predict" in step.reason and "blocks" in step.evidence for step in found.plan[:2])
 
@@ -111,7 +112,7 @@ def test_the_mean_face_stays_where_nothing_is_better(mean, fitted):
 def test_grey_shade_is_not_taken_for_skin(mean, fitted):
     taken = picture(mean, 5)
     shaded = taken.observed_linear * np.exp(waves(51, (7, 8), 0.15))[:, None]
-    found = fitted(dataclasses.replace(taken, observed_linear=shaded))
+    found = fitted(replace(taken, observed_linear=shaded))
     assert not found.plan.ran("reflectance.image.details")
 
 
@@ -119,7 +120,7 @@ def test_a_person_that_explains_less_than_the_mean_face_is_left_out(person, fitt
     def astray(observation, one, *rest, **options):
         found = fit_image(observation, one, *rest, **options)
         worse = one.components > 0 and observation.seen.sum() == SEEN.sum()
-        return dataclasses.replace(found, objective=1e3) if worse else found
+        return replace(found, objective=1e3) if worse else found
 
     assert fitted(picture(person, 3)).plan.ran("reflectance.image.person")
     monkeypatch.setattr("scan2albedo.reflectance.face_fit.fit_image", astray)
@@ -155,7 +156,7 @@ def test_too_little_of_a_face_gives_the_mean(fitted, monkeypatch):
 def test_another_mesh_is_refused(model, lighting):
     taken = picture(skin(), 3)
     half = np.arange(len(VERTICES)) < len(VERTICES) // 2
-    upper, elsewhere = dataclasses.replace(taken, seen=SEEN & half), dataclasses.replace(model, known=~half)
+    upper, elsewhere = replace(taken, seen=SEEN & half), replace(model, known=~half)
     spoilt = np.where(np.arange(len(VERTICES))[:, None] == 5, np.nan, VERTICES)
     for observed, one, mesh, words in (
         (taken, model, (VERTICES[:9], [[0, 1, 2]]), "one topology"),
@@ -195,7 +196,7 @@ def test_light_changes_by_its_slope_where_positions_are_off():
     assert (found[~there] == 0).all()
     expected = np.einsum("cvi,dvi->vcd", along, along)[there]
     assert np.linalg.norm(found[there] - expected) < 0.5 * np.linalg.norm(expected)
-    np.testing.assert_allclose(found[there].mean(0), expected.mean(0), atol=0.12 * expected.max())
+    assert_allclose(found[there].mean(0), expected.mean(0), atol=0.12 * expected.max())
 
 
 def test_the_mean_face_gets_the_hue_of_its_skin(model, fitted):
@@ -210,7 +211,7 @@ def test_the_mean_face_gets_the_hue_of_its_skin(model, fitted):
     assert "factors of red, green, blue" in step.evidence
     toned = found.fit.face.reflectance.diffuse_linear / model.diffuse.mean
     hue = np.log(toned[SEEN][0]) - np.log(toned[SEEN][0]).mean()
-    np.testing.assert_allclose(toned[SEEN], np.broadcast_to(toned[SEEN][0], toned[SEEN].shape))
+    assert_allclose(toned[SEEN], np.broadcast_to(toned[SEEN][0], toned[SEEN].shape))
     assert 0.4 < hue @ redder / (redder @ redder) < 1.1
     assert found.relative_rmse < 0.05
 

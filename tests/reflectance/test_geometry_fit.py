@@ -1,10 +1,12 @@
 """Geometry from one image: derivatives, truth found again, every extreme, bad input."""
 
 import dataclasses
+from dataclasses import replace
 from typing import get_args
 
 import numpy as np
 import pytest
+from helpers.measures import rms, row_lengths
 from numpy.testing import assert_allclose, assert_array_equal
 from worlds.environments import generated_environment
 
@@ -48,7 +50,7 @@ def model():
         TO_SURFACE @ face_shape.person(AFM, rng, strength=0.0, expression=name) - REST
         for name in get_args(face_shape.Expression)[1:]
     ]
-    nearest = np.linalg.norm(REST - AFM.landmarks[:, None], axis=2).argmin(1)
+    nearest = row_lengths(REST - AFM.landmarks[:, None]).argmin(1)
     return MorphableShapeModel.from_samples(neutral, offsets, FACES, nearest)
 
 
@@ -109,7 +111,7 @@ def lit(model, face):
 def vertex_error(vertices, truth):
     """Mean distance in mm after the best similarity: size and distance cannot be told apart in one image."""
     aligned = transform_points(procrustes(vertices, truth, scale=True), vertices)
-    return np.linalg.norm(aligned - truth, axis=1).mean()
+    return row_lengths(aligned - truth).mean()
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -188,8 +190,8 @@ def test_the_result_holds_together(model, face, lit):
     assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
     assert_array_equal(fit.normals, vertex_normals(fit.vertices, FACES))
     pixels, _ = project(CAMERA, fit.vertices[model.landmark_vertices])
-    assert_allclose(fit.landmark_error_px, np.linalg.norm(pixels - face.landmarks, axis=1))
-    assert fit.landmark_rmse_px == pytest.approx(np.sqrt(np.mean(fit.landmark_error_px**2)))
+    assert_allclose(fit.landmark_error_px, row_lengths(pixels - face.landmarks))
+    assert fit.landmark_rmse_px == pytest.approx(rms(fit.landmark_error_px))
     assert fit.trace.stages == ("reflectance.geometry.landmarks", "reflectance.geometry.photometry")
     again = refine(face, model, **LIT)
     assert_array_equal(again.vertices, fit.vertices)
@@ -289,18 +291,18 @@ def test_missing_pixels_are_left_out(model, face, alone, lit):
 
 def test_vertices_without_known_reflectance_are_left_out(model, face):
     known = REST[:, 1] > 0
-    half = dataclasses.replace(SKIN, known=known)
+    half = replace(SKIN, known=known)
     fit = refine(face, model, reflectance=half, light=LIGHT)
     assert fit.plan.ran("reflectance.geometry.photometry")
     assert np.isfinite(fit.vertices).all()
 
 
 def test_models_without_directions_move_the_pose_alone(model, face):
-    rigid = dataclasses.replace(model, basis=model.basis[:0], identity_components=0)
+    rigid = replace(model, basis=model.basis[:0], identity_components=0)
     fit = refine(face, rigid, **LIT)
     assert_allclose(fit.vertices, transform_points(fit.scene_from_model, model.mean), atol=1e-9)
     expressions = model.basis[model.identity_components :]
-    only_expressions = dataclasses.replace(model, basis=expressions, identity_components=0)
+    only_expressions = replace(model, basis=expressions, identity_components=0)
     fit = refine(face, only_expressions, **LIT)
     assert fit.identity.shape == (0,)
     assert vertex_error(fit.vertices, face.vertices) < vertex_error(model.mean, face.vertices)

@@ -1,6 +1,6 @@
 """The model against a plain SVD, with gaps, without lobes, of few samples, and on disk."""
 
-import dataclasses
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -108,7 +108,7 @@ def test_gaps_neither_move_the_mean_nor_pass_for_numbers():
 def test_a_reflectance_with_gaps_is_projected_from_what_it_knows():
     samples = faces(10, rank=3)
     model = learned(samples)
-    part, single = (dataclasses.replace(samples[3], known=np.arange(60) < count) for count in (20, 1))
+    part, single = (replace(samples[3], known=np.arange(60) < count) for count in (20, 1))
     found = model.project(part).reflectance
     assert_allclose(found.diffuse_linear, samples[3].diffuse_linear, rtol=1e-6)
     assert np.abs(model.project(single, prior=1e-6).coefficients).max() < 10
@@ -129,7 +129,7 @@ def test_a_lobe_that_one_sample_lacks_is_a_gap_in_its_shares_only():
     samples = faces(4)
     weights = samples[0].weights.copy()
     weights[7] = 0
-    samples[0] = dataclasses.replace(samples[0], weights=weights)
+    samples[0] = replace(samples[0], weights=weights)
     model = learned(samples)
     share = np.mean([s.weights[7] / s.weights[7].sum() for s in samples[1:]], axis=0)
     assert_allclose(model.mean[7, 4:], share, rtol=1e-12)

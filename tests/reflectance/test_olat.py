@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance import OlatOptions, extract_olat
@@ -21,7 +22,7 @@ def shown():
 def test_flash_light_is_recovered(gamma):
     pictures = ((FLASH + ROOM) ** (1 / gamma), ROOM ** (1 / gamma))
     olat = extract_olat(*pictures, options=OlatOptions(gamma=gamma))
-    np.testing.assert_allclose(olat.linear, FLASH, atol=1e-6)
+    assert_allclose(olat.linear, FLASH, atol=1e-6)
     assert olat.valid.all()
     assert olat.diagnostics == ()
 
@@ -118,7 +119,7 @@ def test_integers_are_parts_of_their_largest():
     for value in (np.uint8(51), np.uint16(13107)):
         pictures = np.full((1, 2, 2, 3), value)
         olat = extract_olat(pictures, np.zeros_like(pictures[0]))
-        np.testing.assert_allclose(olat.linear, 0.2**1.2, rtol=1e-6)
+        assert_allclose(olat.linear, 0.2**1.2, rtol=1e-6)
 
 
 def test_values_beyond_white_need_a_saturation():

@@ -10,7 +10,6 @@ from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import look_at, pixel_directions, pixel_grid, project
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.reflectance import light_transfer, observe_photograph
-from scan2albedo.reflectance.vertex_visibility import VertexVisibility
 
 DIRECTIONS = distant_directions(3000)
 HULL = ConvexHull(DIRECTIONS).simplices
@@ -63,13 +62,6 @@ def test_colours_are_those_of_the_surface_and_nothing_hidden_is_seen(image):
     cosine = -np.einsum("vi,vi->v", NORMALS, sight)
     should = HEAD & ~hidden & (cosine > 0.1)
     assert seen.sum() > 0.85 * should.sum()
-
-
-def test_without_a_margin_edges_spoil_colours(image, monkeypatch):
-    monkeypatch.setattr(VertexVisibility.seen, "__defaults__", (0.0,))
-    found = observe(image, normals=NORMALS)
-    seen = found.seen & HEAD
-    assert np.abs(found.observed_linear[seen] - color(NORMALS[seen])).max() > 0.1
 
 
 def test_tone_and_integers(image):

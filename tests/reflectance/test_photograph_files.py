@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from helpers import json_files
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import ReflectanceError, ScanError
 from scan2albedo.io.glb import write_glb
@@ -65,8 +66,8 @@ def test_the_folder_of_a_processed_scan_stands_for_its_fitted_mesh(folder):
     for mesh in ("scan", "scan/fitted.glb"):
         file = changed(folder, lambda content, mesh=mesh: content.update(mesh=mesh))
         found.append(read_photograph(file).vertices)
-    np.testing.assert_array_equal(*found)
-    np.testing.assert_allclose(np.ptp(found[0], axis=0), 100, rtol=1e-5)
+    assert_array_equal(*found)
+    assert_allclose(np.ptp(found[0], axis=0), 100, rtol=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """Reflectances of meshes as files."""
 
-import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -56,10 +56,10 @@ def test_a_fit_keeps_its_deviations(tmp_path):
 
 def test_what_a_photograph_shows_is_kept_apart_from_what_a_model_adds(mesh, tmp_path):
     seen = np.array([True, False, False, True])
-    write_reflectance(tmp_path / "face.npz", dataclasses.replace(mesh, seen=seen))
+    write_reflectance(tmp_path / "face.npz", replace(mesh, seen=seen))
     assert_array_equal(read_reflectance(tmp_path / "face.npz").seen, seen)
     with pytest.raises(ReflectanceError, match=r"seen is bool \(3,\)"):
-        dataclasses.replace(mesh, seen=seen[:3])
+        replace(mesh, seen=seen[:3])
 
 
 def test_damaged_and_other_files_are_refused_by_name(mesh, tmp_path):

@@ -5,7 +5,6 @@ import pytest
 from bench.flash_captures import MEAN, PRIOR, design, normal_equations
 from numpy.testing import assert_allclose
 from scipy.optimize import nnls
-from worlds.flash_captures import head_capture, of_pairs, samples_of
 
 from scan2albedo.reflectance import VertexSamples
 from scan2albedo.reflectance.vertex_kernels import reweigh, solve_bounded, solve_free
@@ -47,24 +46,6 @@ def test_every_set_of_bounds_is_met():
     """The test above means something only if many of the 64 sets occur."""
     found = [bounded(random_samples(1, count=400, dark=dark))[0] == 0 for dark in (0.0, 0.3, 0.8)]
     assert len(np.unique(np.concatenate(found), axis=0)) > 40
-
-
-def test_heads_with_black_channels_agree_too():
-    capture = of_pairs(head_capture(200, black=0.5), np.arange(0, 99, 4))
-    estimate, expected = bounded(samples_of(capture, noise=0.03))
-    assert (estimate[:, :3] == 0).any(1).sum() > 20
-    assert_allclose(estimate, expected, atol=1e-9)
-
-
-def test_the_posterior_without_bounds_is_that_of_the_dense_system():
-    samples = random_samples(3)
-    center, deviation = np.empty((2, 60, 6))
-    solve_free(normal_equations(samples), MEAN, PRIOR, center, deviation)
-    for v in range(60):
-        rows, right = design(samples, v)
-        assert_allclose(center[v], np.linalg.lstsq(rows, right)[0], atol=1e-9)
-        covariance = np.linalg.inv(rows.T @ rows)
-        assert_allclose(deviation[v], np.sqrt(np.diag(covariance)), rtol=1e-8)
 
 
 @pytest.mark.parametrize("column", [1, 2, 3])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance import (
@@ -16,8 +17,8 @@ ONES = np.ones((3, 3))
 
 def test_what_is_not_known_has_no_number():
     reflectance = VertexReflectance(np.ones((2, 3)), np.zeros((2, 3)), np.array([True, False]))
-    np.testing.assert_array_equal(reflectance.diffuse_linear, [[1] * 3, [np.nan] * 3])
-    np.testing.assert_array_equal(reflectance.weights, [[0] * 3, [np.nan] * 3])
+    assert_array_equal(reflectance.diffuse_linear, [[1] * 3, [np.nan] * 3])
+    assert_array_equal(reflectance.weights, [[0] * 3, [np.nan] * 3])
 
 
 @pytest.mark.parametrize(
@@ -58,7 +59,7 @@ def test_one_set_of_weights_serves_all_known_vertices():
     albedo[1, 2] = np.nan
     reflectance = reflectance_from_albedo(albedo, weights=[0.1, 0.2, 0.3])
     assert reflectance.known.tolist() == [True, False, True, True]
-    np.testing.assert_array_equal(reflectance.weights[3], [0.1, 0.2, 0.3])
+    assert_array_equal(reflectance.weights[3], [0.1, 0.2, 0.3])
     fewer = reflectance_from_albedo(albedo, known=np.arange(4) == 2)
     assert fewer.known.sum() == 1
 

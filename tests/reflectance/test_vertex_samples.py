@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.plates import plate
+from numpy.testing import assert_allclose
 from worlds.two_balls import (
     BALL,
     BALL_RADIUS,
@@ -107,7 +108,7 @@ def test_sampling_is_the_same_far_from_the_origin(scene, look_up, samples):
     moved = look_up(rig=rig, vertices=scene.vertices + shift)
     assert (moved.valid == samples.valid).mean() > 0.9999
     both = moved.valid & samples.valid
-    np.testing.assert_allclose(moved.observed_linear[both], samples.observed_linear[both], atol=1e-6)
+    assert_allclose(moved.observed_linear[both], samples.observed_linear[both], atol=1e-6)
 
 
 def test_a_bad_pixel_takes_its_neighbours_channel_only(look_up, olat, samples):
@@ -164,7 +165,7 @@ def test_normals_of_the_mesh_are_used_when_none_are_given(look_up, samples):
     found = look_up(normals=None)
     both = found.valid.all(-1) & samples.valid.all(-1)
     assert both.sum() > 0.9 * samples.valid.all(-1).sum()
-    np.testing.assert_allclose(found.lobes[both], samples.lobes[both], atol=0.2)
+    assert_allclose(found.lobes[both], samples.lobes[both], atol=0.2)
 
 
 def test_a_vertex_without_a_normal_is_not_seen(scene, look_up):

@@ -11,7 +11,7 @@ from scan2albedo.geometry.mesh import join, normalized
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 
 
-def scan_of(mesh, name: str) -> RawScan:
+def scan_of(mesh, name):
     return RawScan(np.asarray(mesh.vertices), np.asarray(mesh.faces), name=name)
 
 

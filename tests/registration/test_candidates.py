@@ -5,7 +5,7 @@ import builtins
 import numpy as np
 import pytest
 from helpers.meshes import sphere
-from helpers.poses import assert_near
+from helpers.poses import REST, assert_near
 
 from scan2albedo import RawScan
 from scan2albedo.errors import MissingDependencyError, NoFaceError, import_open3d
@@ -76,8 +76,7 @@ def test_colours_are_asked_only_in_doubt_and_then_tell_upside_down_from_upright(
 def test_a_scan_without_colours_says_nothing(synthetic_scan, model):
     scan = synthetic_scan(3).scan
     bare = prepared_scan(RawScan(scan.vertices, scan.faces), RegistrationOptions())
-    rest = Similarity(np.eye(3), np.zeros(3))
-    doubtful = (looked_at(rest, 0.3),)
+    doubtful = (looked_at(REST, 0.3),)
     assert rescored(doubtful, bare, model.front, lambda: colour_scorer(bare.raw, model)) is doubtful
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.poses import REST
 
 from scan2albedo.core import Budget, Meter
 from scan2albedo.geometry.rigid import Similarity, invert_rigid, rotation_angle_rad, rotation_from_vector
@@ -10,8 +11,6 @@ from scan2albedo.registration import RegistrationOptions
 from scan2albedo.registration.depth_annealing import REACH, DepthDerivativeObjective, annealed
 from scan2albedo.registration.icp import rigid_distance_mm
 from scan2albedo.registration.inputs import prepared_scan
-
-REST = Similarity(np.eye(3), np.zeros(3))
 
 
 def test_the_objective_is_zero_at_the_truth_and_grows_away_from_it(template):

@@ -43,7 +43,7 @@ def test_millimetres_centimetres_and_metres(plain, model, unit_mm):
 def test_a_scan_taken_for_millimetres_is_refused_at_once_with_box_and_unit(
     plain, model, monkeypatch, unit, factor
 ):
-    def searched(*_: object) -> None:
+    def searched(*_):
         raise AssertionError("the size must be looked at before the search")
 
     monkeypatch.setattr(import_module("scan2albedo.registration.register"), "coarse_poses", searched)

@@ -5,13 +5,13 @@ import pytest
 import trimesh
 from helpers.meshes import grid, sphere
 from helpers.plates import FACES
+from helpers.poses import REST
 from numpy.testing import assert_allclose
 
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.oriented_points import SurfaceNoise
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import (
-    Similarity,
     compose,
     random_rotation,
     rotation_from_vector,
@@ -19,8 +19,6 @@ from scan2albedo.geometry.rigid import (
 )
 from scan2albedo.registration.candidates import Candidate
 from scan2albedo.registration.relief import DepthFrame, FaceImage, depth_image, without_quadratic_trend
-
-POSE = Similarity(np.eye(3), np.zeros(3))
 
 
 def pixel_centres(frame):
@@ -81,7 +79,7 @@ def test_neighbouring_faces_leave_no_pixel_between_them(jitter):
 
 
 @pytest.fixture(scope="module")
-def image(model) -> FaceImage:
+def image(model):
     return FaceImage(*model.surface(1))
 
 
@@ -96,7 +94,7 @@ def test_depth_along_the_view_matters_only_when_it_is_far(image, model):
 )
 def test_a_wrongly_turned_model_is_no_face(image, model, turn):
     pose = compose(rotation_from_vector(turn), np.zeros(3))
-    assert Candidate(POSE, image.agreement(*model.surface(1), pose), 0.0).ranking < 0.5
+    assert Candidate(REST, image.agreement(*model.surface(1), pose), 0.0).ranking < 0.5
 
 
 def test_smooth_bodies_have_no_relief(image, model):
@@ -114,7 +112,7 @@ def test_half_a_face_scores_nearly_as_a_whole_one(image, model):
     half = faces[(vertices[faces][..., 0] > 0).all(1)]
     scores = image.agreement(vertices, half, np.eye(4))
     assert 0.4 < scores.coverage < 0.6
-    assert Candidate(POSE, scores, 0.0).ranking > 0.7
+    assert Candidate(REST, scores, 0.0).ranking > 0.7
 
 
 def test_trend_removal_leaves_nothing_of_a_quadratic():

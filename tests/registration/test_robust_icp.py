@@ -2,16 +2,15 @@
 
 import numpy as np
 import pytest
+from helpers.poses import REST
 from numpy.testing import assert_allclose
 
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import Similarity, random_rotation, rotation_from_vector
 from scan2albedo.registration.icp import icp, residuals, rigid_distance_mm
 
-REST = Similarity(np.eye(3), np.zeros(3))
 
-
-def scan_of(samples: OrientedPoints, pose: Similarity) -> OrientedPoints:
+def scan_of(samples, pose):
     points = pose.scale * samples.points @ pose.rotation.T + pose.translation
     return OrientedPoints(points, samples.normals @ pose.rotation.T, samples.areas)
 

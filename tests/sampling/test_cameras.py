@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.measures import row_lengths
 from helpers.patches import patch
 
 from scan2albedo.core.geometry_image import NO_CAMERA
@@ -43,8 +44,8 @@ def photographed(noise_px=0.0):
 def test_two_photographs_side_by_side(noise_px, off_mm):
     scan, taken = photographed(noise_px=noise_px)
     face_camera, positions = texture_cameras(scan)
-    order = [int(np.linalg.norm(positions - place, axis=1).argmin()) for place in PLACES]
-    assert np.linalg.norm(positions[order] - PLACES, axis=1).max() < off_mm
+    order = [int(row_lengths(positions - place).argmin()) for place in PLACES]
+    assert row_lengths(positions[order] - PLACES).max() < off_mm
     assert (face_camera == np.array(order)[taken]).mean() > 0.99
     assert set(face_camera) <= {-1, 0, 1}
 
@@ -68,7 +69,7 @@ def test_corners_that_were_moved_afterwards_do_not_lead_it_astray():
     vertices = scan.vertices.copy()
     vertices[::40] += np.random.default_rng(1).normal(0, 8, vertices[::40].shape)
     face_camera, positions = texture_cameras(replace(scan, vertices=vertices))
-    distance = np.linalg.norm(positions[:, None] - PLACES, axis=2).min(1)
+    distance = row_lengths(positions[:, None] - PLACES).min(1)
     assert distance.max() < 1.0
     assert (face_camera >= 0).mean() > 0.97
 
@@ -118,7 +119,7 @@ def test_texels_know_their_camera_in_the_models_frame(seed):
     image = geometry_image(patch(hill, model_from_scan=pose), posed, size=40)
     assert (image.camera != NO_CAMERA).mean() > 0.99
     toward = image.toward_camera((0, 0, 1))
-    nearest = np.linalg.norm(PLACES[:, None] - image.camera_positions, axis=2).argmin(1)
+    nearest = row_lengths(PLACES[:, None] - image.camera_positions).argmin(1)
     for place, number in zip(PLACES, nearest, strict=True):
         there = image.camera[image.mask] == number
         away = place - image.position[image.mask][there]
@@ -131,5 +132,5 @@ def test_without_a_model_too():
     scan, _ = photographed()
     image = geometry_image_of_scan(scan, size=64)
     moved = scan.vertices.mean(0)
-    apart = np.linalg.norm(image.camera_positions[:, None] + moved - PLACES, axis=2).min(1)
+    apart = row_lengths(image.camera_positions[:, None] + moved - PLACES).min(1)
     assert apart.max() < 0.1

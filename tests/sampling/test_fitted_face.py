@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.measures import row_lengths
 from helpers.patches import FlatAnnotation, Patch, patch, textured_scan
 from helpers.plates import CORNERS, FACES, plate
 from numpy.testing import assert_allclose, assert_array_equal
@@ -145,14 +146,14 @@ def test_a_dense_scan_is_looked_up_as_an_ordinary_one_is():
 def test_a_hole_in_the_scan_and_what_the_fit_left_out_are_unseen():
     whole, covered = patch(), patch()
     scan = textured_scan(whole, WHITE)
-    hole = np.linalg.norm(whole.vertices[whole.faces].mean(1), axis=1) < 15
+    hole = row_lengths(whole.vertices[whole.faces].mean(1)) < 15
     covered.covered_faces = hole
     for fitted, given in (
         (whole, replace(scan, faces=scan.faces[~hole], uv=scan.uv[~hole])),
         (covered, scan),
     ):
         image = geometry_image(fitted, given, size=100)
-        radius = np.linalg.norm(image.position, axis=-1)
+        radius = row_lengths(image.position)
         assert not image.texture_valid[radius < 12].any()
         assert image.texture_valid[radius > 18].all()
 
@@ -176,7 +177,7 @@ def test_vertex_colours_serve_where_there_is_no_texture():
 def test_colours_that_no_picture_showed_are_taken_from_around():
     given = patch()
     colors = np.tile(np.float32([0.5, 0.4, 0.3]), (len(given.vertices), 1))
-    hole = np.linalg.norm(given.vertices, axis=1) < 20
+    hole = row_lengths(given.vertices) < 20
     colors[hole] = [1.0, 0.2, 0.0]
     bare = RawScan(given.vertices, given.faces, vertex_color_linear=colors)
     image = geometry_image(given, replace(bare, color_seen=~hole), 64)

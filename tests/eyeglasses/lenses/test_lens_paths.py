@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.measures import row_lengths
 from helpers.plates import plate
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -163,8 +164,8 @@ def test_lenses_sit_in_their_rims(bend):
             off = np.asarray(lens.optics.center) - glasses.lens_centers[side]
             assert np.linalg.norm(off) < 2.5
             assert lens.optics.normal[2] > 0.9
-            inner = np.linalg.norm(lens.rim.points - lens.rim.center, axis=1)
-            seated = np.linalg.norm(lens.vertices[1:] - lens.rim.center, axis=1)
+            inner = row_lengths(lens.rim.points - lens.rim.center)
+            seated = row_lengths(lens.vertices[1:] - lens.rim.center)
             assert_allclose((seated - inner)[lens.rim.measured], 0.295, atol=0.015)
             pupil = glasses.lens_centers[side] + [4.0, -3, 5]
             moved = lens_of(glasses, side, center=pupil, seat_mm=0.3)

@@ -61,22 +61,22 @@ def test_a_scene_does_what_the_reference_says():
     on = scene.surface_of_face[rays.hits.face] == 1
     colors = LitScene(scene, lenses, DistantLights(toward, light), None).seen(rays)
     normal, ways = np.array([0, 0, 1.0]), set()
-    expected_bare = expected = np.zeros(3)
-    for k in range(30):
-        n_l, n_v, l_v = toward[k] @ normal, -directions @ normal, -directions @ toward[k]
+    bare = shaded = np.zeros(3)
+    for way, sent in zip(toward, light, strict=True):
+        n_l, n_v, l_v = way @ normal, -directions @ normal, -directions @ way
         if n_l <= 0:
             continue
-        open_ = ~scene.caster.occluded(rays.ends + 0.2 * normal, toward[k])
+        open_ = ~scene.caster.occluded(rays.ends + 0.2 * normal, way)
         matte = scene.surfaces[1].albedo_linear / np.pi * oren_nayar(n_l, n_v, l_v, 0.4)[:, None]
-        sent = light[k] * open_[:, None] * (matte + 0.3 * phong(n_l, n_v, l_v, 20.0)[:, None])
-        through = np.stack([lens.caster.occluded(rays.ends, toward[k]) for lens in lenses], 1)
-        expected_bare = expected_bare + sent
-        expected = expected + sent * (dyed.transmission ** through.sum(1)[:, None])
-        ways |= set((open_ + through.sum(1) * open_).tolist())
+        sent = sent * open_[:, None] * (matte + 0.3 * phong(n_l, n_v, l_v, 20.0)[:, None])
+        crossed = sum(lens.caster.occluded(rays.ends, way).astype(int) for lens in lenses)
+        bare = bare + sent
+        shaded = shaded + sent * dyed.transmission ** crossed[:, None]
+        ways |= set((open_ + crossed * open_).tolist())
     assert on.sum() > 200
     assert ways >= {0, 1, 2}
-    assert_allclose(colors.bare[on], expected_bare[on], rtol=1e-9, atol=1e-12)
-    assert_allclose(colors.shaded[on], expected[on], rtol=1e-9, atol=1e-12)
+    assert_allclose(colors.bare[on], bare[on], rtol=1e-9, atol=1e-12)
+    assert_allclose(colors.shaded[on], shaded[on], rtol=1e-9, atol=1e-12)
     assert not colors.unknown.any()
 
 

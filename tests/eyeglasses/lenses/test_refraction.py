@@ -54,7 +54,6 @@ def test_nothing_is_lost_within_20_dioptres_at_the_poles_of_the_usual_formula():
         for distance in (20.0, 600.0, 1e5, pole, np.nextafter(pole, 0), np.nextafter(pole, 1e9)):
             with np.errstate(all="raise", under="ignore"):
                 rays = refract(thin(dioptres), [7.0, -4, distance], points)
-            assert np.isfinite(rays.directions).all()
             assert_allclose(np.linalg.norm(rays.directions, axis=1), 1, atol=1e-14)
             assert (rays.directions[:, 2] < 0).all()
 

@@ -100,10 +100,9 @@ def test_rotations_are_those_of_decompositions(size, turned):
 
 def test_the_priors_derivatives_hold_where_turns_are_small():
     state = FrameState(np.eye(3), np.zeros(3), np.random.default_rng(1).normal(0, 0.02, (20, 3)))
-    value, rows = bend_prior(FrameMotion(POINTS, state))
+    _, rows = bend_prior(FrameMotion(POINTS, state))
     steps = np.eye(66)[6:]
     expected = differences(lambda moved: bend_prior(moved)[0], POINTS, state, steps)
-    assert np.isfinite(value).all()
     assert_allclose(rows @ steps.T, expected, atol=2e-3 * np.abs(rows).max(), rtol=0.02)
     at_rest = FrameState(np.eye(3), np.zeros(3), np.zeros((20, 3)))
     assert_allclose(bend_prior(FrameMotion(POINTS, at_rest))[0], 0, atol=1e-9)

@@ -2,17 +2,16 @@
 
 import numpy as np
 import pytest
+from helpers.eyeglasses import nearest_weights
 from helpers.plates import plate
+from numpy.testing import assert_allclose
 
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, FrameState, SkinnedPoints
 from scan2albedo.eyeglasses.on_face.objective import HeadContact
 from scan2albedo.synthetic import eyeglasses
 
 GLASSES = eyeglasses(0)
-POINTS = SkinnedPoints(
-    GLASSES.rest_vertices,
-    np.eye(20)[np.linalg.norm(GLASSES.rest_vertices[:, None] - GLASSES.rest_keypoints, axis=2).argmin(1)],
-)
+POINTS = SkinnedPoints(GLASSES.rest_vertices, nearest_weights(GLASSES.rest_vertices, GLASSES.rest_keypoints))
 SHEET = plate(200, 0.0)
 WALL = SHEET.vertices, SHEET.faces
 """A face without features that looks along +z."""
@@ -30,8 +29,8 @@ def test_the_gap_is_that_of_the_fronts_hindmost_point(gap):
     point, place, distance, slope = contact.nearest_point(motion)
     assert distance == pytest.approx(gap, abs=1e-9)
     assert place[0, 2] == pytest.approx(gap, abs=1e-9)
-    np.testing.assert_allclose(slope, [[0, 0, 1]], atol=1e-9)
-    np.testing.assert_allclose(motion.positions(point), place)
+    assert_allclose(slope, [[0, 0, 1]], atol=1e-9)
+    assert_allclose(motion.positions(point), place)
 
 
 def test_a_frame_of_temples_alone_touches_nothing():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.measures import row_lengths
 from helpers.wearers import small_wearer
 from helpers.worn_frames import register
 from scipy.ndimage import gaussian_filter
@@ -28,7 +29,7 @@ def pictures(shown=True):
 def front_error_mm(found):
     worn = person()
     front = worn.glasses.rest_vertices[:, 2] > worn.glasses.rest_keypoints[:, 2].max() - 20
-    return float(np.sqrt((np.linalg.norm(found.vertices - worn.vertices, axis=1)[front] ** 2).mean()))
+    return float(np.sqrt((row_lengths(found.vertices - worn.vertices)[front] ** 2).mean()))
 
 
 def found_in_pictures(**changes):
@@ -64,7 +65,7 @@ def test_pictures_place_a_frame_that_nobody_labelled(seen):
 
 
 def test_proposals_are_as_good_as_they_say(seen):
-    off = np.linalg.norm(seen.proposed_labels - person().labels, axis=2)
+    off = row_lengths(seen.proposed_labels - person().labels)
     judged = np.isfinite(off)
     assert judged.sum() > 20
     stated = np.sqrt(2) * seen.proposed_deviation_px[judged]

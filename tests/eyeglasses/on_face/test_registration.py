@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.measures import rms, row_lengths
 from helpers.wearers import rest_frame, small_wearer
 from helpers.worn_frames import register
 from numpy.testing import assert_allclose, assert_array_equal
@@ -40,7 +41,7 @@ def worn():
 
 def error_mm(found, worn, where):
     """Root mean square distance of the chosen vertices from the truth."""
-    return float(np.sqrt((np.linalg.norm(found.vertices - worn.vertices, axis=1)[where] ** 2).mean()))
+    return float(np.sqrt((row_lengths(found.vertices - worn.vertices)[where] ** 2).mean()))
 
 
 def views_of(worn, which):
@@ -75,9 +76,9 @@ def test_three_views_place_a_bent_frame(name, seed):
     assert error_mm(found, worn, found.observed) <= bar
     assert found.depth_observed
     assert found.converged
-    errors = np.linalg.norm(found.keypoints - worn.keypoints, axis=1)
+    errors = row_lengths(found.keypoints - worn.keypoints)
     # Deviations are those of a normal distribution, about; a mask's errors alike over a whole temple are not.
-    assert np.sqrt((errors**2).mean()) < 2.5 * np.sqrt((found.keypoint_deviation**2).mean()) + 0.1
+    assert rms(errors) < 2.5 * rms(found.keypoint_deviation) + 0.1
     assert np.median(errors / found.keypoint_deviation) < 2
 
 
@@ -86,7 +87,7 @@ def test_outliers_are_named():
     worn = wearer(1, outliers=3)
     found = register(worn)
     shown = [project(camera, worn.keypoints)[0] for camera in worn.cameras]
-    off = np.linalg.norm(worn.labels - shown, axis=2)
+    off = row_lengths(worn.labels - shown)
     labelled = np.isfinite(off)
     assert_array_equal(found.inliers[labelled & (off > 12)], False)
     assert found.inliers[labelled & (off < 4)].all()
@@ -194,7 +195,7 @@ def test_no_label_at_all_but_a_start_goes_by_the_outlines():
     assert error_mm(found, worn, front) < 0.35
     assert not found.plan.ran("glasses.key_points")
     # Temples that were far off may have come to rest wrongly; then it says so.
-    errors = np.linalg.norm(found.keypoints - worn.keypoints, axis=1)
+    errors = row_lengths(found.keypoints - worn.keypoints)
     assert found.keypoints_observed[errors > 4].sum() == 0
 
 
@@ -206,7 +207,7 @@ def test_masks_that_show_a_temple_elsewhere_contradict_it(worn, monkeypatch):
     labels[:, temple] = np.nan
     monkeypatch.setattr(outline, "REACH_PX", 6.0)
     found = register(worn, keypoints_2d=labels)
-    assert np.linalg.norm(found.keypoints - worn.keypoints, axis=1)[temple[2]] > 3
+    assert row_lengths(found.keypoints - worn.keypoints)[temple[2]] > 3
     assert "left_temple_tip" in found.unobserved
     assert told(found, "glasses.contradicted")
 
@@ -274,8 +275,8 @@ def test_a_frame_without_temples_needs_no_temples():
     shares /= shares.sum(1, keepdims=True)
     marks = np.where(lacking[:, None], np.nan, keypoints)
     found = register(SMALL, glasses=(vertices[kept], faces, marks, shares), masks=None)
-    errors = np.linalg.norm(found.vertices - SMALL.vertices[kept], axis=1)
-    assert np.sqrt((errors**2).mean()) < 0.8
+    errors = row_lengths(found.vertices - SMALL.vertices[kept])
+    assert rms(errors) < 0.8
     assert_array_equal(np.isnan(found.keypoints).all(1), lacking)
     assert not set(found.unobserved) & set(np.array(KEY_POINT_NAMES)[lacking])
 

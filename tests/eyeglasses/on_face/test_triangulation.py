@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.measures import rms, row_lengths
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.eyeglasses import triangulate
@@ -48,7 +49,7 @@ def test_noise_is_not_amplified(count):
     cameras = ring_of_cameras(count)
     found = triangulate(labels_of(cameras, 1.0, seed=2), cameras)
     # A pixel is a third of a millimetre at 600 mm.
-    assert np.sqrt(np.mean((found.points - POINTS) ** 2)) < 0.4
+    assert rms(found.points - POINTS) < 0.4
     assert np.nanmax(found.errors_px) < 5
 
 
@@ -61,7 +62,7 @@ def test_outliers_are_outvoted_and_named(seed):
     wrong = rng.random((6, 20)).argsort(0) < 2
     labels[wrong] += rng.choice([-1, 1], (wrong.sum(), 2)) * rng.uniform(60, 300, (wrong.sum(), 2))
     found = triangulate(labels, cameras)
-    assert np.linalg.norm(found.points - POINTS, axis=1).max() < 2.5
+    assert row_lengths(found.points - POINTS).max() < 2.5
     assert not found.inliers[wrong].any()
     assert found.inliers[~wrong].mean() > 0.97
 
