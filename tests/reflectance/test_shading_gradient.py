@@ -32,7 +32,8 @@ def along_sphere(unit, seed):
 def test_derivatives_agree_with_finite_differences(skin, straight):
     at = np.stack([NORMALS, NORMALS if straight else VIEW])
     # Straight ahead the lobes' splines have a small kink.
-    h, tolerance = np.array([1e-6, 1e-4 if straight else 1e-7])
+    tolerance = 1e-4 if straight else 1e-7
+    h = 1e-6
 
     def radiance(directions):
         return shade_environment(skin, *normalized(directions), LIGHT).radiance_linear

@@ -239,7 +239,8 @@ def test_glass_of_one_piece_with_the_rim_is_told():
 @pytest.mark.parametrize("position", [[25.0, 10, 600], [-120, 60, 420]])
 def test_pictures_bend_rays_as_an_independent_thin_lens_to_1e_5_degrees(dioptres, position):
     # The wall's colour tells where a ray ends.
-    half, shape = 2000.0, (48, 64)
+    half = 2000.0
+    shape = (48, 64)
     screen = plate(half, -30.0, albedo_linear=np.column_stack([CORNERS / 2 + 0.5, np.ones(4)]))
     camera = look_at(position, FLAT.lens_centers[0], focal_px=700, shape=shape)
     picture = insert(

@@ -59,7 +59,8 @@ def test_a_flat_lens_refracts(dioptres):
 
 def test_lenses_in_a_row_are_the_lens_of_gullstrand():
     """The power of two thin lenses d apart is P1 + P2 - d P1 P2, from the cardinal points of optics."""
-    first, second = 6.0, -4.0
+    first = 6.0
+    second = -4.0
     gap = 0.012
     places = (second, -1000 * gap), (first, 0.0)
     lenses = [round_lens(side, LensMaterial(dioptres=power), z) for side, (power, z) in enumerate(places)]
