@@ -79,7 +79,6 @@ def test_templates_are_those_of_the_texels_that_were_seen(stored, tmp_path):
     assert_array_equal(made.coefficients, expected.coefficients)
     assert_array_equal(made.mask, expected.mask)
     assert made.names == ("ann",)
-    assert (made.chart.model, made.chart.shape) == ("default", (64, 64))
 
 
 def test_a_gallery_kept_in_a_file_gives_the_same(gallery, probes, tmp_path):

@@ -36,18 +36,9 @@ def test_of_a_face_that_nothing_shows_nothing_is_certain():
 
 def test_processed_scans_are_read_too(folder):
     (folder / "application.json").unlink()
-    record = {
-        "scan2albedo_version": "0",
-        "versions": {},
-        "name": "ann",
-        "seed": 0,
-        "options": {"model": "mine"},
-        "input": {"sha256": "0" * 64, "vertices": 3, "faces": 1},
-        "plan": [],
-        "metrics": {},
-        "parameters": {},
-        "timings_s": {},
-    }
+    record = {key: {} for key in ("versions", "metrics", "parameters", "timings_s")}
+    record |= {"scan2albedo_version": "0", "name": "ann", "seed": 0, "options": {"model": "mine"}, "plan": []}
+    record["input"] = {"sha256": "0" * 64, "vertices": 3, "faces": 1}
     (folder / "result.json").write_text(json.dumps(record))
     assert read_face(folder).chart.model == "mine"
     (folder / "result.json").write_text(json.dumps(record | {"options": {"model": "none"}}))

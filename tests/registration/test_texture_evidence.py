@@ -71,5 +71,5 @@ def test_where_there_is_no_colour_there_is_no_evidence(case, model):
 
 def test_a_strange_texture_cannot_refuse_a_face(case, model):
     scan, pose, _ = case
-    noise = np.random.default_rng(0).uniform(size=scan.texture_linear.shape).astype(np.float32)
+    noise = np.random.default_rng(0).random(scan.texture_linear.shape, np.float32)
     assert -3 <= colour_scorer(replace(scan, texture_linear=noise), model)(pose, 1.0) <= 3

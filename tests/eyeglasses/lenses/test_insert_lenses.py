@@ -365,3 +365,9 @@ def test_what_a_mirror_shows_and_the_photograph_does_not_is_said():
 def test_what_is_not_clear_is_refused(changes, kind, words):
     with pytest.raises(kind, match=words):
         insert(**{"lenses": LensMaterial(), "surfaces": (), "picture_linear": NOISE, **changes})
+
+
+@pytest.mark.parametrize("name", ["supersampling", "light_count"])
+def test_settings_of_nothing_are_refused(name):
+    with pytest.raises(ValueError, match=name):
+        LensPictureOptions(**{name: 0})

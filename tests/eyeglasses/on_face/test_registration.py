@@ -302,7 +302,7 @@ NO_SEVENTH = np.where(np.arange(len(VERTICES))[:, None] == 7, np.nan, VERTICES)
     ("changes", "kind", "message"),
     [
         ({"keypoints_2d": np.zeros((3, 19, 2))}, ValueError, r"expected \(3, 20, 2\)"),
-        ({"cameras": np.zeros((2, 3, 4))}, ValueError, "singular"),
+        ({"glasses": FRAME[:3], "cameras": np.zeros((2, 3, 4))}, ValueError, "singular"),
         ({"masks": [np.zeros((4, 4))]}, ValueError, "one entry for each of 3"),
         ({"masks": [np.zeros((4, 4, 3))] * 3}, ValueError, r"mask 0 must have shape \(H, W\)"),
         (
