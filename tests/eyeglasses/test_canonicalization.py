@@ -227,7 +227,7 @@ def test_the_plan_says_what_ran_and_the_trace_how_it_went():
         assert part[-1].evaluations >= len(part) > 0
     assert solved.plan.ran("eyeglasses.mean")
     assert solved.plan.ran("eyeglasses.units")
-    assert ["solved" in step.reason for step in solved.plan.of_stage("eyeglasses.weights")] == [True] * 2
+    assert sum(s.stage == "eyeglasses.weights" and "solved" in s.reason for s in solved.plan) == 2
     assert len(solved.plan.of_stage("eyeglasses.weights.spacing")) == 2
     given = canonicalize(meshes[::2], points[::2], weights=weights[::2], mean_keypoints=solved.mean_keypoints)
     assert [s.stage for s in given.plan if s.ran] == ["eyeglasses.unbend"] * 2
@@ -275,7 +275,7 @@ def test_a_frame_that_cannot_be_done_need_not_take_the_others_down():
     assert "2 key points" in result.failures[2]
     alone = canonicalize(meshes[:1] * 2, points[:1] * 2, **COARSE)
     assert_array_equal(result.mean_keypoints, alone.mean_keypoints)
-    skipped = [s.reason[:8] for s in result.plan.of_stage("eyeglasses.weights") if not s.ran]
+    skipped = [s.reason[:8] for s in result.plan if not s.ran and s.stage == "eyeglasses.weights"]
     assert skipped == ["frame 1:", "frame 2:"]
     with pytest.raises(EyeglassesError, match="frame 1: key point left_rim_bridge"):
         canonicalize(*given, **COARSE)
