@@ -1,51 +1,29 @@
 """Wire glasses: tubes along a path, with key points on them."""
 
-from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from scan2albedo.geometry.mesh import grid_faces
+from scan2albedo.geometry.mesh import grid_faces, normalized
 
 
-@dataclass(frozen=True)
-class Glasses:
-    """A mesh (V, 3), (F, 3) in mm with key points (K, 3)."""
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    handles: np.ndarray
-
-
-def build_tube(path, radius=2.0, sides=12, step=2.0):
-    """Return a closed tube along a path of points (P, 3) that stays near the xz-plane."""
+def build_tube(path, radius=2.0, sides=12):
+    """Return a closed tube along a path of points (P, 3) that stays near the xz-plane, rings 2 mm apart."""
     path = np.asarray(path, float)
-    length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-    place = np.linspace(0, length[-1], max(int(length[-1] / step), 2))
-    center = np.stack([np.interp(place, length, path[:, k]) for k in range(3)], 1)
-    along = np.gradient(center, axis=0)
-    along /= np.linalg.norm(along, axis=1)[:, None]
-    across = np.cross(along, [0, 1, 0])
-    across /= np.linalg.norm(across, axis=1)[:, None]
-    up = np.cross(across, along)
-    angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)
-    rings = (
-        center[:, None]
-        + radius * np.cos(angle)[:, None] * across[:, None]
-        + radius * np.sin(angle)[:, None] * up[:, None]
-    )
-    sheet = grid_faces(len(center), sides, wrap=True)
-    number, k = len(center) * sides, np.arange(sides)
+    length = np.r_[0, np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))]
+    place = np.linspace(0, length[-1], max(int(length[-1] / 2), 2))
+    center = np.stack([np.interp(place, length, values) for values in path.T], 1)
+    along = normalized(np.gradient(center, axis=0))
+    across = normalized(np.cross(along, [0, 1, 0]))
+    angle = np.linspace(0, 2 * np.pi, sides, endpoint=False)[:, None]
+    ring = np.cos(angle) * across[:, None] + np.sin(angle) * np.cross(across, along)[:, None]
+    vertices = (center[:, None] + radius * ring).reshape(-1, 3)
+    number, k = len(vertices), np.arange(sides)
     first = np.column_stack([np.full(sides, number), k, np.roll(k, -1)])
-    k += number - sides
-    last = np.column_stack([np.full(sides, number + 1), np.roll(k, -1), k])
-    return np.concatenate([rings.reshape(-1, 3), center[[0, -1]]]), np.concatenate([sheet, first, last])
-
-
-def glasses_path():
-    corner = [[70 - 6 + 6 * np.sin(t), 0, -6 + 6 * np.cos(t)] for t in np.linspace(0, np.pi / 2, 5)]
-    right = [*corner, [70, 0, -120]]
-    return np.array([[-x, y, z] for x, y, z in right[::-1]] + right)
+    last = np.column_stack([np.full(sides, number + 1), np.roll(k, -1) + number - sides, k + number - sides])
+    faces = np.concatenate([grid_faces(len(center), sides, wrap=True), first, last])
+    return np.concatenate([vertices, center[[0, -1]]]), faces
 
 
 @pytest.fixture(scope="session")
@@ -55,14 +33,10 @@ def tube():
 
 @pytest.fixture(scope="session")
 def glasses():
-    vertices, faces = build_tube(glasses_path())
-    handles = [
-        [-70, 0, -118],
-        [-70, 0, -60],
-        [-66, 0, -2],
-        [0, 0, 0],
-        [66, 0, -2],
-        [70, 0, -60],
-        [70, 0, -118],
-    ]
-    return Glasses(vertices, faces, np.array(handles, float))
+    """A mesh (V, 3), (F, 3) in mm with key points (K, 3)."""
+    corner = [[64 + 6 * np.sin(t), 0, 6 * np.cos(t) - 6] for t in np.linspace(0, np.pi / 2, 5)]
+    right = np.array([*corner, [70, 0, -120]])
+    vertices, faces = build_tube(np.concatenate([right[::-1] * [-1, 1, 1], right]))
+    side = np.array([[70.0, 0, -118], [70, 0, -60], [66, 0, -2]])
+    handles = np.concatenate([side * [-1, 1, 1], [[0, 0, 0]], side[::-1]])
+    return SimpleNamespace(vertices=vertices, faces=faces, handles=handles)

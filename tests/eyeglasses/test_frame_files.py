@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.eyeglasses import nearest_weights
 from helpers.schemas import check_schema
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -14,7 +15,6 @@ from scan2albedo.eyeglasses import (
     write_registered,
     write_start,
 )
-from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT
 from scan2albedo.geometry.pinhole import look_at, project
 from scan2albedo.geometry.rigid import compose, random_rotation
 from scan2albedo.synthetic import eyeglasses
@@ -22,28 +22,20 @@ from scan2albedo.synthetic import eyeglasses
 SHAPE = (300, 300)
 
 
-@pytest.fixture(scope="module")
-def glasses():
-    return eyeglasses(0)
+GLASSES = eyeglasses(0)
+CAMERAS = np.stack([look_at([x, 40, 500], [0, 0, -60], focal_px=500.0, shape=SHAPE) for x in (-250, 250)])
 
 
-@pytest.fixture(scope="module")
-def cameras():
-    return np.stack([look_at([x, 40, 500], [0, 0, -60], focal_px=500.0, shape=SHAPE) for x in (-250, 250)])
-
-
-def registered(glasses, cameras, **options):
-    weights = np.eye(KEY_POINT_COUNT)[
-        np.linalg.norm(glasses.vertices[:, None] - glasses.keypoints, axis=2).argmin(1)
-    ]
-    labels = np.stack([project(camera, glasses.keypoints)[0] for camera in cameras])
+def registered(masks=None, **options):
+    labels = np.stack([project(camera, GLASSES.keypoints)[0] for camera in CAMERAS])
     labels[1, 4:9] = np.nan
-    frame = (glasses.vertices, glasses.faces, glasses.keypoints, weights)
-    return register_on_face(frame, labels, None, cameras, **options)
+    weights = nearest_weights(GLASSES.vertices, GLASSES.keypoints)
+    frame = (GLASSES.vertices, GLASSES.faces, GLASSES.keypoints, weights)
+    return register_on_face(frame, labels, masks, CAMERAS, **options)
 
 
-def test_registered_frames_come_back(glasses, cameras, tmp_path):
-    made = registered(glasses, cameras)
+def test_registered_frames_come_back(tmp_path):
+    made = registered()
     write_registered(tmp_path / "a.npz", made)
     found = read_registered(tmp_path / "a.npz")
     for name, value in vars(made).items():
@@ -54,10 +46,9 @@ def test_registered_frames_come_back(glasses, cameras, tmp_path):
     assert found.unobserved == made.unobserved
 
 
-def test_files_that_are_no_registered_frames_are_named(glasses, cameras, tmp_path):
-    write_registered(tmp_path / "a.npz", registered(glasses, cameras))
-    with np.load(tmp_path / "a.npz") as file:
-        arrays = dict(file)
+def test_files_that_are_no_registered_frames_are_named(tmp_path):
+    write_registered(tmp_path / "a.npz", registered())
+    arrays = dict(np.load(tmp_path / "a.npz"))
     spoiled = {
         "visible": (arrays["visible"][:, :-1], r"visible has shape \(2, 4305\).*\(2, 4306\)"),
         "iou": (arrays["iou"][:1], r"iou has shape \(1,\)"),
@@ -72,9 +63,7 @@ def test_files_that_are_no_registered_frames_are_named(glasses, cameras, tmp_pat
             read_registered(tmp_path / "b.npz")
     whole = (tmp_path / "a.npz").read_bytes()
     (tmp_path / "half.npz").write_bytes(whole[: len(whole) // 2])
-    flipped = bytearray(whole)
-    flipped[2000:2100] = bytes(100)
-    (tmp_path / "flipped.npz").write_bytes(bytes(flipped))
+    (tmp_path / "flipped.npz").write_bytes(whole[:2000] + bytes(100) + whole[2100:])
     np.save(tmp_path / "one.npy", np.zeros(3))
     for name in ("half.npz", "flipped.npz", "one.npy", "none.npz"):
         with pytest.raises(EyeglassesError, match=name):
@@ -102,20 +91,13 @@ def test_starts_are_rigid(tmp_path, pose):
         read_start(tmp_path / "none.json")
 
 
-def test_shapes_tell_what_lies_outside_of_pictures_without_masks(glasses, cameras):
-    pixels = project(cameras[0], glasses.vertices)[0]
+def test_shapes_tell_what_lies_outside_of_pictures_without_masks():
+    pixels = project(CAMERAS[0], GLASSES.vertices)[0]
     width = int(np.median(pixels[:, 0]))
-    cut = registered(glasses, cameras, shapes=[(300, width), SHAPE])
+    cut = registered(shapes=[(300, width), SHAPE])
     assert_array_equal(cut.visible[0], pixels[:, 0] <= width - 0.5)
-    assert registered(glasses, cameras).visible.all()
+    assert registered().visible.all()
     with pytest.raises(ValueError, match="one entry for each of 2 cameras, got 1"):
-        registered(glasses, cameras, shapes=[SHAPE])
-
-
-def test_masks_have_the_shapes_of_their_pictures(glasses, cameras):
-    labels = np.stack([project(camera, glasses.keypoints)[0] for camera in cameras])
-    masks = [np.ones((300, 200)), None]
+        registered(shapes=[SHAPE])
     with pytest.raises(ValueError, match=r"mask 0 has shape \(300, 200\), expected its picture's"):
-        register_on_face(
-            (glasses.vertices, glasses.faces, glasses.keypoints), labels, masks, cameras, shapes=[SHAPE] * 2
-        )
+        registered([np.ones((300, 200)), None], shapes=[SHAPE] * 2)

@@ -39,12 +39,9 @@ def test_surface_cells_are_those_that_clipping_finds(seed):
     assert_array_equal(surface_cells(triangle[None], 10_000), wanted)
 
 
-def test_triangles_without_area_leave_the_cells_of_their_corners():
-    line = np.array([[[0.5, 0.5, 0.5], [3.5, 0.5, 0.5], [7.5, 0.5, 0.5]]])
-    assert_array_equal(surface_cells(line, 100), [[0, 0, 0], [3, 0, 0], [7, 0, 0]])
-
-
-def test_too_many_cells_end_the_search():
+def test_triangles_without_area_leave_the_cells_of_their_corners_and_too_many_cells_end_the_search():
+    corners = np.array([[0, 0, 0], [3, 0, 0], [7, 0, 0]])
+    assert_array_equal(surface_cells(corners[None] + 0.5, 100), corners)
     assert surface_cells(1e6 * np.eye(3)[None], 1000) is None
 
 
@@ -62,7 +59,7 @@ def lattice():
     return Lattice.of_cells(block[(block[:, 0] < 3) | (block[:, 1] < 2)] - 2)
 
 
-def test_laplacian_is_symmetric_an_m_matrix_and_knows_the_volume(lattice):
+def test_laplacian_is_symmetric_an_m_matrix_of_seven_points_and_biharmonic_energy_is_of_its_square(lattice):
     laplacian = lattice_laplacian(lattice)
     assert abs(laplacian - laplacian.T).max() == 0
     assert (laplacian - np.diag(laplacian.diagonal())).max() <= 0
@@ -70,18 +67,12 @@ def test_laplacian_is_symmetric_an_m_matrix_and_knows_the_volume(lattice):
     for axis in range(3):  # the integral of |grad x|^2
         x = lattice.nodes[:, axis]
         assert x @ (laplacian @ x) == pytest.approx(len(lattice.cells))
-    assert node_volumes(lattice).sum() == pytest.approx(len(lattice.cells))
-
-
-def test_laplacian_has_seven_points_inside(lattice):
-    inside = np.flatnonzero(node_volumes(lattice) == 1)
-    row = lattice_laplacian(lattice)[inside[0]]
-    assert sorted(row.data) == [-1] * 6 + [6]
-
-
-def test_biharmonic_energy_is_that_of_the_squared_laplacian(lattice):
+    volumes = node_volumes(lattice)
+    assert volumes.sum() == pytest.approx(len(lattice.cells))
+    inside = np.flatnonzero(volumes == 1)
+    assert sorted(laplacian[inside[0]].data) == [-1] * 6 + [6]
     u = np.random.default_rng(0).random(len(lattice.nodes))
-    expected = np.sum((lattice_laplacian(lattice) @ u) ** 2 / node_volumes(lattice))
+    expected = np.sum((laplacian @ u) ** 2 / volumes)
     assert u @ (biharmonic_energy(lattice) @ u) == pytest.approx(expected)
 
 
@@ -92,12 +83,9 @@ def test_interpolation_is_exact_for_linear_fields_and_convex(lattice):
     assert_allclose(matrix @ lattice.nodes, points, atol=1e-12)
     assert matrix.min() >= 0
     assert_allclose(matrix.sum(1), 1, atol=1e-15)
-
-
-def test_points_outside_take_the_nearest_place(lattice):
-    assert_allclose(
-        lattice.interpolation(np.array([[-7.0, -1.5, -1.25]])) @ lattice.nodes, [[-2, -1.5, -1.25]]
-    )
+    # Points outside take the nearest place.
+    outside = lattice.interpolation(np.array([[-7.0, -1.5, -1.25]]))
+    assert_allclose(outside @ lattice.nodes, [[-2, -1.5, -1.25]])
 
 
 def test_parts_in_reach_are_joined_and_others_left():

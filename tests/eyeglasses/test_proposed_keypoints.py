@@ -1,14 +1,14 @@
 """Key points proposed from a frame's shape: their errors, what they say of themselves, and the command."""
 
-import json
-
 import numpy as np
 import pytest
 import trimesh
+from helpers.cli import invoke
+from helpers.commands import refusal, succeeded
+from helpers.measures import row_lengths
+from helpers.records import read_json
 from helpers.schemas import check_schema
-from typer.testing import CliRunner
 
-from scan2albedo.cli.commands import app
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import KEY_POINT_NAMES, propose_keypoints, read_keypoints, write_keypoints
 from scan2albedo.geometry.rigid import random_rotation
@@ -31,7 +31,7 @@ def proposed(vertices, faces, unit="mm", seed=0):
 
 def judged(points, found, truth, limit):
     """Whether errors are small, and no point is both far off and sure of itself."""
-    error = np.linalg.norm(points - truth, axis=1)
+    error = row_lengths(points - truth)
     assert np.median(error) < limit
     assert ((error < 2) | (error < 3 * found.deviation)).all()
     assert np.median(found.deviation) < 2.5
@@ -79,8 +79,8 @@ def test_a_front_alone_has_no_temples_and_says_so():
     points, found = proposed(glasses.vertices, glasses.faces[kept], "mm", seed=4)
     assert np.isnan(points[BEHIND]).all()
     assert np.isinf(found.deviation[BEHIND]).all()
-    front = np.setdiff1d(np.arange(20), [*BEHIND, 7, 16])
-    assert np.linalg.norm(points - glasses.keypoints, axis=1)[front].max() < 4
+    error = row_lengths(points - glasses.keypoints)
+    assert np.delete(error, [*BEHIND, 7, 16]).max() < 4
 
 
 @pytest.mark.slow
@@ -90,11 +90,11 @@ def test_of_a_rim_in_pieces_what_is_there_is_found_and_the_rest_is_unsure():
     # 40 degrees of the left rim, about its lowest place.
     lost = (np.abs(np.arctan2(away[:, 0], -away[:, 1])) < np.deg2rad(20)) & (np.abs(away[:, 0]) < 30)
     points, found = proposed(glasses.vertices, glasses.faces[~lost], "cm", seed=5)
-    error = np.linalg.norm(points - glasses.keypoints, axis=1)
+    error = row_lengths(points - glasses.keypoints)
+    honest = error < 3 * found.deviation
     bottom = KEY_POINT_NAMES.index("left_rim_bottom")
-    assert np.isinf(found.deviation[bottom]) or error[bottom] < 3 * found.deviation[bottom]
-    rest = np.delete(np.arange(20), bottom)
-    assert ((error < 2) | (error < 3 * found.deviation))[rest].all()
+    assert np.isinf(found.deviation[bottom]) or honest[bottom]
+    assert np.delete((error < 2) | honest, bottom).all()
 
 
 def test_what_is_no_frame_is_refused():
@@ -161,28 +161,24 @@ def test_the_command_writes_a_file_and_a_picture_and_keeps_placed_points(folder,
     points = np.full((20, 3), np.nan)
     points[RIM_BRIDGE] = glasses.keypoints[RIM_BRIDGE] / 25.4 + 0.01
     write_keypoints(placed, points, unit="unknown")
-    arguments = ["glasses", "key-points", str(path), "-o", str(out), "--keypoints", str(placed)]
-    answer = CliRunner().invoke(app, arguments)
-    assert answer.exit_code == 0, answer.output
+    arguments = ["glasses", "key-points", path, "-o", out, "--keypoints", placed]
+    answer = succeeded(invoke(*arguments))
     content = check_schema(out, "eyeglasses_keypoints")
     assert content["unit"] == "mm"
     assert sorted(content["deviations_mm"]) == sorted(set(KEY_POINT_NAMES) - {"left_rim_bridge"})
     np.testing.assert_allclose(read_keypoints(out)[RIM_BRIDGE], 25.4 * points[RIM_BRIDGE], atol=1e-3)
     assert "19 key points are proposed from its shape, 1 placed, 0 not found" in answer.stderr
     assert (tmp_path / "points.png").stat().st_size > 10_000
-    again = CliRunner().invoke(app, arguments)
-    assert again.exit_code == 2
-    assert "is there already" in again.stderr
+    assert "is there already" in refusal(invoke(*arguments))
 
 
 @pytest.mark.slow
 def test_canonicalize_takes_frames_without_key_points(folder, tmp_path):
     path, glasses = folder
-    answer = CliRunner().invoke(app, ["glasses", "canonicalize", str(path), "-o", str(tmp_path / "out")])
-    assert answer.exit_code == 0, answer.output
+    answer = succeeded(invoke("glasses", "canonicalize", path, "-o", tmp_path / "out"))
     assert "unit: inch, in which a mean face wears it" in answer.stderr
     assert "20 key points are proposed" in answer.stderr
-    record = json.loads((tmp_path / "out" / "own" / "result.json").read_text(encoding="utf-8"))
+    record = read_json(tmp_path / "out" / "own" / "result.json")
     assert record["keypoints_file"] is None
     assert any("proposed" in note for note in record["notes"])
     found = read_keypoints(tmp_path / "out" / "own" / "keypoints.json")

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.measures import rms, row_lengths
 
 from scan2albedo.eyeglasses import bounded_biharmonic_weights, solve_weights
 from scan2albedo.io import load_scan
@@ -12,48 +13,32 @@ FRAMES = {"sunglasses_khronos.glb": 3.0, "frame_giraut.stl": 2.0}
 """Files and lattice spacings in mm, coarse enough for a quick test."""
 
 
-@pytest.fixture(scope="module", params=FRAMES)
-def frame(request, shared_data):
-    scan = load_scan(shared_data / request.param)
+@pytest.mark.parametrize(("file", "spacing"), FRAMES.items())
+def test_weights_meet_the_bars_and_bend_the_frame_as_on_a_coarser_lattice(shared_data, file, spacing):
+    scan = load_scan(shared_data / file)
     # Farthest points, from the leftmost vertex on: 20 key points spread over the frame.
     chosen = [int(np.argmin(scan.vertices[:, 0]))]
     distance = np.full(len(scan.vertices), np.inf)
     for _ in range(19):
-        distance = np.minimum(distance, np.linalg.norm(scan.vertices - scan.vertices[chosen[-1]], axis=1))
+        distance = np.minimum(distance, row_lengths(scan.vertices - scan.vertices[chosen[-1]]))
         chosen.append(int(np.argmax(distance)))
-    found = solve_weights(scan.vertices, scan.faces, scan.vertices[chosen], FRAMES[request.param])
-    return scan, np.array(chosen), found, FRAMES[request.param]
-
-
-def test_weights_meet_the_bars(frame):
-    _, chosen, found, _ = frame
+    points = scan.vertices[chosen]
+    found = solve_weights(scan.vertices, scan.faces, points, spacing)
     assert found.converged
     assert found.residual.max() <= 1e-6
     assert np.abs(found.weights.sum(1) - 1).max() <= 1e-12
     assert found.weights.min() >= 0
     assert found.weights.max() <= 1
     np.testing.assert_allclose(found.weights[chosen], np.eye(20), atol=1e-15)
-
-
-def bent(scan, chosen, weights):
-    """The ends 6 mm outward and 3 mm down, as a wearer bends them."""
-    points = scan.vertices[chosen]
+    # The ends 6 mm outward and 3 mm down, as a wearer bends them.
     side = (points - (points.min(0) + points.max(0)) / 2) / np.ptp(points, axis=0)
     shift = np.stack([6 * side[:, 0] * side[:, 2], -3 * np.abs(side[:, 0]), np.zeros(20)], 1)
-    return scan.vertices + weights @ shift
-
-
-def test_deformations_agree_across_spacings(frame):
-    scan, chosen, found, spacing = frame
-    coarser = bounded_biharmonic_weights(scan.vertices, scan.faces, scan.vertices[chosen], 1.2 * spacing)
-    apart = np.linalg.norm(bent(scan, chosen, coarser) - bent(scan, chosen, found.weights), axis=1)
+    coarser = bounded_biharmonic_weights(scan.vertices, scan.faces, points, 1.2 * spacing)
+    apart = row_lengths((coarser - found.weights) @ shift)
     assert apart.max() < 0.3
-    assert np.sqrt(np.mean(apart**2)) < 0.1
-
-
-def test_a_bend_keeps_edges_long(frame):
-    scan, chosen, found, _ = frame
-    moved = bent(scan, chosen, found.weights)
+    assert rms(apart) < 0.1
+    # The bend keeps edges long.
     edges = np.sort(scan.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    before, after = (np.linalg.norm(v[edges[:, 0]] - v[edges[:, 1]], axis=1) for v in (scan.vertices, moved))
+    moved = scan.vertices + found.weights @ shift
+    before, after = (row_lengths(v[edges[:, 0]] - v[edges[:, 1]]) for v in (scan.vertices, moved))
     assert np.abs(after - before).max() < 0.5

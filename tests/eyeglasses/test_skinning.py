@@ -13,43 +13,29 @@ from scan2albedo.synthetic import GlassesBend, eyeglasses
 POINTS = eyeglasses(0).keypoints
 
 
-@pytest.fixture
-def shares():
-    raw = np.random.default_rng(0).random((20, 3))
-    return raw / raw.sum(1, keepdims=True)
+SHARES = np.random.default_rng(0).dirichlet(np.ones(3), 20)
+"""Of three handles, whose affine maps follow."""
+MAPS = np.tile(np.eye(4), (3, 1, 1))
+MAPS[:, :3] += np.random.default_rng(1).normal(0, 0.3, (3, 3, 4))
 
 
-@pytest.fixture
-def points():
-    return np.random.default_rng(1).normal(size=(20, 3))
+def test_vertices_are_means_of_where_the_handles_would_take_them():
+    each = np.stack([transform_points(one, POINTS) for one in MAPS], 1)
+    for maps in (MAPS, MAPS[:, :3]):
+        assert_allclose(skin(POINTS, SHARES, maps), np.einsum("vk,vki->vi", SHARES, each), atol=1e-12)
 
 
-def affine(seed):
-    rng = np.random.default_rng(seed)
-    return compose(np.eye(3) + 0.3 * rng.normal(size=(3, 3)), rng.normal(size=3))
-
-
-def test_one_transform_for_all_is_that_transform(points, shares):
-    move = compose(rotation_from_vector([0.3, -0.2, 0.9]), [1, 2, 3])
-    for maps in (np.stack([move] * 3), np.stack([move[:3]] * 3)):
-        moved = skin(points, shares, maps)
-        assert_allclose(moved, transform_points(move, points), atol=1e-12)
-
-
-def test_vertices_are_means_of_where_the_handles_would_take_them(points, shares):
-    maps = np.stack([affine(k) for k in range(3)])
-    each = np.stack([transform_points(m, points) for m in maps], 1)
-    assert_allclose(skin(points, shares, maps), np.einsum("vk,vki->vi", shares, each), atol=1e-12)
-
-
-def test_shapes_that_do_not_fit_are_named(points, shares):
-    maps = np.stack([np.eye(4)] * 3)
-    with pytest.raises(ValueError, match=r"vertices is \(3,\), expected \(V, 3\)"):
-        skin(points[0], shares, maps)
-    with pytest.raises(ValueError, match=r"transforms is \(3, 3, 3\), expected \(K, R, 4\)"):
-        skin(points, shares, maps[:, :3, :3])
-    with pytest.raises(ValueError, match=r"weights is .* expected \(20, 2\)"):
-        skin(points, shares, maps[:2])
+@pytest.mark.parametrize(
+    ("points", "maps", "words"),
+    [
+        (POINTS[0], MAPS, r"vertices is \(3,\), expected \(V, 3\)"),
+        (POINTS, MAPS[:, :3, :3], r"transforms is \(3, 3, 3\), expected \(K, R, 4\)"),
+        (POINTS, MAPS[:2], r"weights is .* expected \(20, 2\)"),
+    ],
+)
+def test_shapes_that_do_not_fit_are_named(points, maps, words):
+    with pytest.raises(ValueError, match=words):
+        skin(points, SHARES, maps)
 
 
 def carried(transforms, points):
@@ -67,9 +53,9 @@ def test_a_turn_of_one_side_turns_its_key_points():
     left = np.array([name.startswith("left") for name in KEY_POINT_NAMES])
     target = np.where(left[:, None], POINTS @ turn.T, POINTS)
     found = turned_translations(POINTS, target)
-    for name in ("left_temple_tip", "left_ear_bend", "left_rim_outer", "left_rim_top"):
-        assert_allclose(found[KEY_POINT_NAMES.index(name), :3, :3], turn, atol=5e-3)
-    assert_allclose(found[KEY_POINT_NAMES.index("right_rim_top"), :3, :3], np.eye(3), atol=5e-3)
+    expected = dict.fromkeys(("left_temple_tip", "left_ear_bend", "left_rim_outer", "left_rim_top"), turn)
+    for name, rotation in (expected | {"right_rim_top": np.eye(3)}).items():
+        assert_allclose(found[KEY_POINT_NAMES.index(name), :3, :3], rotation, atol=5e-3)
 
 
 def test_a_moderate_rigid_motion_is_met():

@@ -34,6 +34,13 @@ def known_names(found):
     return tuple(np.array(found.matches.probe_names)[found.matches.known])
 
 
+def texels(top, bottom, left, right):
+    """The texels (64, 64) of a rectangle."""
+    chosen = np.zeros((64, 64), bool)
+    chosen[top:bottom, left:right] = True
+    return chosen
+
+
 def listed(folder, rows, name="list.csv"):
     path = folder / name
     path.write_text("".join(f"{person},{result}\n" for person, result in [("person", "result"), *rows]))
@@ -53,7 +60,7 @@ def probes(people, tmp_path):
 
 def test_persons_are_recognised_and_unknown_ones_only_predicted(gallery, probes, people):
     counts = []
-    found = identify_results(gallery, probes, options=OPTIONS, on_count=lambda *count: counts.append(count))
+    found = identified(gallery, probes, on_count=lambda *count: counts.append(count))
     assert found.matches.predicted == ("bob", "ann", "cy")
     assert found.matches.ranks.tolist() == [1, 0, 1]
     assert known_names(found) == ("bob", "cy")
@@ -63,31 +70,26 @@ def test_persons_are_recognised_and_unknown_ones_only_predicted(gallery, probes,
 
 
 def test_templates_are_those_of_the_texels_that_were_seen(stored, tmp_path):
-    hidden = np.zeros((64, 64), bool)
-    hidden[28:36, 10:40] = True
+    hidden = texels(28, 36, 10, 40)
     stored(tmp_path / "ann", 0, hidden=hidden)
     made = read_labelled_templates(listed(tmp_path, [("ann", "ann")]), options=OPTIONS).sets["albedo"]
     scene = face(0, size=64)
-    expected = albedo_templates(
-        [scene.albedo_linear], ["ann"], masks=[scene.image.mask & ~hidden], options=OPTIONS
-    )
+    masks = [scene.image.mask & ~hidden]
+    expected = albedo_templates([scene.albedo_linear], ["ann"], masks=masks, options=OPTIONS)
     assert_array_equal(made.coefficients, expected.coefficients)
     assert_array_equal(made.mask, expected.mask)
     assert made.names == ("ann",)
-    assert (made.chart.model, made.chart.shape) == ("default", (64, 64))
 
 
 def test_a_gallery_kept_in_a_file_gives_the_same(gallery, probes, tmp_path):
     kept = read_labelled_templates(gallery, options=OPTIONS)
     written = write_labelled_templates(tmp_path / "gallery.npz", kept)
-    assert [file.name for file in written] == [
-        "gallery.npz",
-        *(f"gallery.{kind}.npz" for kind in ("texture", "shape", "shading")),
-    ]
+    kinds = ("texture", "shape", "shading")
+    assert [file.name for file in written] == ["gallery.npz", *(f"gallery.{kind}.npz" for kind in kinds)]
     first, again = identify_results(kept, probes), identify_results(tmp_path / "gallery.npz", probes)
     assert_array_equal(first.matches.similarities, again.matches.similarities)
     assert again.gallery.labels == ("cy [0]", "ann [1]", "bob [2]")
-    assert set(again.by_kind) == {"albedo", "texture", "shape", "shading"}
+    assert set(again.by_kind) == {"albedo", *kinds}
     assert again.decided_by == first.decided_by
     for file in written[1:3]:
         file.unlink()
@@ -118,11 +120,12 @@ def test_sizes_and_models_have_to_agree(stored, people, tmp_path, probes):
         ("other", "model 'default' and .*line 3: other 64 x 64 texels of model 'mine'.*--model"),
     ):
         rows = [("ann", people / "ann"), ("bob", name)]
+        small = TemplateOptions(size=32)
         with pytest.raises(RecognitionError, match=words):
-            identify_results(listed(tmp_path, rows), probes, options=TemplateOptions(size=32))
-        alone = listed(tmp_path, [(person, name) for person in ("bob",)], "alone.csv")
+            identify_results(listed(tmp_path, rows), probes, options=small)
+        alone = listed(tmp_path, [("bob", name)], "alone.csv")
         with pytest.raises(RecognitionError, match=r"alone\.csv has .* and .*probes\.csv"):
-            identify_results(alone, probes, options=TemplateOptions(size=32))
+            identify_results(alone, probes, options=small)
 
 
 def test_images_of_a_chart_nobody_named_go_with_any_model(people, tmp_path, probes):
@@ -150,11 +153,9 @@ def test_errors_of_the_albedo_are_weights(people, tmp_path):
     error[:32] = 0.9
     write_exr(folder / "expected_error.exr", error)
     for kind in ("albedo", "texture", "shading"):
-        face_of = read_face(folder, kind)
-        assert_array_equal(face_of.certainty > 0, plain.certainty > 0)
-        low, high = (
-            face_of.certainty[half][face_of.certainty[half] > 0] for half in (slice(32), slice(32, 64))
-        )
+        certainty = read_face(folder, kind).certainty
+        assert_array_equal(certainty > 0, plain.certainty > 0)
+        low, high = (half[half > 0] for half in np.split(certainty, 2))
         assert 0 < low.max() < 0.3 < 0.7 < high.min() < 1
     spoilt = read_image_linear(folder / "albedo.exr")
     spoilt[:32] *= 1 + 0.5 * np.random.default_rng(0).standard_normal((32, 64, 1))
@@ -189,16 +190,13 @@ def test_what_cannot_be_read_is_named_with_its_line(gallery, people, tmp_path):
 
 
 def test_command_and_function_give_one_number(people, stored, tmp_path):
-    hidden = np.zeros((64, 64), bool)
-    hidden[20:40, 30:50] = True
-    stored(tmp_path / "ann", 0, hidden=hidden)
+    stored(tmp_path / "ann", 0, hidden=texels(20, 40, 30, 50))
     gallery, probes = listed(tmp_path, [("ann", "ann")]), listed(tmp_path, [("ann", people / "ann")], "p.csv")
     shown, known = read_face(people / "ann"), read_face(tmp_path / "ann")
     expected = cw_ssim(shown.values, known.values, shown.certainty > 0, mask_b=known.certainty > 0)
-    by_albedo = identify_results(gallery, probes, use=["albedo"])
-    assert by_albedo.by_kind["albedo"][0, 0] == pytest.approx(expected, abs=1e-5)
-    together = identify_results(gallery, probes)
-    assert together.by_kind["albedo"][0, 0] == pytest.approx(expected, abs=1e-5)
+    for options in ({"use": ["albedo"]}, {}):
+        found = identify_results(gallery, probes, **options)
+        assert found.by_kind["albedo"][0, 0] == pytest.approx(expected, abs=1e-5)
 
 
 def test_a_folder_of_results_is_a_gallery(people, stored, tmp_path):
@@ -228,13 +226,13 @@ def test_persons_of_a_batch_come_from_its_catalogue(people, tmp_path):
 def test_a_persons_common_albedo_has_no_texture(people, tmp_path, monkeypatch):
     folder = shutil.copytree(people / "ann", tmp_path / "out" / "ann")
     (folder / "result.json").write_text("{}")
-    metrics: dict[str, object] = {}
+    metrics = {}
     record = SimpleNamespace(options={"model": "default"}, metrics=metrics)
     monkeypatch.setattr("scan2albedo.recognition.manifest.read_record", lambda *given: record)
-    albedo = read_face(folder, "albedo").values
+    albedo = read_face(folder).values
     assert read_face(folder, "texture").values.shape == albedo.shape
     metrics["person"] = {"scans": ["a", "b"]}
-    assert_array_equal(read_face(folder, "albedo").values, albedo)
+    assert_array_equal(read_face(folder).values, albedo)
     for kind in ("texture", "shading"):
         with pytest.raises(NothingToCompareError, match="has no texture of its own"):
             read_face(folder, kind)
@@ -253,11 +251,10 @@ def test_scans_without_colour_are_recognised_by_shape(people, tmp_path, gallery)
     assert "the scan has no colour" in found.notes[0]
     assert found.notes[1].startswith("1 of 2 probes are compared by shape alone, ")
     mixed = listed(tmp_path, [("bob", "gray"), ("cy", people / "cy")], "mixed.csv")
-    found = identify_results(mixed, listed(tmp_path, [("cy", people / "cy-2")], "one.csv"), options=OPTIONS)
+    found = identified(mixed, listed(tmp_path, [("cy", people / "cy-2")], "one.csv"))
     assert "1 of 1 probes are compared by shape alone" in found.notes[1]
     assert found.decided_by == ("shape",)
-    order = found.by_kind["shape"].argsort(axis=1)
-    assert_array_equal(found.matches.similarities.argsort(axis=1), order)
+    assert_array_equal(found.matches.similarities.argsort(1), found.by_kind["shape"].argsort(1))
     assert found.notes[1].endswith("of the gallery gray lacks it")
     write_exr(tmp_path / "ann.exr", face(0, size=64).albedo_linear)
     images = listed(tmp_path, [("ann", "ann.exr")], "images.csv")
@@ -266,10 +263,10 @@ def test_scans_without_colour_are_recognised_by_shape(people, tmp_path, gallery)
     found = identified(gallery, probes, use=["albedo"])
     assert (found.probes.labels, found.matches.predicted) == ((str(people / "cy-2"),), ("cy",))
     assert found.notes[0].startswith("left out: ")
-    for source, named in ((tmp_path / "all", tmp_path / "all" / "gray"), (probes, f"{probes}, line 2: gray")):
-        if source.name == "all":
-            shutil.copytree(gray, source / "gray")
-            shutil.copytree(people / "cy-2", source / "cy")
+    whole = tmp_path / "all"
+    shutil.copytree(gray, whole / "gray")
+    shutil.copytree(people / "cy-2", whole / "cy")
+    for source, named in ((whole, whole / "gray"), (probes, f"{probes}, line 2: gray")):
         notes = read_labelled_templates(source, use=["albedo"], options=OPTIONS).notes
         assert notes == (f"left out: {named}: has no albedo, for the scan has no colour; compare by shape",)
     only = listed(tmp_path, [("bob", "gray")], "only.csv")
@@ -278,10 +275,8 @@ def test_scans_without_colour_are_recognised_by_shape(people, tmp_path, gallery)
 
 
 def test_results_without_a_window_are_left_out(people, stored, tmp_path, gallery, monkeypatch):
-    stored(tmp_path / "masked", 0, hidden=np.ones((64, 64), bool))
-    narrow = np.ones((64, 64), bool)
-    narrow[28:36, 28:36] = False
-    stored(tmp_path / "narrow", 0, hidden=narrow)
+    stored(tmp_path / "masked", 0, hidden=texels(0, 64, 0, 64))
+    stored(tmp_path / "narrow", 0, hidden=~texels(28, 36, 28, 36))
     rows = [("bob", people / "bob-2"), ("ann", "masked"), ("ann", "narrow")]
     monkeypatch.setattr("scan2albedo.recognition.templates.HOLE_RADIUS", 0)
     found = identified(gallery, listed(tmp_path, rows))
@@ -295,10 +290,8 @@ def test_results_without_a_window_are_left_out(people, stored, tmp_path, gallery
 
 
 def test_halves_of_faces_that_do_not_meet_count_as_unlike(people, stored, tmp_path):
-    half = np.zeros((64, 64), bool)
-    half[:, :36] = True
-    stored(tmp_path / "left", 0, hidden=half[:, ::-1])
-    stored(tmp_path / "right", 1, hidden=half)
+    stored(tmp_path / "left", 0, hidden=texels(0, 64, 28, 64))
+    stored(tmp_path / "right", 1, hidden=texels(0, 64, 0, 36))
     rows = [("ann", "left"), ("bob", people / "bob")]
     found = identify_results(listed(tmp_path, rows), listed(tmp_path, [("bob", "right")], "p.csv"))
     assert found.matches.predicted == ("bob",)

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from scan2albedo.errors import RecognitionError
-from scan2albedo.io.images import encode_image, write_exr
+from scan2albedo.io.images import write_exr, write_png
 from scan2albedo.recognition import certainty, read_face
 from scan2albedo.synthetic import face
 
@@ -36,18 +36,9 @@ def test_of_a_face_that_nothing_shows_nothing_is_certain():
 
 def test_processed_scans_are_read_too(folder):
     (folder / "application.json").unlink()
-    record = {
-        "scan2albedo_version": "0",
-        "versions": {},
-        "name": "ann",
-        "seed": 0,
-        "options": {"model": "mine"},
-        "input": {"sha256": "0" * 64, "vertices": 3, "faces": 1},
-        "plan": [],
-        "metrics": {},
-        "parameters": {},
-        "timings_s": {},
-    }
+    record = {key: {} for key in ("versions", "metrics", "parameters", "timings_s")}
+    record |= {"scan2albedo_version": "0", "name": "ann", "seed": 0, "options": {"model": "mine"}, "plan": []}
+    record["input"] = {"sha256": "0" * 64, "vertices": 3, "faces": 1}
     (folder / "result.json").write_text(json.dumps(record))
     assert read_face(folder).chart.model == "mine"
     (folder / "result.json").write_text(json.dumps(record | {"options": {"model": "none"}}))
@@ -84,9 +75,7 @@ def test_images_count_where_they_are_opaque_or_not_black(tmp_path):
     write_exr(tmp_path / "black.exr", albedo)
     write_exr(tmp_path / "alpha.exr", np.dstack([albedo, mask]))
     white = np.where(mask[..., None], np.round(255 * albedo), 255)
-    (tmp_path / "alpha.png").write_bytes(
-        encode_image(np.dstack([white, 255 * mask]).astype(np.uint8), ".png")
-    )
+    write_png(tmp_path / "alpha.png", np.dstack([white, 255 * mask]).astype(np.uint8))
     for name in ("black.exr", "alpha.exr", "alpha.png"):
         read = read_face(tmp_path / name)
         assert_array_equal(read.certainty > 0, mask, err_msg=name)
@@ -94,12 +83,11 @@ def test_images_count_where_they_are_opaque_or_not_black(tmp_path):
 
 
 def test_other_files_are_refused(tmp_path):
-    (tmp_path / "gallery.npz").touch()
-    with pytest.raises(RecognitionError, match=r"a file of templates \(\.npz\) stands for a whole gallery"):
-        read_face(tmp_path / "gallery.npz")
-    (tmp_path / "notes.txt").touch()
-    with pytest.raises(RecognitionError, match="neither the folder of a processed scan nor an image"):
-        read_face(tmp_path / "notes.txt")
-    (tmp_path / "bad.png").write_bytes(b"no picture")
-    with pytest.raises(RecognitionError, match=r"bad\.png"):
-        read_face(tmp_path / "bad.png")
+    for name, words in (
+        ("gallery.npz", r"a file of templates \(\.npz\) stands for a whole gallery"),
+        ("notes.txt", "neither the folder of a processed scan nor an image"),
+        ("bad.png", r"bad\.png"),
+    ):
+        (tmp_path / name).write_bytes(b"no picture")
+        with pytest.raises(RecognitionError, match=words):
+            read_face(tmp_path / name)

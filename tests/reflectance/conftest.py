@@ -6,5 +6,5 @@ from scan2albedo.reflectance.lighting_model import LightingModel
 
 
 @pytest.fixture(scope="session")
-def lighting() -> LightingModel:
+def lighting():
     return LightingModel.default()

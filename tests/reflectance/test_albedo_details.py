@@ -1,5 +1,7 @@
 """Details of the albedo: what is shared with the light, and what is not said."""
 
+from dataclasses import replace
+
 import numpy as np
 from helpers.meshes import grid
 from numpy.testing import assert_allclose
@@ -9,7 +11,7 @@ from scan2albedo.lighting.harmonics import project_environment
 from scan2albedo.reflectance import (
     ImageObservation,
     MorphableReflectanceModel,
-    VertexReflectance,
+    reflectance_from_albedo,
     shade_environment,
 )
 from scan2albedo.reflectance.face_fit import ShadingDivided, detail_field
@@ -62,14 +64,12 @@ def test_nothing_is_said_far_from_what_tells():
 
 def test_details_change_the_diffuse_part_and_highlights_tell_nothing_about_them():
     normals = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8], [0.0, 0.6, 0.8]])
-    people = [
-        VertexReflectance(np.full((3, 3), v), np.full((3, 3), 0.2), np.ones(3, bool)) for v in (0.3, 0.5)
-    ]
+    people = [reflectance_from_albedo(np.full((3, 3), v), weights=[0.2] * 3) for v in (0.3, 0.5)]
     model = MorphableReflectanceModel.from_samples(people)
     light = project_environment(generated_environment(4))
     view = np.tile([0.0, 0.0, 1.0], (3, 1))
-    matt = VertexReflectance(np.full((3, 3), 0.4), np.zeros((3, 3)), np.ones(3, bool))
-    face = VertexReflectance(np.full((3, 3), 0.4), np.array([[0.0] * 3, [0.03] * 3, [9.0] * 3]), matt.known)
+    matt = reflectance_from_albedo(np.full((3, 3), 0.4))
+    face = replace(matt, weights=np.repeat([[0.0], [0.03], [9.0]], 3, 1))
     diffuse = shade_environment(matt, normals, view, light).radiance_linear
     whole = shade_environment(face, normals, view, light).radiance_linear
     found = ShadingDivided.from_observation(

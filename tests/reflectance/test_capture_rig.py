@@ -12,35 +12,31 @@ from scan2albedo.reflectance import CaptureRig, rig_of_head_poses
 INTRINSICS = np.array([[800.0, 0, 320], [0, 810, 240], [0, 0, 1]])
 
 
-@pytest.fixture
-def poses():
-    rotations = Rotation.from_euler("yx", [[0.3, 0.1], [-0.5, 0.2], [0, 0]]).as_matrix()
-    return rotations, np.array([[5.0, -3, 700], [0, 10, 650], [1, 2, 800]])
+ROTATIONS = Rotation.from_euler("yx", [[0.3, 0.1], [-0.5, 0.2], [0, 0]]).as_matrix()
+SHIFTS = np.array([[5.0, -3, 700], [0, 10, 650], [1, 2, 800]])
 
 
-def test_centres_are_minus_r_transposed_t(poses):
-    rotations, shift = poses
-    rig = rig_of_head_poses(rotations, shift, INTRINSICS, view=[0, 1, 2, 0], flash=[0, 1, 2, 2])
-    centers = np.stack([-r.T @ t for r, t in zip(rotations, shift, strict=True)])
+def rig_of(**changes):
+    given = {"rotations": ROTATIONS, "translations": SHIFTS, "intrinsics": INTRINSICS}
+    return rig_of_head_poses(**{**given, "view": [0, 1], "flash": [0, 1], **changes})
+
+
+def test_centres_are_minus_r_transposed_t_and_points_land_where_the_pose_puts_them():
+    rig = rig_of(view=[0, 1, 2, 0], flash=[0, 1, 2, 2])
+    centers = np.stack([-r.T @ t for r, t in zip(ROTATIONS, SHIFTS, strict=True)])
     assert_allclose(rig.camera_positions, centers[[0, 1, 2, 0]], atol=1e-9)
     assert_allclose(rig.light_positions, centers[[0, 1, 2, 2]], atol=1e-9)
     assert rig.light.tolist() == [0, 1, 2, 2]
-
-
-def test_points_land_where_the_pose_puts_them(poses):
-    rotations, shift = poses
-    rig = rig_of_head_poses(rotations, shift, INTRINSICS, view=[1], flash=[0])
-    point = np.array([[10.0, 20, 30]])
-    image = INTRINSICS @ (rotations[1] @ point[0] + shift[1])
-    pixels, depth = project(rig.cameras[0], point)
+    point = np.array([10.0, 20, 30])
+    image = INTRINSICS @ (ROTATIONS[1] @ point + SHIFTS[1])
+    pixels, depth = project(rig.cameras[1], point[None])
     assert_allclose(pixels[0], image[:2] / image[2])
     assert_allclose(depth, image[2])
 
 
-def test_intrinsics_may_differ_from_camera_to_camera(poses):
+def test_intrinsics_may_differ_from_camera_to_camera():
     several = np.stack([INTRINSICS, 2 * np.eye(3) * [1, 1, 0.5], INTRINSICS])
-    rig = rig_of_head_poses(*poses, several, view=[0, 1], flash=[0, 0])
-    assert_allclose(rig.cameras[1, :, :3], several[1] @ poses[0][1])
+    assert_allclose(rig_of(intrinsics=several).cameras[1, :, :3], several[1] @ ROTATIONS[1])
 
 
 @pytest.mark.parametrize(
@@ -56,12 +52,9 @@ def test_intrinsics_may_differ_from_camera_to_camera(poses):
         ({"flash": [0]}, r"expected int \(2,\)"),
     ],
 )
-def test_poses_that_do_not_fit_are_refused(poses, change, message):
-    given = {"rotations": poses[0], "translations": poses[1], "view": [0, 1], "flash": [0, 1], **change}
+def test_poses_that_do_not_fit_are_refused(change, message):
     with pytest.raises(ReflectanceError, match=message):
-        rig_of_head_poses(
-            given["rotations"], given["translations"], INTRINSICS, view=given["view"], flash=given["flash"]
-        )
+        rig_of(**change)
 
 
 @pytest.mark.parametrize(

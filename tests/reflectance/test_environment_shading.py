@@ -1,23 +1,25 @@
 """Shading by harmonics against the sum over thousands of distant lights, formula by formula."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers.lobes import lobes_under
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import ReflectanceError
+from scan2albedo.geometry.mesh import normalized
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics
-from scan2albedo.reflectance import VertexReflectance, shade_environment
+from scan2albedo.reflectance import reflectance_from_albedo, shade_environment
 
 LIGHTS = 20000
 
 
-def smooth_light(seed: int, highest: int = 4) -> np.ndarray:
+def smooth_light(seed, highest=4):
     """Positive light whose harmonics fade, as those of environments do."""
-    light = np.zeros((81, 3))
-    count = (highest + 1) ** 2
-    light[:count] = 0.15 * np.random.default_rng(seed).normal(size=(count, 3))
+    light = 0.15 * np.random.default_rng(seed).normal(size=(81, 3))
+    light[(highest + 1) ** 2 :] = 0
     light[0] = 4.0
     return light
 
@@ -36,19 +38,14 @@ def brute_force(reflectance, normals, view, light, horizon=True):
     return diffuse, specular
 
 
-def scene(angles_deg, seed=0):
-    rng = np.random.default_rng(seed)
-    count = len(angles_deg)
-    normals = rng.normal(size=(count, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    side = np.cross(normals, rng.normal(size=(count, 3)))
-    side /= np.linalg.norm(side, axis=1, keepdims=True)
+def scene(angles_deg):
+    rng, shape = np.random.default_rng(0), (len(angles_deg), 3)
+    normals = normalized(rng.normal(size=shape))
+    side = normalized(np.cross(normals, rng.normal(size=shape)))
     angle = np.radians(angles_deg)[:, None]
     view = np.cos(angle) * normals + np.sin(angle) * side
-    reflectance = VertexReflectance(
-        rng.uniform(0.1, 0.8, (count, 3)), rng.uniform(0.05, 0.4, (count, 3)), np.ones(count, bool)
-    )
-    return reflectance, normals, view
+    diffuse, weights = rng.uniform(0.1, 0.8, shape), rng.uniform(0.05, 0.4, shape)
+    return reflectance_from_albedo(diffuse, weights=weights), normals, view
 
 
 def test_along_the_normal_every_lobe_is_exact():
@@ -74,14 +71,11 @@ def test_oblique_views_need_the_true_lobe():
     reflectance, normals, view = scene([45, 60, 60, 70, 75, 80])
     light = smooth_light(3, highest=2)
     _, expected = brute_force(reflectance, normals, view, light)
-    error = {
-        lobe: np.abs(
-            shade_environment(reflectance, normals, view, light, lobe=lobe).specular_linear / expected - 1
-        ).mean()
-        for lobe in ("tilted", "full")
-    }
-    assert error["tilted"] < 0.03
-    assert error["full"] > 0.5
+    tilted, full = (
+        shade_environment(reflectance, normals, view, light, lobe=lobe) for lobe in ("tilted", "full")
+    )
+    assert np.abs(tilted.specular_linear / expected - 1).mean() < 0.03
+    assert np.abs(full.specular_linear / expected - 1).mean() > 0.5
 
 
 def test_parts_add_up_and_are_linear_in_the_light():
@@ -96,8 +90,7 @@ def test_parts_add_up_and_are_linear_in_the_light():
 def test_black_channels_and_no_lobes_send_nothing():
     _, normals, view = scene([30, 60])
     diffuse = np.array([[0.0, 0.3, 0.4], [0.2, 0.0, 0.1]])
-    dull = VertexReflectance(diffuse, np.zeros((2, 3)), np.ones(2, bool))
-    shading = shade_environment(dull, normals, view, smooth_light(5))
+    shading = shade_environment(reflectance_from_albedo(diffuse), normals, view, smooth_light(5))
     assert (shading.specular_linear == 0).all()
     assert (shading.radiance_linear[diffuse == 0] == 0).all()
 
@@ -105,14 +98,14 @@ def test_black_channels_and_no_lobes_send_nothing():
 def test_backs_have_no_highlight_and_the_unknown_no_number():
     reflectance, normals, view = scene([30, 30, 120])
     known = np.array([True, False, True])
-    gaps = VertexReflectance(reflectance.diffuse_linear, reflectance.weights, known)
+    gaps = replace(reflectance, known=known)
     for lobe in ("tilted", "full"):
         shading = shade_environment(gaps, normals, view, smooth_light(6), lobe=lobe)
         assert (shading.specular_linear[2] == 0).all()
         assert_array_equal(np.isnan(shading.radiance_linear).any(1), ~known)
 
 
-UP = np.array([[0.0, 0, 1], [0, 0, 1]])
+UP = np.tile([0.0, 0, 1], (2, 1))
 
 
 @pytest.mark.parametrize(

@@ -1,21 +1,23 @@
 """An unknown face from one photograph: what parts left out decide, and what stays the mean face."""
 
-import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial import Delaunay
 from worlds.environments import generated_environment
 
 from scan2albedo.errors import ReflectanceError
+from scan2albedo.geometry.mesh import normalized
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics, project_environment
 from scan2albedo.reflectance import (
     ImageObservation,
     MorphableReflectanceModel,
-    VertexReflectance,
     fit_face,
     fit_image,
+    reflectance_from_albedo,
     shade_environment,
 )
 from scan2albedo.reflectance.face_fit import ShadingDivided, detail_field, skin_hue
@@ -39,8 +41,7 @@ def waves(seed, orders, size):
 
 
 def skin(log_albedo=np.zeros((len(NORMALS), 3))):
-    diffuse = SKIN * np.exp(log_albedo)
-    return VertexReflectance(diffuse, np.full((len(NORMALS), 3), 0.02), np.ones(len(NORMALS), bool))
+    return reflectance_from_albedo(SKIN * np.exp(log_albedo), weights=[0.02] * 3)
 
 
 BLOTCHES = waves(50, (7, 8), 0.25)[:, None] * PIGMENT
@@ -54,7 +55,17 @@ def model():
 
 @pytest.fixture(scope="module")
 def mean(model):
-    return model.reconstruct(np.zeros(model.components)).reflectance
+    return model.reconstruct(np.zeros(6)).reflectance
+
+
+@pytest.fixture(scope="module")
+def person(model):
+    return model.reconstruct(np.full(6, 1.5)).reflectance
+
+
+def is_mean(found):
+    """Whether a fit kept the mean face."""
+    return not found.fit.face.coefficients.any()
 
 
 @pytest.fixture(scope="module")
@@ -88,12 +99,12 @@ def test_details_that_no_model_knows_are_found(mean, fitted):
     assert found.relative_rmse < 0.5 * found.fit.relative_rmse
 
 
-def test_the_mean_face_stays_where_nothing_is_better(model, mean, fitted):
+def test_the_mean_face_stays_where_nothing_is_better(mean, fitted):
     found = fitted(picture(mean, 4, noise=0.05))
     assert not found.beats_mean
     assert found.details is None
-    assert (found.fit.face.coefficients == np.zeros(model.components)).all()
-    np.testing.assert_array_equal(found.reflectance.diffuse_linear, mean.diffuse_linear)
+    assert is_mean(found)
+    assert_array_equal(found.reflectance.diffuse_linear, mean.diffuse_linear)
     assert [step.ran for step in found.plan] == [False, False, False]
     assert all("do not predict" in step.reason and "blocks" in step.evidence for step in found.plan[:2])
 
@@ -101,36 +112,34 @@ def test_the_mean_face_stays_where_nothing_is_better(model, mean, fitted):
 def test_grey_shade_is_not_taken_for_skin(mean, fitted):
     taken = picture(mean, 5)
     shaded = taken.observed_linear * np.exp(waves(51, (7, 8), 0.15))[:, None]
-    found = fitted(dataclasses.replace(taken, observed_linear=shaded))
+    found = fitted(replace(taken, observed_linear=shaded))
     assert not found.plan.ran("reflectance.image.details")
 
 
-def test_a_person_that_explains_less_than_the_mean_face_is_left_out(model, fitted, monkeypatch):
+def test_a_person_that_explains_less_than_the_mean_face_is_left_out(person, fitted, monkeypatch):
     def astray(observation, one, *rest, **options):
         found = fit_image(observation, one, *rest, **options)
         worse = one.components > 0 and observation.seen.sum() == SEEN.sum()
-        return dataclasses.replace(found, objective=1e3) if worse else found
+        return replace(found, objective=1e3) if worse else found
 
-    person = model.reconstruct(1.5 * np.ones(model.components)).reflectance
     assert fitted(picture(person, 3)).plan.ran("reflectance.image.person")
     monkeypatch.setattr("scan2albedo.reflectance.face_fit.fit_image", astray)
     found = fitted(picture(person, 3))
-    step = next(one for one in found.plan if one.stage == "reflectance.image.person")
+    (step,) = found.plan.of_stage("reflectance.image.person")
     assert not step.ran
     assert "worse than the mean face" in step.reason
     assert "-> 1000" in step.evidence
-    assert (found.fit.face.coefficients == np.zeros(model.components)).all()
+    assert is_mean(found)
 
 
-def test_nothing_is_believed_where_the_photograph_stays_unexplained(model, fitted, monkeypatch):
-    taken = picture(model.reconstruct(1.5 * np.ones(model.components)).reflectance, 3)
+def test_nothing_is_believed_where_the_photograph_stays_unexplained(person, fitted, monkeypatch):
     monkeypatch.setattr("scan2albedo.reflectance.face_fit.MOST_UNEXPLAINED", 0.001)
-    found = fitted(taken)
+    found = fitted(picture(person, 3))
     assert "objective of all blocks" in found.plan[1].evidence
     assert found.badly_explained
     assert not found.beats_mean
     assert found.details is None
-    assert (found.fit.face.coefficients == np.zeros(model.components)).all()
+    assert is_mean(found)
     assert not any(step.ran for step in found.plan)
     assert all("too badly to believe" in step.reason for step in found.plan[:2])
     assert all("relative RMSE of all blocks" in step.evidence for step in found.plan[:2])
@@ -146,14 +155,16 @@ def test_too_little_of_a_face_gives_the_mean(fitted, monkeypatch):
 
 def test_another_mesh_is_refused(model, lighting):
     taken = picture(skin(), 3)
-    with pytest.raises(ReflectanceError, match="one topology"):
-        fit_face(taken, model, VERTICES[:9], [[0, 1, 2]], lighting)
-    with pytest.raises(ReflectanceError, match=r"the mesh: 1 of \d+ vertices are NaN"):
-        fit_face(taken, model, np.where(np.arange(len(VERTICES))[:, None] == 5, np.nan, VERTICES), FACES)
     half = np.arange(len(VERTICES)) < len(VERTICES) // 2
-    elsewhere = dataclasses.replace(model, known=~half)
-    with pytest.raises(ReflectanceError, match="no vertex is both seen and known"):
-        fit_face(dataclasses.replace(taken, seen=SEEN & half), elsewhere, VERTICES, FACES, lighting)
+    upper, elsewhere = replace(taken, seen=SEEN & half), replace(model, known=~half)
+    spoilt = np.where(np.arange(len(VERTICES))[:, None] == 5, np.nan, VERTICES)
+    for observed, one, mesh, words in (
+        (taken, model, (VERTICES[:9], [[0, 1, 2]]), "one topology"),
+        (taken, model, (spoilt, FACES), r"the mesh: 1 of \d+ vertices are NaN"),
+        (upper, elsewhere, (VERTICES, FACES), "no vertex is both seen and known"),
+    ):
+        with pytest.raises(ReflectanceError, match=words):
+            fit_face(observed, one, *mesh, lighting)
 
 
 def test_a_weak_cast_is_the_skins_and_a_strong_one_the_lights():
@@ -185,7 +196,7 @@ def test_light_changes_by_its_slope_where_positions_are_off():
     assert (found[~there] == 0).all()
     expected = np.einsum("cvi,dvi->vcd", along, along)[there]
     assert np.linalg.norm(found[there] - expected) < 0.5 * np.linalg.norm(expected)
-    np.testing.assert_allclose(found[there].mean(0), expected.mean(0), atol=0.12 * expected.max())
+    assert_allclose(found[there].mean(0), expected.mean(0), atol=0.12 * expected.max())
 
 
 def test_the_mean_face_gets_the_hue_of_its_skin(model, fitted):
@@ -195,12 +206,12 @@ def test_the_mean_face_gets_the_hue_of_its_skin(model, fitted):
     light = project_environment(generated_environment(3))
     light *= light[0, 1] / light[0]
     found = fitted(picture(truth, 3, noise=0, light=light))
-    step = next(one for one in found.plan if one.stage == "reflectance.image.hue")
+    (step,) = found.plan.of_stage("reflectance.image.hue")
     assert step.ran
     assert "factors of red, green, blue" in step.evidence
     toned = found.fit.face.reflectance.diffuse_linear / model.diffuse.mean
     hue = np.log(toned[SEEN][0]) - np.log(toned[SEEN][0]).mean()
-    np.testing.assert_allclose(toned[SEEN], np.broadcast_to(toned[SEEN][0], toned[SEEN].shape))
+    assert_allclose(toned[SEEN], np.broadcast_to(toned[SEEN][0], toned[SEEN].shape))
     assert 0.4 < hue @ redder / (redder @ redder) < 1.1
     assert found.relative_rmse < 0.05
 
@@ -208,7 +219,7 @@ def test_the_mean_face_gets_the_hue_of_its_skin(model, fitted):
 def test_what_wrong_normals_could_explain_is_no_detail(model, mean, fitted):
     """Under normals that are off, shades are left out; pigment, which has another colour, stays in part."""
     tilted = NORMALS + 0.2 * np.stack([waves(60 + k, (5, 7), 1.0) for k in range(3)], axis=1) / np.sqrt(3)
-    tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
+    tilted = normalized(tilted)
     sizes = []
     for truth in (mean, skin(BLOTCHES)):
         taken = picture(truth, 3, noise=0, normals=tilted, seen=SEEN & (tilted[:, 2] > 0.1))
@@ -216,7 +227,7 @@ def test_what_wrong_normals_could_explain_is_no_detail(model, mean, fitted):
         divided = ShadingDivided.from_observation(taken, model, mean, found.fit.light)
         fields = [detail_field(divided, VERTICES, FACES, angle)[SEEN] for angle in (0.0, 0.2)]
         sizes.append([np.linalg.norm(field) for field in fields])
-        (person,) = (step for step in found.plan if step.stage == "reflectance.image.person")
+        (person,) = found.plan.of_stage("reflectance.image.person")
         assert not person.ran
         assert "the normals may be wrong by 11 degrees" in person.reason
     assert sizes[0][1] < 0.35 * sizes[0][0]

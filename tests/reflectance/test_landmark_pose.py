@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.measures import rms
 
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.geometry.pinhole import look_at, project
@@ -25,7 +26,7 @@ def test_poses_are_found_again(seed, count):
     noisy = pose_from_landmarks(CAMERA, POINTS[chosen], pixels + rng.normal(size=pixels.shape))
     again, depth = project(CAMERA, transform_points(noisy, POINTS[chosen]))
     assert (depth > 0).all()
-    assert np.sqrt(np.mean((again - pixels) ** 2)) < 1.5
+    assert rms(again - pixels) < 1.5
 
 
 def test_an_upside_down_face_is_found():

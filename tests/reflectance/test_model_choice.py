@@ -6,7 +6,7 @@ from build.reflectance_model import PEOPLE, packed
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.reflectance import VertexReflectance
+from scan2albedo.reflectance import reflectance_from_albedo
 from scan2albedo.reflectance.morphable_model import held_out_components
 from scan2albedo.runs.reflectance.model_run import DEFAULT_MODEL_FILE, default_model, synthetic_model
 
@@ -17,22 +17,14 @@ DIRECTIONS = RNG.normal(size=(5, 800, 3))
 
 def people(count, noise):
     rng = np.random.default_rng(1)
-    offsets = np.tensordot(rng.normal(size=(count, 5)), DIRECTIONS, 1) + noise * rng.normal(
-        size=(count, 800, 3)
-    )
-    diffuse = 0.5 + 0.03 * offsets
-    return [VertexReflectance(one, np.full((800, 3), 0.02), np.ones(800, bool)) for one in diffuse]
+    offsets = np.tensordot(rng.normal(size=(count, 5)), DIRECTIONS, 1)
+    offsets += noise * rng.normal(size=offsets.shape)
+    return [reflectance_from_albedo(0.5 + 0.03 * one, weights=[0.02] * 3) for one in offsets]
 
 
 def test_directions_that_people_share_are_kept_and_noise_is_not():
     assert held_out_components(people(40, noise=1.0), VERTICES) == 5
-
-
-def test_people_who_are_all_alike_need_no_direction():
     assert held_out_components(people(1, noise=1.0) * 10, VERTICES) == 0
-
-
-def test_few_people_do_not_show_how_many():
     with pytest.raises(ReflectanceError, match="10 or more"):
         held_out_components(people(9, noise=0.1), VERTICES)
 

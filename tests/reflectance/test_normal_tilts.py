@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench.judging import relative_rmse
+from helpers.reflectance_errors import diffuse_error
 from worlds.flash_captures import head_capture, samples_of
 
 from scan2albedo.reflectance import ReflectanceFitOptions, fit_reflectance, point_light_lobes
@@ -19,11 +19,6 @@ def capture():
 @pytest.fixture(scope="module")
 def fit(capture):
     return fit_reflectance(samples_of(capture, noise=0.01))
-
-
-def diffuse_error(fit, capture):
-    known = fit.reflectance.known
-    return relative_rmse(fit.reflectance.diffuse_linear[known], capture.truth.diffuse_linear[known])
 
 
 @pytest.mark.parametrize("angle", [0.0, 1.0, 3.0])

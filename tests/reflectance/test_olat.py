@@ -2,35 +2,27 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance import OlatOptions, extract_olat
 
-
-def displayed(linear, gamma=1.2):
-    return linear ** (1 / gamma)
-
-
-@pytest.fixture
-def lights():
-    """Light of flash and room, (2, 20, 30, 3) and (20, 30, 3), nothing clipped."""
-    rng = np.random.default_rng(0)
-    return rng.uniform(0.0, 0.6, (2, 20, 30, 3)), rng.uniform(0.0, 0.3, (20, 30, 3))
+LIGHT = np.random.default_rng(0).uniform(0, 0.3, (3, 20, 30, 3))
+FLASH, ROOM = 2 * LIGHT[:2], LIGHT[2]
+"""Light of two flashes and of the room, nothing clipped."""
 
 
 @pytest.fixture
-def shown(lights):
+def shown():
     """Pictures with the flash, and of the room."""
-    return displayed(lights[0] + lights[1]), displayed(lights[1])
+    return (FLASH + ROOM) ** (1 / 1.2), ROOM ** (1 / 1.2)
 
 
 @pytest.mark.parametrize("gamma", [1.0, 1.2, 2.2])
-def test_flash_light_is_recovered(lights, gamma):
-    flash, room = lights
-    olat = extract_olat(
-        displayed(flash + room, gamma), displayed(room, gamma), options=OlatOptions(gamma=gamma)
-    )
-    np.testing.assert_allclose(olat.linear, flash, atol=1e-6)
+def test_flash_light_is_recovered(gamma):
+    pictures = ((FLASH + ROOM) ** (1 / gamma), ROOM ** (1 / gamma))
+    olat = extract_olat(*pictures, options=OlatOptions(gamma=gamma))
+    assert_allclose(olat.linear, FLASH, atol=1e-6)
     assert olat.valid.all()
     assert olat.diagnostics == ()
 
@@ -78,13 +70,11 @@ def test_saturation_takes_the_channel_and_leaves_the_others(shown):
     assert olat.valid[0, 3, 4].tolist() == [False, True, True]
     assert not olat.valid[:, 5, 6, 1].any()
     assert (~olat.valid).sum() == 3
-    assert [(d.name, d.pair, d.left_out) for d in olat.diagnostics] == [
-        ("saturated", 0, False),
-        ("saturated", 1, False),
-    ]
+    told = [(d.name, d.pair, d.left_out) for d in olat.diagnostics]
+    assert told == [("saturated", pair, False) for pair in (0, 1)]
 
 
-def test_nan_pixels_are_masked_and_told(shown):
+def test_nan_pixels_are_masked_and_told_and_a_pair_without_any_number_is_left_out(shown):
     flash, room = shown
     flash[1, :2, :, 2] = np.nan
     olat = extract_olat(flash, room)
@@ -95,11 +85,8 @@ def test_nan_pixels_are_masked_and_told(shown):
     [told] = olat.diagnostics
     assert (told.name, told.pair) == ("not_finite", 1)
     assert told.part == pytest.approx(0.1)
-
-
-def test_a_pair_without_any_number_is_left_out(shown):
-    flash, room = shown
     flash[0] = np.nan
+    flash[1] = room
     olat = extract_olat(flash, room)
     assert not olat.valid[0].any()
     assert olat.valid[1].all()
@@ -129,16 +116,14 @@ def test_a_patch_brighter_in_the_room_is_told_and_kept(shown):
 
 
 def test_integers_are_parts_of_their_largest():
-    flash = np.full((1, 2, 2, 3), 51, np.uint8)
-    deep = np.full((1, 2, 2, 3), 13107, np.uint16)
-    expected = 0.2**1.2
-    for pictures in (flash, deep):
+    for value in (np.uint8(51), np.uint16(13107)):
+        pictures = np.full((1, 2, 2, 3), value)
         olat = extract_olat(pictures, np.zeros_like(pictures[0]))
-        np.testing.assert_allclose(olat.linear, expected, rtol=1e-6)
+        assert_allclose(olat.linear, 0.2**1.2, rtol=1e-6)
 
 
-def test_values_beyond_white_need_a_saturation(lights):
-    beyond = extract_olat(255 * lights[0], lights[1], options=OlatOptions(gamma=1, saturation=np.inf))
+def test_values_beyond_white_need_a_saturation():
+    beyond = extract_olat(255 * FLASH, ROOM, options=OlatOptions(gamma=1, saturation=np.inf))
     assert beyond.valid.all()
 
 

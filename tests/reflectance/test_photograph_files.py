@@ -1,11 +1,12 @@
 """Photographs as files: what is written is read again, and what is wrong is named."""
 
-import json
 import shutil
 
 import cv2
 import numpy as np
 import pytest
+from helpers import json_files
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import ReflectanceError, ScanError
 from scan2albedo.io.glb import write_glb
@@ -33,11 +34,7 @@ def folder(written, tmp_path):
 
 
 def changed(folder, change):
-    file = folder / "photograph.json"
-    content = json.loads(file.read_text())
-    change(content)
-    file.write_text(json.dumps(content))
-    return file
+    return json_files.changed(folder / "photograph.json", change)
 
 
 def test_what_is_written_is_read_again(taken, written):
@@ -48,12 +45,9 @@ def test_what_is_written_is_read_again(taken, written):
     assert np.allclose(read.vertices, taken.vertices, atol=1e-4)
     assert np.allclose(read.landmarks_px, taken.landmarks_px, equal_nan=True)
     assert np.isnan(read.landmarks_px).any()
-
-
-def test_without_a_mesh_landmarks_remain(taken, tmp_path):
-    read = read_photograph(write_synthetic_photograph(taken, tmp_path / "marked", mesh=False))
-    assert read.vertices is None
-    assert not (tmp_path / "marked" / "face.ply").exists()
+    marked = write_synthetic_photograph(taken, written.parent / "marked", mesh=False)
+    assert read_photograph(marked).vertices is None
+    assert not (marked.parent / "face.ply").exists()
 
 
 def test_camera_and_mesh_follow_the_unit(folder, taken):
@@ -72,8 +66,8 @@ def test_the_folder_of_a_processed_scan_stands_for_its_fitted_mesh(folder):
     for mesh in ("scan", "scan/fitted.glb"):
         file = changed(folder, lambda content, mesh=mesh: content.update(mesh=mesh))
         found.append(read_photograph(file).vertices)
-    np.testing.assert_array_equal(*found)
-    np.testing.assert_allclose(np.ptp(found[0], axis=0), 100, rtol=1e-5)
+    assert_array_equal(*found)
+    assert_allclose(np.ptp(found[0], axis=0), 100, rtol=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from worlds.flash_captures import head_capture, radiance
 
-from scan2albedo.reflectance import VertexReflectance, point_light_lobes, point_light_radiance
+from scan2albedo.reflectance import point_light_lobes, point_light_radiance, reflectance_from_albedo
 
 
 def test_radiance_is_that_of_the_equation():
@@ -13,10 +13,7 @@ def test_radiance_is_that_of_the_equation():
     expected, _ = radiance(capture)
     lobes = point_light_lobes(capture.vertices, capture.normals, capture.cameras, capture.lights)
     assert_allclose(point_light_radiance(capture.truth, lobes), expected, atol=1e-14)
-
-
-def test_a_flash_at_the_camera_makes_the_first_lobe_proportional_to_the_diffuse_one():
-    capture = head_capture(100)
+    # A flash at the camera makes the first lobe proportional to the diffuse one.
     lobes = point_light_lobes(capture.vertices, capture.normals, capture.cameras, capture.cameras)
     assert_allclose(lobes[..., 1], 3 / 8 * lobes[..., 0], rtol=1e-12)
 
@@ -37,15 +34,16 @@ def test_nothing_comes_of_a_light_behind_or_opposite_or_at_the_vertex():
 
 
 def test_what_is_not_known_sends_nan():
-    face = VertexReflectance(np.ones((2, 3)), np.zeros((2, 3)), np.array([True, False]))
+    face = reflectance_from_albedo([[1, 1, 1], [np.nan] * 3])
     assert np.isnan(point_light_radiance(face, np.ones((1, 2, 4)))).tolist() == [[[False] * 3, [True] * 3]]
 
 
 def test_shapes_that_disagree_are_refused():
     one, two = np.zeros((1, 3)), np.zeros((2, 3))
-    with pytest.raises(ValueError, match="normals is"):
-        point_light_lobes(one, two, one, one)
-    with pytest.raises(ValueError, match="light_positions is"):
-        point_light_lobes(one, one, one, two)
-    with pytest.raises(ValueError, match="expected \\(J, 1, 4\\)"):
-        point_light_radiance(VertexReflectance(one, one, np.ones(1, bool)), np.ones((1, 2, 4)))
+    for of, arguments, words in (
+        (point_light_lobes, (one, two, one, one), "normals is"),
+        (point_light_lobes, (one, one, one, two), "light_positions is"),
+        (point_light_radiance, (reflectance_from_albedo(one), np.ones((1, 2, 4))), r"expected \(J, 1, 4\)"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            of(*arguments)

@@ -22,8 +22,12 @@ def test_the_gradient_agrees_with_finite_differences(blur):
         assert_allclose(gradient[:, :, axis], expected, atol=1e-6)
 
 
-def test_without_blur_pixels_keep_their_colours():
+def test_without_blur_pixels_keep_their_colours_outside_nothing_is_covered_and_the_border_goes_on():
     image = SmoothImage(IMAGE, None, 0.0)
+    outside = np.array([[-0.1, 3.0], [29.1, 3.0], [4.0, -5.0], [4.0, 19.5], [np.nan, np.nan]])
+    assert not image.covers(outside).any()
+    assert_array_equal(image.look_up(outside[2:3]), IMAGE[[0], [4]])
+    assert (image.gradient(outside[:2])[:, :, 0] == 0).all()
     assert_array_equal(image.look_up(np.array([[0.0, 0], [29, 19], [7, 3]])), IMAGE[[0, 19, 3], [0, 29, 7]])
 
 
@@ -39,20 +43,12 @@ def test_gaps_are_filled_from_around_and_not_covered():
     assert covered.tolist() == [False, False, True, False, True, False]
 
 
-def test_outside_nothing_is_covered_and_the_border_goes_on():
-    image = SmoothImage(IMAGE, None, 0.0)
-    outside = np.array([[-0.1, 3.0], [29.1, 3.0], [4.0, -5.0], [4.0, 19.5], [np.nan, np.nan]])
-    assert not image.covers(outside).any()
-    assert_array_equal(image.look_up(outside[2:3]), image.look_up(np.array([[4.0, 0.0]])))
-    assert (image.gradient(outside[:2])[:, :, 0] == 0).all()
-
-
 def test_what_is_no_image_is_refused():
-    with pytest.raises(ValueError, match="image_linear"):
-        SmoothImage(IMAGE[..., 0], None, 0.0)
-    with pytest.raises(ValueError, match="mask"):
-        SmoothImage(IMAGE, np.ones((20, 30)), 0.0)
-    with pytest.raises(ReflectanceError, match="no pixel"):
-        SmoothImage(IMAGE, np.zeros((20, 30), bool), 0.0)
-    with pytest.raises(ReflectanceError, match="no pixel"):
-        SmoothImage(np.full_like(IMAGE, np.nan), None, 1.0)
+    for image, mask, kind, words in (
+        (IMAGE[..., 0], None, ValueError, "image_linear"),
+        (IMAGE, np.ones((20, 30)), ValueError, "mask"),
+        (IMAGE, np.zeros((20, 30), bool), ReflectanceError, "no pixel"),
+        (IMAGE * np.nan, None, ReflectanceError, "no pixel"),
+    ):
+        with pytest.raises(kind, match=words):
+            SmoothImage(image, mask, 0.0)

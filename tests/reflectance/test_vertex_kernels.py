@@ -5,7 +5,6 @@ import pytest
 from bench.flash_captures import MEAN, PRIOR, design, normal_equations
 from numpy.testing import assert_allclose
 from scipy.optimize import nnls
-from worlds.flash_captures import head_capture, of_pairs, samples_of
 
 from scan2albedo.reflectance import VertexSamples
 from scan2albedo.reflectance.vertex_kernels import reweigh, solve_bounded, solve_free
@@ -21,12 +20,18 @@ def random_samples(seed, count=60, pairs=12, dark=0.0):
     return VertexSamples(observed, rng.uniform(0.05, 0.3, shape), valid, lobes, np.zeros(pairs, int))
 
 
+def evenly_sure(observed, sigma, lobes):
+    shape = observed.shape
+    return VertexSamples(
+        observed, np.full(shape, sigma), np.ones(shape, bool), lobes, np.zeros(len(lobes), int)
+    )
+
+
 def bounded(samples):
     """Return estimates (V, 6), and those of scipy."""
-    count = samples.lobes.shape[1]
-    estimate = np.empty((count, 6))
+    estimate = np.empty((samples.lobes.shape[1], 6))
     solve_bounded(normal_equations(samples), MEAN, PRIOR, estimate)
-    return estimate, np.stack([nnls(*design(samples, v))[0] for v in range(count)])
+    return estimate, np.stack([nnls(*design(samples, v))[0] for v in range(len(estimate))])
 
 
 @pytest.mark.parametrize("pairs", [1, 2, 5, 12])
@@ -39,28 +44,8 @@ def test_bounded_estimates_are_those_of_nnls(dark, pairs):
 
 def test_every_set_of_bounds_is_met():
     """The test above means something only if many of the 64 sets occur."""
-    sets = set()
-    for dark in (0.0, 0.3, 0.8):
-        sets |= {tuple(row) for row in bounded(random_samples(1, count=400, dark=dark))[0] == 0}
-    assert len(sets) > 40
-
-
-def test_heads_with_black_channels_agree_too():
-    capture = of_pairs(head_capture(200, black=0.5), np.arange(0, 99, 4))
-    estimate, expected = bounded(samples_of(capture, noise=0.03))
-    assert (estimate[:, :3] == 0).any(1).sum() > 20
-    assert_allclose(estimate, expected, atol=1e-9)
-
-
-def test_the_posterior_without_bounds_is_that_of_the_dense_system():
-    samples = random_samples(3)
-    center, deviation = np.empty((60, 6)), np.empty((60, 6))
-    solve_free(normal_equations(samples), MEAN, PRIOR, center, deviation)
-    for v in range(60):
-        rows, right = design(samples, v)
-        assert_allclose(center[v], np.linalg.lstsq(rows, right)[0], atol=1e-9)
-        covariance = np.linalg.inv(rows.T @ rows)
-        assert_allclose(deviation[v], np.sqrt(np.diag(covariance)), rtol=1e-8)
+    found = [bounded(random_samples(1, count=400, dark=dark))[0] == 0 for dark in (0.0, 0.3, 0.8)]
+    assert len(np.unique(np.concatenate(found), axis=0)) > 40
 
 
 @pytest.mark.parametrize("column", [1, 2, 3])
@@ -69,15 +54,8 @@ def test_observations_beyond_all_precision_keep_the_estimate_finite(column, sigm
     """A flash at the camera: two columns are one, and what the prior says of them drowns in rounding."""
     lobes = np.abs(np.random.default_rng(4).standard_normal((6, 10, 4)))
     lobes[..., column] = 3 / 8 * lobes[..., 0]
-    samples = VertexSamples(
-        0.5 * lobes[..., :1] * np.ones(3),
-        np.full((6, 10, 3), sigma),
-        np.ones((6, 10, 3), bool),
-        lobes,
-        np.zeros(6, int),
-    )
-    normal, estimate = normal_equations(samples), np.empty((10, 6))
-    center, deviation = np.empty((10, 6)), np.empty((10, 6))
+    normal = normal_equations(evenly_sure(0.5 * lobes[..., :1] * np.ones(3), sigma, lobes))
+    estimate, center, deviation = np.empty((3, 10, 6))
     solve_bounded(normal, MEAN, PRIOR, estimate)
     solve_free(normal, MEAN, PRIOR, center, deviation)
     assert np.isfinite(estimate).all()
@@ -113,7 +91,7 @@ def test_weights_are_the_slope_of_the_loss(power):
             np.empty((1, 2)),
         )
         losses.append(loss[0])
-        weights.append(weight[:, 0].copy())
+        weights.append(weight[:, 0])
         assert scale[0] == 1
     slope = (losses[1] - losses[0]) / 1e-4
     assert slope == pytest.approx(3 * 0.5 * weights[0].sum(), rel=1e-3)
@@ -137,9 +115,7 @@ def test_nearly_equal_columns_do_not_keep_bounds_from_settling():
     lobes = np.abs(rng.standard_normal((8, 400, 1))) * [0.3, 0.1, 0.4, 2.0]
     lobes *= 1 + 1e-8 * rng.standard_normal(lobes.shape)
     observed = lobes[..., :1] * rng.normal(0.2, 0.4, (400, 3)) + 1e-9 * rng.standard_normal((8, 400, 3))
-    samples = VertexSamples(
-        observed, np.full(observed.shape, 1e-9), np.ones(observed.shape, bool), lobes, np.zeros(8, int)
-    )
+    samples = evenly_sure(observed, 1e-9, lobes)
     for v, both in enumerate(zip(*bounded(samples), strict=True)):
         rows, right = design(samples, v)
         left, least = (np.sum((rows @ one - right) ** 2) for one in both)

@@ -1,16 +1,16 @@
 """Shapes and raw-like scans that the registration tests share."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from helpers.meshes import bumpy_samples
+from helpers.poses import assert_near
 from worlds.raw_like import raw_like
 
 from scan2albedo import AnnotatedFaceModel, RawScan
-from scan2albedo.geometry.oriented_points import OrientedPoints
-from scan2albedo.geometry.rigid import compose, invert_rigid, procrustes, rotation_angle_rad, transform_points
+from scan2albedo.geometry.rigid import compose, invert_rigid, procrustes
+from scan2albedo.registration.inputs import Template
 from scan2albedo.synthetic.face_shape import person
 
 FACE_PART = 6706
@@ -23,18 +23,21 @@ class PosedScan:
     scan: RawScan
     model_from_scan: np.ndarray
 
-    def error(self, model_from_scan: np.ndarray) -> tuple[float, float]:
-        """Return how far a pose is off: degrees, and mm at the model's origin."""
-        truth, found = invert_rigid(self.model_from_scan), invert_rigid(model_from_scan)
-        angle = rotation_angle_rad(found[:3, :3].T @ truth[:3, :3])
-        return float(np.degrees(angle)), float(np.linalg.norm(found[:3, 3] - truth[:3, 3]))
+    def assert_found(self, model_from_scan, degrees, millimetres):
+        """A pose is off by less, in mm at the model's origin."""
+        assert_near(model_from_scan, self.model_from_scan, degrees, millimetres)
 
 
 @pytest.fixture(scope="session")
-def synthetic_scan(model) -> Callable[..., PosedScan]:
+def template(model):
+    return Template.of(model, 0)
+
+
+@pytest.fixture(scope="session")
+def synthetic_scan(model):
     """Make a raw-like scan of a synthetic person, in the model's own correspondence."""
 
-    def make(seed: int, **options) -> PosedScan:
+    def make(seed, **options):
         control = person(model, np.random.default_rng(seed))
         subdivision = model.subdivision(2)
         shape = subdivision.matrix @ control
@@ -45,12 +48,12 @@ def synthetic_scan(model) -> Callable[..., PosedScan]:
 
 
 @pytest.fixture(scope="session")
-def bumpy() -> OrientedPoints:
+def bumpy():
     return bumpy_samples()
 
 
 @pytest.fixture(scope="session")
-def ict(shared_data) -> dict[str, np.ndarray]:
+def ict(shared_data):
     """The published shapes: `faces` and one (V, 3) array a shape, in mm."""
     with np.load(shared_data / "ict_faces.npz") as data:
         shapes = {key[6:]: data[key].astype(float) for key in data if key.startswith("shape_")}
@@ -58,13 +61,13 @@ def ict(shared_data) -> dict[str, np.ndarray]:
 
 
 @pytest.fixture(scope="session")
-def ict_scan(ict, model) -> Callable[..., PosedScan]:
+def ict_scan(ict, model):
     """Make a raw-like scan of a published shape; its true pose comes from landmarks of the generic one."""
     inner = ict["landmarks68"][17:]
     generic = ict["generic_neutral"]
     model_from_generic = procrustes(generic[inner], model.landmarks[17:])
 
-    def make(shape: str, seed: int, **options) -> PosedScan:
+    def make(shape, seed, **options):
         vertices = ict[shape]
         model_from_shape = model_from_generic @ procrustes(vertices[:FACE_PART], generic[:FACE_PART])
         scan, scan_from_shape = raw_like(vertices, ict["faces"], seed, **options)
@@ -74,7 +77,7 @@ def ict_scan(ict, model) -> Callable[..., PosedScan]:
 
 
 @pytest.fixture(scope="session")
-def ict_scan_of_template(ict) -> Callable[[str, int], tuple[AnnotatedFaceModel, PosedScan]]:
+def ict_scan_of_template(ict):
     """Return the generic published face as a model, and a raw-like scan of it with an expression."""
     generic, faces = ict["generic_neutral"], ict["faces"]
     kept = faces[(faces < FACE_PART).all(1)]
@@ -82,18 +85,8 @@ def ict_scan_of_template(ict) -> Callable[[str, int], tuple[AnnotatedFaceModel, 
     template = AnnotatedFaceModel.from_mesh(generic[used], np.searchsorted(used, kept))
     model_from_generic = compose(np.eye(3), -generic[used].mean(0))
 
-    def make(shape: str, seed: int) -> tuple[AnnotatedFaceModel, PosedScan]:
+    def make(shape, seed):
         scan, scan_from_shape = raw_like(ict[shape], faces, seed)
         return template, PosedScan(scan, model_from_generic @ invert_rigid(scan_from_shape))
 
     return make
-
-
-@pytest.fixture(scope="session")
-def posed() -> Callable[..., RawScan]:
-    """Return a scan moved by a rigid transform."""
-
-    def move(scan: RawScan, pose: np.ndarray) -> RawScan:
-        return RawScan(transform_points(pose, scan.vertices), scan.faces, name=scan.name)
-
-    return move

@@ -4,16 +4,16 @@ import builtins
 
 import numpy as np
 import pytest
-import trimesh
+from helpers.meshes import sphere
+from helpers.poses import REST, assert_near
 
-from scan2albedo import RawScan, synthetic
+from scan2albedo import RawScan
 from scan2albedo.errors import MissingDependencyError, NoFaceError, import_open3d
 from scan2albedo.geometry.oriented_points import oriented_points
 from scan2albedo.geometry.rigid import (
     Similarity,
     compose,
     invert_rigid,
-    rotation_angle_rad,
     rotation_from_vector,
 )
 from scan2albedo.registration import register
@@ -27,8 +27,7 @@ def test_it_refines_and_repeats_its_bits(model):
     samples = oriented_points(*model.surface(1), 4.0)
     start = compose(rotation_from_vector([0.1, -0.05, 0.08]), [6.0, -4.0, 5.0])
     poses = [refined_by_open3d(samples, samples, start) for _ in range(4)]
-    assert np.degrees(rotation_angle_rad(poses[0][:3, :3])) < 0.1
-    assert np.linalg.norm(poses[0][:3, 3]) < 0.1
+    assert_near(poses[0], np.eye(4), 0.1, 0.1)
     assert all(np.array_equal(poses[0], pose) for pose in poses[1:])
 
 
@@ -58,8 +57,8 @@ def looked_at(pose, relief):
     return Candidate(pose, agreement, 1.0, Evidence(pose, np.zeros(65), 1.0, 1.0, agreement))
 
 
-def test_colours_are_asked_only_in_doubt_and_then_tell_upside_down_from_upright(model):
-    scan, known = synthetic.raw_scan(3, scanner=synthetic.Scanner(size=128, picture_size=500, spacing_mm=3.0))
+def test_colours_are_asked_only_in_doubt_and_then_tell_upside_down_from_upright(coarse_scan, model):
+    scan, known = coarse_scan
     prepared = prepared_scan(scan, RegistrationOptions())
     colors = prepared, model.front, lambda: colour_scorer(scan, model)
     truth = prepared.prepared_from_scan @ invert_rigid(known.model_from_scan)
@@ -77,12 +76,10 @@ def test_colours_are_asked_only_in_doubt_and_then_tell_upside_down_from_upright(
 def test_a_scan_without_colours_says_nothing(synthetic_scan, model):
     scan = synthetic_scan(3).scan
     bare = prepared_scan(RawScan(scan.vertices, scan.faces), RegistrationOptions())
-    rest = Similarity(np.eye(3), np.zeros(3))
-    doubtful = (looked_at(rest, 0.3),)
+    doubtful = (looked_at(REST, 0.3),)
     assert rescored(doubtful, bare, model.front, lambda: colour_scorer(bare.raw, model)) is doubtful
 
 
 def test_a_search_without_anything_like_a_face_ends_early(model):
-    ball = trimesh.creation.icosphere(4, 100.0)
     with pytest.raises(NoFaceError, match=r"The best of [1-8] poses is one with a probability of 0\.00"):
-        register(RawScan(ball.vertices, ball.faces), model)
+        register(RawScan(*sphere(4, 100.0)), model)

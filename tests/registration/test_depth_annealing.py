@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.poses import REST
 
 from scan2albedo.core import Budget, Meter
 from scan2albedo.geometry.rigid import Similarity, invert_rigid, rotation_angle_rad, rotation_from_vector
@@ -9,14 +10,7 @@ from scan2albedo.optimization.annealing import simulated_annealing
 from scan2albedo.registration import RegistrationOptions
 from scan2albedo.registration.depth_annealing import REACH, DepthDerivativeObjective, annealed
 from scan2albedo.registration.icp import rigid_distance_mm
-from scan2albedo.registration.inputs import Template, prepared_scan
-
-REST = Similarity(np.eye(3), np.zeros(3))
-
-
-@pytest.fixture(scope="module")
-def template(model) -> Template:
-    return Template.of(model, 0)
+from scan2albedo.registration.inputs import prepared_scan
 
 
 def test_the_objective_is_zero_at_the_truth_and_grows_away_from_it(template):
@@ -25,6 +19,9 @@ def test_the_objective_is_zero_at_the_truth_and_grows_away_from_it(template):
     for axis, unit in enumerate([np.radians(1)] * 3 + [1.0] * 2):
         costs = [objective(step * unit * np.eye(5)[axis]) for step in (1, 2, 4)]
         assert 0 < costs[0] < costs[1] < costs[2] < 1
+    # A missing part of the scan costs nothing.
+    half = template.image.faces[(template.surface[template.image.faces][..., 0] > 0).all(1)]
+    assert DepthDerivativeObjective(template.surface, half, template, REST, 64)(np.zeros(5)) == 0
 
 
 def test_derivatives_do_not_see_depth_but_the_shift_is_found_apart(template):
@@ -32,12 +29,6 @@ def test_derivatives_do_not_see_depth_but_the_shift_is_found_apart(template):
     objective = DepthDerivativeObjective(lifted, template.image.faces, template, REST, 64)
     assert objective(np.zeros(5)) < 1e-9
     np.testing.assert_allclose(objective.pose(np.zeros(5)).matrix()[:3, 3], [0, 0, 3.5], atol=1e-9)
-
-
-def test_a_missing_part_of_the_scan_costs_nothing(template):
-    half = template.image.faces[(template.surface[template.image.faces][..., 0] > 0).all(1)]
-    objective = DepthDerivativeObjective(template.surface, half, template, REST, 64)
-    assert objective(np.zeros(5)) == 0
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.93])
@@ -52,13 +43,20 @@ def test_annealing_walks_back_from_four_degrees_and_four_millimetres(template, s
     assert np.linalg.norm(pose.translation) < 0.8
 
 
-def test_a_budget_ends_it_with_the_best_so_far(synthetic_scan, template):
-    example = synthetic_scan(0)
+def prepared(example):
+    """A scan as registration takes it, and where the model lies in it."""
     scan = prepared_scan(example.scan, RegistrationOptions())
-    truth = scan.prepared_from_scan @ invert_rigid(example.model_from_scan)
+    return scan, scan.prepared_from_scan @ invert_rigid(example.model_from_scan)
+
+
+FORCED = RegistrationOptions(force_annealing=True)
+
+
+def test_a_budget_ends_it_with_the_best_so_far(synthetic_scan, template):
+    scan, truth = prepared(synthetic_scan(0))
     start = Similarity(truth[:3, :3] @ rotation_from_vector([0.05, 0, 0]), truth[:3, 3])
     meter = Meter("depth_annealing", "objective", Budget(evaluations=40))
-    found = annealed(scan, template, start, RegistrationOptions(force_annealing=True), meter, 0)
+    found = annealed(scan, template, start, FORCED, meter, 0)
     errors = [row.error for row in meter.trace]
     assert meter.exhausted
     assert errors == sorted(errors, reverse=True)
@@ -68,14 +66,10 @@ def test_a_budget_ends_it_with_the_best_so_far(synthetic_scan, template):
 @pytest.mark.parametrize("seed", [0, 3])
 @pytest.mark.parametrize("off_deg", [0.0, 1.0, 4.0, 25.0])
 def test_annealing_never_leaves_the_surface_farther_than_it_was(synthetic_scan, template, seed, off_deg):
-    example = synthetic_scan(seed)
-    scan = prepared_scan(example.scan, RegistrationOptions())
-    truth = scan.prepared_from_scan @ invert_rigid(example.model_from_scan)
+    scan, truth = prepared(synthetic_scan(seed))
     turn = rotation_from_vector(np.radians(off_deg) * np.array([0.6, -0.64, 0.48]))
     start = Similarity(truth[:3, :3] @ turn, truth[:3, 3] + [0.5 * off_deg, 0, 0])
-    meter = Meter("depth_annealing", "objective")
-    options = RegistrationOptions(force_annealing=True)
-    found = annealed(scan, template, start, options, meter, 0)
+    found = annealed(scan, template, start, FORCED, Meter("depth_annealing", "objective"), 0)
     for sigma_mm in (0.5, 2.0):
         before, after = (rigid_distance_mm(scan.samples, template, p, sigma_mm) for p in (start, found.pose))
         assert after <= before

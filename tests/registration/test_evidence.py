@@ -4,24 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import trimesh
+from helpers.meshes import grid, sphere
 
 from scan2albedo import RawScan
 from scan2albedo.core import Meter
-from scan2albedo.geometry.rigid import Similarity, invert_rigid, transform_points
+from scan2albedo.geometry.rigid import Similarity, compose, invert_rigid, transform_points
 from scan2albedo.registration.evidence import evidence
 from scan2albedo.registration.inputs import RegistrationOptions, Template, prepared_scan
 
 
-@pytest.fixture(scope="module")
-def template(model):
-    return Template.of(model, 0)
-
-
-def evidence_at(vertices, faces, template):
-    """What a scan in the model's frame says of that frame."""
+def evidence_at(vertices, faces, template, scan_from_model=np.eye(4)):
+    """What a scan says of a pose, that of its own frame when none is given."""
     prepared = prepared_scan(RawScan(vertices, faces), RegistrationOptions())
-    pose = prepared.prepared_from_scan
+    pose = prepared.prepared_from_scan @ scan_from_model
     return evidence(prepared, template, Similarity(pose[:3, :3], pose[:3, 3]), Meter("icp", "mm"))
 
 
@@ -55,17 +50,13 @@ def test_a_flat_face_as_template_finds_other_people(face, model):
 
 
 def test_a_ball_and_a_face_upside_down_are_no_faces(face, template):
-    ball = trimesh.creation.icosphere(5, 95.0)
-    assert evidence_at(np.asarray(ball.vertices), np.asarray(ball.faces), template).log_odds < -3
+    assert evidence_at(*sphere(5, 95.0), template).log_odds < -3
     assert evidence_at(face[0] * [-1, -1, 1], face[1], template).log_odds < -1
 
 
 def test_no_scan_near_the_template_is_no_face_and_all_finite(template):
-    sheet = trimesh.creation.box((200, 200, 1)).subdivide_to_size(10)
-    prepared = prepared_scan(
-        RawScan(np.asarray(sheet.vertices), np.asarray(sheet.faces)), RegistrationOptions()
-    )
-    found = evidence(prepared, template, Similarity(np.eye(3), np.array([5000.0, 0, 0])), Meter("icp", "mm"))
+    sheet, faces = grid(21, 21)
+    found = evidence_at(200 * sheet, faces, template, compose(np.eye(3), [5000.0, 0, 0]))
     assert np.isfinite(list(found.cues.values())).all()
     assert found.log_odds < -8
 
@@ -78,7 +69,5 @@ def test_the_template_is_kept_as_long_as_its_model(model):
 def test_the_frame_of_the_scan_does_not_matter(face, template):
     one = evidence_at(*face, template)
     pose = invert_rigid(np.array([[0, -1, 0, 50], [1, 0, 0, -20], [0, 0, 1, 300], [0, 0, 0, 1.0]]))
-    prepared = prepared_scan(RawScan(transform_points(pose, face[0]), face[1]), RegistrationOptions())
-    start = prepared.prepared_from_scan @ pose
-    other = evidence(prepared, template, Similarity(start[:3, :3], start[:3, 3]), Meter("icp", "mm"))
+    other = evidence_at(transform_points(pose, face[0]), face[1], template, pose)
     assert other.log_odds == pytest.approx(one.log_odds, abs=0.2)

@@ -3,14 +3,15 @@
 import numpy as np
 import pytest
 import trimesh
-from helpers.meshes import sphere
+from helpers.meshes import grid, sphere
+from helpers.plates import FACES
+from helpers.poses import REST
 from numpy.testing import assert_allclose
 
-from scan2albedo.geometry.mesh import vertex_normals
+from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.oriented_points import SurfaceNoise
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import (
-    Similarity,
     compose,
     random_rotation,
     rotation_from_vector,
@@ -18,8 +19,6 @@ from scan2albedo.geometry.rigid import (
 )
 from scan2albedo.registration.candidates import Candidate
 from scan2albedo.registration.relief import DepthFrame, FaceImage, depth_image, without_quadratic_trend
-
-POSE = Similarity(np.eye(3), np.zeros(3))
 
 
 def pixel_centres(frame):
@@ -29,13 +28,10 @@ def pixel_centres(frame):
     return np.stack([x, y], -1)
 
 
-def bumpy(seed=0):
+def bumpy():
     vertices, faces = sphere(4, 1.0)
-    rng = np.random.default_rng(seed)
-    axes = rng.normal(size=(6, 3))
-    bumps = 1 + 0.2 * np.exp(4 * (vertices @ (axes / np.linalg.norm(axes, axis=1, keepdims=True)).T - 1)).sum(
-        1
-    )
+    axes = normalized(np.random.default_rng(0).normal(size=(6, 3)))
+    bumps = 1 + 0.2 * np.exp(4 * (vertices @ axes.T - 1)).sum(1)
     return vertices * bumps[:, None] * 70, faces
 
 
@@ -57,14 +53,13 @@ def test_depth_equals_the_first_hit_of_a_ray_from_the_viewer(size):
 
 def test_a_tilted_plane_is_exact():
     vertices = np.array([[-9.0, -9, 0], [9, -9, 18], [9, 9, 18], [-9, 9, 0]])
-    image = depth_image(vertices, [[0, 1, 2], [0, 2, 3]], DepthFrame((0.0, 0.0), 10.0, 20))
-    x = pixel_centres(DepthFrame((0.0, 0.0), 10.0, 20))[..., 0]
-    assert_allclose(image, x + 9, atol=1e-12)
+    frame = DepthFrame((0.0, 0.0), 10.0, 20)
+    assert_allclose(depth_image(vertices, FACES, frame), pixel_centres(frame)[..., 0] + 9, atol=1e-12)
 
 
 def test_empty_pixels_are_minus_infinity_and_the_limit_looks_through():
     vertices = np.array([[-1.0, -1, 0], [1, -1, 0], [0, 2, 0], [-9, -9, 5], [9, -9, 5], [0, 20, 5]])
-    faces = np.array([[0, 1, 2], [3, 4, 5]])
+    faces = np.arange(6).reshape(2, 3)
     frame = DepthFrame((0.0, 0.0), 60.0, 61)
     assert depth_image(vertices, faces, frame)[30, 30] == 5
     assert depth_image(vertices, faces, frame, z_limit=4.0)[30, 30] == 0
@@ -74,14 +69,9 @@ def test_empty_pixels_are_minus_infinity_and_the_limit_looks_through():
 @pytest.mark.parametrize("jitter", [0.0, 1e-14, 0.3])
 def test_neighbouring_faces_leave_no_pixel_between_them(jitter):
     # Without jitter every pixel centre lies on edges or corners of the grid; 1e-14 makes rows near level.
-    side = np.arange(-4.0, 5.0)
-    x, y = np.meshgrid(side, side)
-    rng = np.random.default_rng(0)
-    xy = np.stack([x, y], -1) + jitter * rng.uniform(-1, 1, (9, 9, 2))
-    vertices = np.column_stack([xy.reshape(-1, 2), xy.reshape(-1, 2) @ [0.5, -0.25]])
-    index = np.arange(81).reshape(9, 9)
-    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
-    faces = np.concatenate([np.stack(t, -1).reshape(-1, 3) for t in ((a, b, c), (a, c, d))])
+    flat, faces = grid(9, 9)
+    xy = 8 * flat[:, :2] - 4 + jitter * np.random.default_rng(0).uniform(-1, 1, (81, 2))
+    vertices = np.column_stack([xy, xy @ [0.5, -0.25]])
     frame = DepthFrame((0.0, 0.0), 7.0, 7)
     image = depth_image(vertices, faces, frame)
     assert_allclose(image, pixel_centres(frame) @ [0.5, -0.25], atol=1e-9)
@@ -89,23 +79,22 @@ def test_neighbouring_faces_leave_no_pixel_between_them(jitter):
 
 
 @pytest.fixture(scope="module")
-def image(model) -> FaceImage:
+def image(model):
     return FaceImage(*model.surface(1))
 
 
-def test_depth_along_the_view_does_not_matter(image, model):
-    vertices, faces = model.surface(1)
-    near = image.agreement(vertices, faces, compose(np.eye(3), [0, 0, 5.0]))
+def test_depth_along_the_view_matters_only_when_it_is_far(image, model):
+    near, far = (image.agreement(*model.surface(1), compose(np.eye(3), [0, 0, z])) for z in (5.0, 300.0))
     assert near.local > 0.9
+    assert (far.coverage, far.local, far.whole) == (0, 0, 0)
 
 
 @pytest.mark.parametrize(
     "turn", [[0, 0, np.pi], [0, 0, np.pi / 2], [0, 0, np.radians(40)], [0, np.radians(50), 0]]
 )
 def test_a_wrongly_turned_model_is_no_face(image, model, turn):
-    vertices, faces = model.surface(1)
     pose = compose(rotation_from_vector(turn), np.zeros(3))
-    assert Candidate(POSE, image.agreement(vertices, faces, pose), 0.0).ranking < 0.5
+    assert Candidate(REST, image.agreement(*model.surface(1), pose), 0.0).ranking < 0.5
 
 
 def test_smooth_bodies_have_no_relief(image, model):
@@ -118,17 +107,12 @@ def test_smooth_bodies_have_no_relief(image, model):
         assert found.whole < 0.4
 
 
-def test_far_away_there_is_neither_coverage_nor_relief(image, model):
-    scores = image.agreement(*model.surface(1), compose(np.eye(3), [0, 0, 300.0]))
-    assert (scores.coverage, scores.local, scores.whole) == (0, 0, 0)
-
-
 def test_half_a_face_scores_nearly_as_a_whole_one(image, model):
     vertices, faces = model.surface(1)
     half = faces[(vertices[faces][..., 0] > 0).all(1)]
     scores = image.agreement(vertices, half, np.eye(4))
     assert 0.4 < scores.coverage < 0.6
-    assert Candidate(POSE, scores, 0.0).ranking > 0.7
+    assert Candidate(REST, scores, 0.0).ranking > 0.7
 
 
 def test_trend_removal_leaves_nothing_of_a_quadratic():

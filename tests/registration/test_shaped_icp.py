@@ -1,23 +1,18 @@
 """The template takes a person's shape, so that what people do neither moves the pose nor makes doubts."""
 
 import numpy as np
-import pytest
+from helpers.poses import REST
 
 from scan2albedo.core import Budget, Meter
 from scan2albedo.face_model.variation import STRETCHES, shape_modes
 from scan2albedo.geometry.oriented_points import oriented_points
-from scan2albedo.geometry.rigid import Similarity, rotation_angle_rad, rotation_from_vector
+from scan2albedo.geometry.rigid import Similarity, rotation_from_vector
 from scan2albedo.registration.icp import residuals, shaped_icp
-from scan2albedo.registration.inputs import Template
 
 
-@pytest.fixture(scope="module")
-def template(model):
-    return Template.of(model, 0)
-
-
-def person_points(model, template, coefficients):
+def person_points(model, template, seed):
     """The samples of a face that the modes make, where the model lies."""
+    coefficients = np.random.default_rng(seed).normal(size=template.modes.shape[2])
     moved = model.control_vertices + np.tensordot(coefficients, template.control_modes, 1)
     subdivision = model.subdivision(1)
     return oriented_points(subdivision.matrix @ moved, subdivision.faces, 4.0)
@@ -33,15 +28,15 @@ def test_no_mode_moves_turns_or_grows_the_face(model):
 
 
 def test_the_pose_of_a_person_is_found_and_the_surface_lies_on_the_scan(model, template):
-    drawn = np.random.default_rng(3).normal(size=template.modes.shape[2])
-    scan = person_points(model, template, drawn)
+    scan = person_points(model, template, 3)
     start = Similarity(rotation_from_vector([0.1, -0.08, 0.05]), np.array([4.0, -3.0, 5.0]))
     shaped = shaped_icp(scan, template, start, Meter("icp", "mm"))
-    assert np.degrees(rotation_angle_rad(shaped.pose.rotation)) < 1.5
-    assert np.linalg.norm(shaped.pose.translation) < 1.5
+    assert shaped.pose.is_near(REST, np.radians(1.5), 1.5)
     person = template.in_shape(shaped.coefficients)
-    before = residuals(scan, template.samples, shaped.pose).trimmed_rms_mm(template.samples.areas)
-    after = residuals(scan, person.samples, shaped.pose).trimmed_rms_mm(template.samples.areas)
+    before, after = (
+        residuals(scan, one.samples, shaped.pose).trimmed_rms_mm(template.samples.areas)
+        for one in (template, person)
+    )
     assert after < 0.6 * before
 
 
@@ -55,7 +50,7 @@ def test_what_moves_beside_the_heavy_points_does_not_turn_them(model):
 
 
 def test_it_records_a_falling_loss_and_stops_with_the_budget(model, template):
-    scan = person_points(model, template, np.random.default_rng(4).normal(size=template.modes.shape[2]))
+    scan = person_points(model, template, 4)
     start = Similarity(np.eye(3), np.array([3.0, 2.0, -4.0]))
     whole, little = Meter("icp", "mm"), Meter("icp", "mm", Budget(evaluations=2))
     shaped_icp(scan, template, start, whole)

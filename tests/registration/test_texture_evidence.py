@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.square import sample
 
 from scan2albedo.geometry.rigid import compose, rotation_from_vector
 from scan2albedo.registration.evidence import colour_scorer
@@ -37,11 +38,8 @@ def test_the_strength_of_the_light_does_not_matter(case, model):
 
 def test_colours_of_vertices_say_the_same(case, model):
     scan, pose, _ = case
-    corners = scan.uv.reshape(-1, 2) % 1
-    height, width = scan.texture_linear.shape[:2]
-    place = ((1 - corners[:, 1]) * height).astype(int), (corners[:, 0] * width).astype(int)
     color = np.zeros((len(scan.vertices), 3), np.float32)
-    color[scan.faces.ravel()] = scan.texture_linear[place]
+    color[scan.faces.ravel()] = sample(scan, scan.uv.reshape(-1, 2) % 1)
     plain = replace(scan, uv=None, texture_linear=None, vertex_color_linear=color)
     assert colour_scorer(plain, model)(pose, 1.0) > 0
 
@@ -73,5 +71,5 @@ def test_where_there_is_no_colour_there_is_no_evidence(case, model):
 
 def test_a_strange_texture_cannot_refuse_a_face(case, model):
     scan, pose, _ = case
-    noise = np.random.default_rng(0).uniform(size=scan.texture_linear.shape).astype(np.float32)
+    noise = np.random.default_rng(0).random(scan.texture_linear.shape, np.float32)
     assert -3 <= colour_scorer(replace(scan, texture_linear=noise), model)(pose, 1.0) <= 3

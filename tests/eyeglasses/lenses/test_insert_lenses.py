@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from helpers.eyeglasses import angle_deg, conjugate_directions, glazed
+from helpers.plates import CORNERS, plate
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import EyeglassesError
@@ -28,78 +29,74 @@ FLAT = eyeglasses(shape=GlassesShape(wrap_radius=1e9))
 """Both rims in one plane across z."""
 BENT = eyeglasses(1)
 SHAPE = (240, 320)
+NOISE = np.random.default_rng(0).random((*SHAPE, 3))
+"""A photograph."""
+DARK = (0.1, 0.1, 0.1)
 FRONT = DistantLights([[0, 0, 1]], [np.pi])
 SUNGLASSES = LensMaterial(-3.0, (0.3, 0.2, 0.1), alpha=0.5, beta=0.2, fresnel=True)
+ONE_RAY = LensPictureOptions(supersampling=1)
 
 
-def frame_of(glasses, **finish):
-    return Surface(glasses.vertices, glasses.faces, **{"albedo_linear": (0.1, 0.1, 0.1), **finish})
-
-
-def wall(z, texture=None, half=80.0, **finish):
-    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1.0]])
-    if texture is not None:
-        finish |= {"uv": (corners + 1) / 2, "texture_linear": texture}
-    return Surface(np.column_stack([half * corners, np.full(4, z)]), [[0, 1, 2], [0, 2, 3]], **finish)
-
-
-def waves(seed=0, size=200):
-    """A smooth texture."""
-    rng = np.random.default_rng(seed)
-    y, x = np.mgrid[:size, :size] / size * 2 * np.pi
+def wavy(z=-30.0, half=80.0, **finish):
+    """A wall with a smooth texture."""
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[:200, :200] / 200 * 2 * np.pi
     kx, ky, phase = rng.uniform(2, 7, (2, 3)), rng.uniform(-6, 6, (2, 3)), rng.uniform(0, 6, (2, 3))
     parts = np.sin(kx * x[..., None, None] + ky * y[..., None, None] + phase)
-    return 0.5 + 0.24 * parts.sum(2)
+    return plate(half, z, uv=(CORNERS + 1) / 2, texture_linear=0.5 + 0.24 * parts.sum(2), **finish)
+
+
+WALL = plate(80.0, -30.0)
+WAVY = wavy()
 
 
 def room(seed=0):
     return np.random.default_rng(seed).random((8, 16, 3))
 
 
-def before(glasses, side=0, distance=600.0, focal_px=1500.0, shape=SHAPE):
-    """A camera in front of one lens."""
-    center = glasses.lens_centers[side]
-    return look_at(center + [0, 0, distance], center, focal_px=focal_px, shape=shape)
+def before(glasses):
+    """A camera in front of the left lens."""
+    center = glasses.lens_centers[0]
+    return look_at(center + [0, 0, 600.0], center, focal_px=1500.0, shape=SHAPE)
 
 
-def insert(glasses, lenses, *, surfaces=(), **options):
-    settings = {"shape": SHAPE, "camera": before(glasses), **options}
-    if "picture_linear" in settings:
-        del settings["shape"]
-    elif "lights" not in settings and "environment_linear" not in settings:
-        settings["lights"] = FRONT
-    return insert_lenses(frame_of(glasses), glasses.keypoints, lenses, surfaces=surfaces, **settings)
+def facing(focal_px=1000):
+    """A camera in front of both lenses."""
+    return look_at([0, 0, 600], [0, 0, 0], focal_px=focal_px, shape=SHAPE)
+
+
+def insert(lenses, glasses=BENT, frame=None, **options):
+    given = {"keypoints": glasses.keypoints, "surfaces": [WAVY], "camera": before(glasses), **options}
+    if "picture_linear" not in given:
+        given = {"shape": SHAPE, **given}
+        if "environment_linear" not in given:
+            given = {"lights": FRONT, **given}
+    return insert_lenses(frame or Surface(glasses.vertices, glasses.faces, DARK), lenses=lenses, **given)
 
 
 def test_clear_plane_glass_is_not_seen():
-    for options in ({"lights": FRONT}, {"environment_linear": room()}):
-        picture = insert(BENT, LensMaterial(), surfaces=[wall(-30.0, waves())], **options)
+    for options in ({}, {"environment_linear": room()}):
+        picture = insert(LensMaterial(), **options)
         assert (picture.lens == 0).sum() > 5000
         assert_array_equal(picture.image_linear, picture.without_lenses_linear)
-    photograph = np.random.default_rng(0).random((*SHAPE, 3))
     for rays in (1, 2, 3):
-        picture = insert(
-            BENT,
-            LensMaterial(),
-            surfaces=[wall(-30.0)],
-            picture_linear=photograph,
-            options=LensPictureOptions(supersampling=rays),
-        )
-        assert_array_equal(picture.image_linear, photograph)
+        options = LensPictureOptions(supersampling=rays)
+        picture = insert(LensMaterial(), picture_linear=NOISE, options=options)
+        assert_array_equal(picture.image_linear, NOISE)
         assert not picture.unknown.any()
 
 
 def test_pictures_under_two_environments_add_up():
     materials = (SUNGLASSES, LensMaterial(2.0, (0.9, 0.5, 0.2), alpha=0.6, beta=0.1, tinting="filter"))
-    camera = look_at([-150, 80, 500], [0, 0, 0], focal_px=400, shape=(120, 160))
+    shape = (120, 160)
+    camera = look_at([-150, 80, 500], [0, 0, 0], focal_px=400, shape=shape)
 
     def render(environment):
         return insert(
-            BENT,
             materials,
-            surfaces=[wall(-30.0, waves(), roughness_rad=0.4, specular=0.1)],
+            surfaces=[wavy(roughness_rad=0.4, specular=0.1)],
             camera=camera,
-            shape=(120, 160),
+            shape=shape,
             environment_linear=environment,
             lights=DistantLights.from_environment(environment, 16, "even"),
         )
@@ -112,29 +109,21 @@ def test_pictures_under_two_environments_add_up():
 
 
 def test_a_photograph_takes_other_mirror_images():
-    photograph = np.random.default_rng(0).random((*SHAPE, 3))
-    options = {"picture_linear": photograph, "surfaces": [wall(-30.0)]}
-    dark = insert(BENT, SUNGLASSES, **options)
+    dark = insert(SUNGLASSES, picture_linear=NOISE)
     assert "no environment" in dark.notes[-1]
-    lit = insert(BENT, SUNGLASSES, environment_linear=room(6), **options)
+    lit = insert(SUNGLASSES, environment_linear=room(6), picture_linear=NOISE)
     assert lit.notes == dark.notes[:-1]
     assert np.abs(lit.image_linear - dark.image_linear).max() > 0.1
 
 
 def test_an_even_room_is_mirrored_evenly_and_painted_lenses_take_its_light():
-    grey = np.full((4, 8, 3), 2.0)
-    mirror = insert(BENT, LensMaterial(beta=1.0), environment_linear=grey)
-    lens = mirror.lens >= 0
-    inner = lens & (np.abs(mirror.image_linear - 2).max(2) < 1e-12)
-    assert inner.sum() > 0.85 * lens.sum()
-    assert mirror.image_linear[lens].max() <= 2 + 1e-12
-    plate = insert(
-        BENT,
-        LensMaterial(tint_linear=(0.5, 1, 0), alpha=1.0),
-        environment_linear=grey,
-        options=LensPictureOptions(supersampling=1),
-    )
-    painted = plate.image_linear[plate.lens >= 0]
+    options = {"surfaces": (), "environment_linear": np.full((4, 8, 3), 2.0)}
+    mirror = insert(LensMaterial(beta=1.0), **options)
+    shown = mirror.image_linear[mirror.lens >= 0]
+    assert np.isclose(shown, 2, rtol=0, atol=1e-12).all(1).mean() > 0.85
+    assert shown.max() <= 2 + 1e-12
+    plate_ = insert(LensMaterial(tint_linear=(0.5, 1, 0), alpha=1.0), options=ONE_RAY, **options)
+    painted = plate_.image_linear[plate_.lens >= 0]
     # The frame itself takes some of the light.
     assert_allclose(np.median(painted, axis=0), [1.0, 2.0, 0], rtol=0.12)
     assert (painted.max(0) <= np.array([1.0, 2, 0]) * 1.03).all()
@@ -142,31 +131,29 @@ def test_an_even_room_is_mirrored_evenly_and_painted_lenses_take_its_light():
 
 @pytest.mark.parametrize("dioptres", [-8.0, 3.0])
 def test_a_photograph_shows_what_the_drawn_scene_shows(dioptres):
-    surfaces = [wall(-25.0, waves(4), half=150.0)]
-    material = LensMaterial(dioptres=dioptres)
+    options = {"lenses": LensMaterial(dioptres=dioptres), "surfaces": [wavy(-25.0, 150.0)]}
     # From so high that the frame's shadow falls below the picture.
-    lights = DistantLights([[0, 4, 1]], [4 * np.pi])
-    drawn = insert(BENT, material, surfaces=surfaces, lights=lights)
+    drawn = insert(lights=DistantLights([[0, 4, 1]], [4 * np.pi]), **options)
     photograph = drawn.without_lenses_linear
-    taken = insert(BENT, material, surfaces=surfaces, picture_linear=photograph)
+    taken = insert(picture_linear=photograph, **options)
     assert_array_equal(taken.without_lenses_linear, photograph)
-    shown = (taken.lens >= 0) & ~taken.unknown
+    lens, unknown = taken.lens >= 0, taken.unknown
+    shown = lens & ~unknown
     error = np.abs(taken.image_linear - drawn.image_linear).max(2)
     assert np.quantile(error[shown], 0.97) < 0.01
     assert shown.sum() > 3000
     if dioptres < 0:
         # What comes into view at the rim lies behind the frame in the photograph.
-        assert 300 < taken.unknown.sum() < 0.5 * (taken.lens >= 0).sum()
+        assert 300 < unknown.sum() < 0.5 * lens.sum()
         assert "guesses" in taken.notes[-1]
-        assert np.quantile(error[taken.unknown], 0.5) < 0.15
-    assert not taken.unknown[taken.lens < 0].any() or taken.unknown[taken.lens < 0].mean() < 0.01
+        assert np.quantile(error[unknown], 0.5) < 0.15
+    assert unknown[~lens].mean() < 0.01
 
 
 def test_pixels_that_see_no_lens_stay_as_photographed():
-    photograph = np.random.default_rng(1).random((*SHAPE, 3))
     camera = look_at([60, 30, 500], [0, 0, 0], focal_px=500, shape=SHAPE)
-    picture = insert(BENT, SUNGLASSES, surfaces=[wall(-30.0)], picture_linear=photograph, camera=camera)
-    changed = (picture.image_linear != photograph).any(2)
+    picture = insert(SUNGLASSES, picture_linear=NOISE, camera=camera)
+    changed = (picture.image_linear != NOISE).any(2)
     assert changed.sum() > 1000
     far = np.ones(SHAPE, bool)
     row, column = np.nonzero(picture.lens >= 0)
@@ -178,13 +165,12 @@ def test_pixels_that_see_no_lens_stay_as_photographed():
 def test_a_photographs_background_is_far_away():
     rows, columns = np.mgrid[: SHAPE[0], : SHAPE[1]]
     photograph = np.stack([rows / 240, columns / 320, np.ones(SHAPE)], -1)
-    material, camera = LensMaterial(dioptres=2.0), before(FLAT)
-    picture = insert(FLAT, material, picture_linear=photograph)
+    camera = before(FLAT)
+    picture = insert(LensMaterial(dioptres=2.0), FLAT, surfaces=(), picture_linear=photograph)
     known = (picture.lens == 0) & ~picture.unknown
     assert known.sum() > 3000
     center = camera_centers(camera[None])[0]
-    pixels = pixel_grid(SHAPE)[known.ravel()]
-    directions = pixel_directions(camera, pixels)
+    directions = pixel_directions(camera, pixel_grid(SHAPE)[known.ravel()])
     bent = refract(picture.lenses[0].optics, center, center + directions).directions
     at, _ = project(camera, center + bent)
     expected = np.column_stack([at[:, 1] / 240, at[:, 0] / 320, np.ones(len(at))])
@@ -194,63 +180,50 @@ def test_a_photographs_background_is_far_away():
 
 
 def test_each_lens_has_its_own_power_and_an_empty_rim_none():
-    surfaces = [wall(-30.0, waves())]
-    camera = look_at([0, 0, 600], [0, 0, 0], focal_px=1000, shape=SHAPE)
-    both = insert(BENT, (LensMaterial(-6.0), LensMaterial(4.0)), surfaces=surfaces, camera=camera)
+    both = insert((LensMaterial(-6.0), LensMaterial(4.0)), camera=facing())
     assert [lens.optics.dioptres for lens in both.lenses] == [-6, 4]
-    left = insert(BENT, (LensMaterial(-6.0), None), surfaces=surfaces, camera=camera)
+    left = insert((LensMaterial(-6.0), None), camera=facing())
     assert [lens.side for lens in left.lenses] == [0]
     assert set(left.lens.ravel().tolist()) == {-1, 0}
     # +x is the wearer's left, which this camera sees on the right.
-    columns = np.nonzero(left.lens == 0)[1]
-    assert columns.min() > 160
-    half = slice(160, None)
-    assert_array_equal(left.image_linear[:, half], both.image_linear[:, half])
+    assert np.nonzero(left.lens == 0)[1].min() > 160
+    assert_array_equal(left.image_linear[:, 160:], both.image_linear[:, 160:])
     assert_array_equal(left.image_linear[:, :150], left.without_lenses_linear[:, :150])
-    none = insert(BENT, (None, None), surfaces=surfaces, camera=camera)
+    none = insert((None, None), camera=facing())
     assert_array_equal(none.image_linear, none.without_lenses_linear)
     assert "no lens is given" in none.notes[0]
 
 
 def test_a_monocle_and_a_half_rimless_frame():
-    center = BENT.lens_centers[0]
-    middle = BENT.vertices[BENT.faces].mean(1)
+    middle, lenses = BENT.vertices[BENT.faces].mean(1), (LensMaterial(-5.0), None)
     monocle = Surface(BENT.vertices, BENT.faces[middle[:, 0] > 8])
     marks = BENT.keypoints.copy()
     marks[[n.startswith("right") for n in BENT.names]] = np.nan
-    camera, lens = before(BENT), LensMaterial(-5.0)
-    options = {"surfaces": [wall(-30.0, waves())], "camera": camera, "shape": SHAPE, "lights": FRONT}
-    picture = insert_lenses(monocle, marks, (lens, None), **options)
-    assert (picture.lens == 0).sum() > 5000
-    lower = (middle[:, 1] < -6) & (np.abs(middle[:, 0] - center[0]) < 45) & (np.abs(middle[:, 2]) < 20)
-    half = Surface(BENT.vertices, BENT.faces[~lower])
-    picture = insert_lenses(half, BENT.keypoints, (lens, None), **options)
+    assert (insert(lenses, frame=monocle, keypoints=marks).lens == 0).sum() > 5000
+    beside = np.abs(middle[:, 0] - BENT.lens_centers[0, 0])
+    lower = (middle[:, 1] < -6) & (beside < 45) & (np.abs(middle[:, 2]) < 20)
+    picture = insert(lenses, frame=Surface(BENT.vertices, BENT.faces[~lower]))
     assert "points of its rim come from its key points" in picture.notes[0]
     assert (picture.lens == 0).sum() > 5000
 
 
 def test_the_frames_own_glass_is_left_out_where_a_lens_goes():
-    options = {"surfaces": [wall(-30.0, waves())], "shape": SHAPE, "lights": FRONT}
-    camera = look_at([0, 0, 600], [0, 0, 0], focal_px=1000, shape=SHAPE)
-    material = LensMaterial(-4.0)
-    bare = insert(BENT, material, camera=camera, **options)
+    camera, material = facing(), LensMaterial(-4.0)
+    bare = insert(material, camera=camera)
     vertices, faces = glazed(BENT)
     uv = np.random.default_rng(0).random((len(faces), 3, 2))
-    for finish in ({"albedo_linear": (0.1, 0.1, 0.1)}, {"uv": uv, "texture_linear": np.full((4, 4, 3), 0.1)}):
+    for finish in ({"albedo_linear": DARK}, {"uv": uv, "texture_linear": np.full((4, 4, 3), 0.1)}):
         frame = Surface(vertices, faces, **finish)
-        both = insert_lenses(frame, BENT.keypoints, material, camera=camera, **options)
+        both = insert(material, frame=frame, camera=camera)
         assert_array_equal(both.lens, bare.lens)
         # Rims are measured to 0.2 mm, whatever glass they hold.
         assert_allclose(both.image_linear, bare.image_linear, atol=1e-9)
-        assert [note for note in both.notes if "own glass there, 144 faces, is left out" in note] == list(
-            both.notes
-        )
-        assert len(both.notes) == 2
+        assert ["own glass there, 144 faces, is left out" in note for note in both.notes] == [True] * 2
     # Where no lens goes, the glass stays.
-    left = insert_lenses(frame, BENT.keypoints, (material, None), camera=camera, **options)
+    left = insert((material, None), frame=frame, camera=camera)
     assert len(left.notes) == 1
-    right = bare.lens == 1
-    assert (np.abs(left.image_linear - bare.image_linear).max(2) > 1e-3)[right].mean() > 0.5
+    apart = np.abs(left.image_linear - bare.image_linear).max(2)
+    assert (apart[bare.lens == 1] > 1e-3).mean() > 0.5
 
 
 def test_glass_of_one_piece_with_the_rim_is_told():
@@ -258,41 +231,36 @@ def test_glass_of_one_piece_with_the_rim_is_told():
     first, rim = len(BENT.vertices), BENT.keypoint_vertices[3]
     # One face joins each sheet to the rim.
     joined = np.concatenate([faces, [[rim, first, first + 1], [rim, first + 73, first + 74]]])
-    frame = Surface(vertices, joined)
-    options = {"surfaces": [], "camera": before(BENT), "shape": (60, 80), "lights": FRONT}
-    picture = insert_lenses(frame, BENT.keypoints, (LensMaterial(), None), **options)
+    picture = insert((LensMaterial(), None), frame=Surface(vertices, joined), shape=(60, 80))
     assert any("the left lens: the frame covers it" in note for note in picture.notes)
 
 
-@pytest.mark.parametrize("dioptres", [-8.0, -4, -0.25, 0.25, 2, 8])
+@pytest.mark.parametrize("dioptres", [-8.0, -0.25, 0.25, 8])
 @pytest.mark.parametrize("position", [[25.0, 10, 600], [-120, 60, 420]])
 def test_pictures_bend_rays_as_an_independent_thin_lens_to_1e_5_degrees(dioptres, position):
     # The wall's colour tells where a ray ends.
     half = 2000.0
-    z = -30.0
-    corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1.0]])
-    colors = np.column_stack([corners / (2 * half) + 0.5, np.ones(4)])
-    screen = Surface(np.column_stack([corners, np.full(4, z)]), [[0, 1, 2], [0, 2, 3]], colors)
     shape = (48, 64)
+    screen = plate(half, -30.0, albedo_linear=np.column_stack([CORNERS / 2 + 0.5, np.ones(4)]))
     camera = look_at(position, FLAT.lens_centers[0], focal_px=700, shape=shape)
     picture = insert(
-        FLAT,
         LensMaterial(dioptres),
+        FLAT,
         surfaces=[screen],
         camera=camera,
         shape=shape,
         # From so high that the frame's shadow falls out of sight.
         lights=DistantLights([[0, 9, 1]], [1.0]),
-        options=LensPictureOptions(supersampling=1),
+        options=ONE_RAY,
     )
     lens = picture.lenses[0].optics
     seen = picture.image_linear[picture.lens == 0]
     # The frame is seen through the lens too.
-    wall_ = np.isclose(seen[:, 2], np.median(seen[:, 2]), rtol=1e-9)
-    seen = seen[wall_]
-    ends = np.column_stack([(seen[:, :2] / seen[:, 2:] - 0.5) * 2 * half, np.full(len(seen), z)])
+    on_wall = np.isclose(seen[:, 2], np.median(seen[:, 2]), rtol=1e-9)
+    seen = seen[on_wall]
+    ends = np.column_stack([(2 * seen[:, :2] / seen[:, 2:] - 1) * half, np.full(len(seen), -30.0)])
     matrix = normalized_cameras(camera[None])
-    origin, pixels = camera_centers(matrix)[0], pixel_grid(shape)[(picture.lens == 0).ravel()][wall_]
+    origin, pixels = camera_centers(matrix)[0], pixel_grid(shape)[(picture.lens == 0).ravel()][on_wall]
     straight = pixel_directions(matrix[0], pixels)
     normal, center = np.asarray(lens.normal), np.asarray(lens.center)
     points = origin + ((center - origin) @ normal / (straight @ normal))[:, None] * straight
@@ -313,58 +281,43 @@ def test_pictures_bend_rays_as_an_independent_thin_lens_to_1e_5_degrees(dioptres
     ],
 )
 def test_strong_lenses_give_numbers_from_everywhere(dioptres, position, target):
-    camera = look_at(position, target, focal_px=250, shape=(60, 80))
-    material = LensMaterial(dioptres, (0.2, 0.1, 0), alpha=0.2, beta=0.2, fresnel=True)
-    surfaces = [wall(-80.0, waves(), half=50)]
-    picture = insert(
-        BENT,
-        material,
-        surfaces=surfaces,
-        camera=camera,
-        shape=(60, 80),
-        environment_linear=room(),
-        options=LensPictureOptions(light_count=4),
-    )
+    options = {
+        "lenses": LensMaterial(dioptres, (0.2, 0.1, 0), alpha=0.2, beta=0.2, fresnel=True),
+        "camera": look_at(position, target, focal_px=250, shape=(60, 80)),
+        "surfaces": [wavy(-80.0, 50.0)],
+    }
+    few = LensPictureOptions(light_count=4)
+    picture = insert(shape=(60, 80), environment_linear=room(), options=few, **options)
     assert (picture.lens >= 0).any()
     assert np.isfinite(picture.image_linear).all()
     assert picture.image_linear.min() >= -1e-12
-    photograph = np.random.default_rng(0).random((60, 80, 3))
-    taken = insert(BENT, material, surfaces=surfaces, camera=camera, picture_linear=photograph)
+    taken = insert(picture_linear=NOISE[:60, :80], **options)
     assert np.isfinite(taken.image_linear).all()
 
 
 def test_a_camera_that_sees_no_lens_leaves_the_picture_alone_and_says_so():
-    photograph = np.random.default_rng(0).random((*SHAPE, 3))
-    in_plane = insert(FLAT, LensMaterial(-8.0)).lenses[0].optics.center + [0, 400.0, 0]
+    in_plane = insert(LensMaterial(-8.0), FLAT).lenses[0].optics.center + [0, 400.0, 0]
     beside = look_at([0, 0, 600], [600, 0, 600], focal_px=800, shape=SHAPE)
-    for camera in (beside, _overhead(in_plane)):
-        picture = insert(
-            FLAT, LensMaterial(-8.0), surfaces=[wall(-30.0)], picture_linear=photograph, camera=camera
-        )
-        assert_array_equal(picture.image_linear, photograph)
+    intrinsic = np.array([[800.0, 0, 160], [0, 800, 120], [0, 0, 1]])
+    down_y = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    for camera in (beside, intrinsic @ np.column_stack([down_y, -down_y @ in_plane])):
+        picture = insert(LensMaterial(-8.0), FLAT, picture_linear=NOISE, camera=camera)
+        assert_array_equal(picture.image_linear, NOISE)
         assert (picture.lens == -1).all()
         assert "the left lens: no pixel sees it" in picture.notes
 
 
-def _overhead(position):
-    """A camera that looks down -y."""
-    intrinsic = np.array([[800.0, 0, 160], [0, 800, 120], [0, 0, 1]])
-    rotation = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
-    return intrinsic @ np.column_stack([rotation, -rotation @ np.asarray(position)])
-
-
 def test_a_frame_may_leave_the_picture():
-    wide = insert(BENT, SUNGLASSES, surfaces=[wall(-30.0, waves())])
-    camera = before(BENT)
+    wide = insert(SUNGLASSES)
     # The same camera's picture, cut to its upper left part.
-    cut = insert(BENT, SUNGLASSES, surfaces=[wall(-30.0, waves())], camera=camera, shape=(110, 170))
+    cut = insert(SUNGLASSES, shape=(110, 170))
     assert_array_equal(cut.lens, wide.lens[:110, :170])
     assert_allclose(cut.image_linear[:-1, :-1], wide.image_linear[:109, :169], atol=1e-12)
 
 
 def test_more_rays_smooth_the_edges_only():
     rough, smooth = (
-        insert(BENT, LensMaterial(-4.0), surfaces=[wall(-30.0)], options=LensPictureOptions(supersampling=n))
+        insert(LensMaterial(-4.0), surfaces=[WALL], options=LensPictureOptions(supersampling=n))
         for n in (1, 4)
     )
     differs = (rough.image_linear != smooth.image_linear).any(2)
@@ -373,50 +326,45 @@ def test_more_rays_smooth_the_edges_only():
 
 
 def test_edges_within_one_surface_are_smoothed_too():
-    near, far = wall(-20.0, half=100.0), wall(-120.0, half=300.0)
+    near, far = plate(100.0, -20.0), plate(300.0, -120.0)
     corners = np.concatenate([near.vertices + [100.3, 0, 0], far.vertices])
     albedo = np.repeat([[1.0] * 3, [0.0] * 3], 4, 0)
     steps = Surface(corners, np.concatenate([near.faces, far.faces + 4]), albedo)
     below = look_at([0, -60, 600], [0, -60, 0], focal_px=900, shape=(20, 60))
     light = DistantLights([[0, -9, 1]], [9])
-    picture = insert(BENT, (None, None), surfaces=[steps], camera=below, shape=(20, 60), lights=light)
+    picture = insert((None, None), surfaces=[steps], camera=below, shape=(20, 60), lights=light)
     edge = picture.image_linear[:, 27:33, 0]
     assert ((edge > 0.1 * edge.max()) & (edge < 0.9 * edge.max())).any(1).all()
 
 
 def test_what_a_mirror_shows_and_the_photograph_does_not_is_said():
-    photograph = np.random.default_rng(0).random((*SHAPE, 3))
-    behind_camera = wall(900.0, half=2000.0, albedo_linear=(0.25, 0.25, 0.25))
+    behind_camera = plate(2000.0, 900.0, albedo_linear=(0.25, 0.25, 0.25))
     mirror = LensMaterial(beta=1.0, front_radius_mm=500.0)
-    picture = insert(BENT, mirror, surfaces=[behind_camera], picture_linear=photograph)
+    picture = insert(mirror, surfaces=[behind_camera], picture_linear=NOISE)
     inner = (picture.lens >= 0) & np.isclose(picture.image_linear, 0.25).all(2)
     assert inner.sum() > 0.8 * (picture.lens >= 0).sum()
     assert picture.unknown[inner].all()
 
 
-PHOTOGRAPH = np.zeros((*SHAPE, 3))
-
-
 @pytest.mark.parametrize(
     ("changes", "kind", "words"),
     [
-        ({}, ValueError, "either shape"),
-        ({"shape": SHAPE, "picture_linear": PHOTOGRAPH}, ValueError, "either shape"),
-        ({"shape": SHAPE}, ValueError, "without light"),
-        ({"picture_linear": PHOTOGRAPH, "lights": FRONT}, ValueError, "own light"),
-        ({"shape": (0, 5), "lights": FRONT}, ValueError, "pixels"),
+        ({"picture_linear": None}, ValueError, "either shape"),
+        ({"shape": SHAPE}, ValueError, "either shape"),
+        ({"picture_linear": None, "shape": SHAPE}, ValueError, "without light"),
+        ({"lights": FRONT}, ValueError, "own light"),
+        ({"picture_linear": None, "shape": (0, 5), "lights": FRONT}, ValueError, "pixels"),
         ({"picture_linear": np.zeros(SHAPE)}, ValueError, r"picture_linear is .* expected \(H, W, 3\)"),
-        ({"picture_linear": PHOTOGRAPH + np.nan}, EyeglassesError, "picture_linear: .* NaN"),
-        ({"picture_linear": PHOTOGRAPH, "keypoints": np.zeros((5, 3))}, ValueError, r"keypoints is \(5, 3\)"),
-        ({"picture_linear": PHOTOGRAPH, "lenses": (LensMaterial(),)}, ValueError, "one material or"),
-        ({"picture_linear": PHOTOGRAPH, "lens_centers": np.zeros(3)}, ValueError, "lens_centers"),
-        ({"picture_linear": PHOTOGRAPH, "camera": np.zeros((3, 3))}, ValueError, "cameras"),
+        ({"picture_linear": NOISE + np.nan}, EyeglassesError, "picture_linear: .* NaN"),
+        ({"keypoints": np.zeros((5, 3))}, ValueError, r"keypoints is \(5, 3\)"),
+        ({"lenses": (LensMaterial(),)}, ValueError, "one material or"),
+        ({"lens_centers": np.zeros(3)}, ValueError, "lens_centers"),
+        ({"camera": np.zeros((3, 3))}, ValueError, "cameras"),
     ],
 )
 def test_what_is_not_clear_is_refused(changes, kind, words):
-    given = {"keypoints": BENT.keypoints, "lenses": LensMaterial(), "surfaces": [], "camera": before(BENT)}
     with pytest.raises(kind, match=words):
-        insert_lenses(frame_of(BENT), **{**given, **changes})
+        insert(**{"lenses": LensMaterial(), "surfaces": (), "picture_linear": NOISE, **changes})
 
 
 @pytest.mark.parametrize("name", ["supersampling", "light_count"])

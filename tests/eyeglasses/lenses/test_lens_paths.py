@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from helpers.measures import row_lengths
+from helpers.plates import plate
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import EyeglassesError
@@ -9,7 +11,8 @@ from scan2albedo.eyeglasses import LensMaterial
 from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens, insert_lens, lens_mesh, trace_lenses
 from scan2albedo.eyeglasses.lenses.optics import ThinLens, mirror_on_sphere, refract
 from scan2albedo.eyeglasses.lenses.rims import LensRim
-from scan2albedo.eyeglasses.lenses.scenes import LensScene, Surface
+from scan2albedo.eyeglasses.lenses.scenes import LensScene
+from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.synthetic import GlassesBend, GlassesShape, eyeglasses
 
@@ -28,28 +31,21 @@ def round_lens(side, material, z, radius=30.0, bulge=0.0):
     return InsertedLens(side, material, outline, vertices, faces, optics, RayCaster(vertices, faces))
 
 
-def wall(z=-30.0, half=500.0):
-    corners = np.array([[-half, -half, z], [half, -half, z], [half, half, z], [-half, half, z]])
-    return LensScene(Surface(corners, [[0, 1, 2], [0, 2, 3]]), ())
+def wall(z=-30.0):
+    return LensScene(plate(500.0, z), ())
 
 
 def trace(scene, lenses, through, camera=CAMERA):
-    directions = through - camera
-    directions /= np.linalg.norm(directions, axis=1)[:, None]
-    return trace_lenses(scene, lenses, scene.rays(camera, directions))
+    return trace_lenses(scene, lenses, scene.rays(camera, normalized(through - camera)))
 
 
-def disc(count=200, radius=29.0, seed=0):
-    rng = np.random.default_rng(seed)
+def disc(count=200, radius=29.0):
+    rng = np.random.default_rng(0)
     r, angle = radius * np.sqrt(rng.random(count)), rng.uniform(0, 2 * np.pi, count)
     return np.column_stack([r * np.cos(angle), r * np.sin(angle), np.zeros(count)])
 
 
-def ends(paths):
-    return paths.rays.ends
-
-
-@pytest.mark.parametrize("dioptres", [-20.0, -8, -0.25, 0, 2, 8, 20])
+@pytest.mark.parametrize("dioptres", [-20.0, -0.25, 0, 20])
 def test_a_flat_lens_refracts(dioptres):
     lens = round_lens(1, LensMaterial(dioptres=dioptres), 0.0)
     through = disc()
@@ -58,8 +54,7 @@ def test_a_flat_lens_refracts(dioptres):
     assert_allclose(paths.rays.directions, expected.directions, atol=1e-6)
     assert (paths.first == 1).all()
     assert paths.bent.all() == (dioptres != 0)
-    assert np.abs(ends(paths)[:, 2] + 30).max() < 1e-9
-    assert np.isfinite(ends(paths)).all()
+    assert_allclose(paths.rays.ends[:, 2], -30, atol=1e-9)
 
 
 def test_lenses_in_a_row_are_the_lens_of_gullstrand():
@@ -67,13 +62,10 @@ def test_lenses_in_a_row_are_the_lens_of_gullstrand():
     first = 6.0
     second = -4.0
     gap = 0.012
-    lenses = [
-        round_lens(0, LensMaterial(dioptres=second), -1000 * gap),
-        round_lens(1, LensMaterial(dioptres=first), 0.0),
-    ]
+    places = (second, -1000 * gap), (first, 0.0)
+    lenses = [round_lens(side, LensMaterial(dioptres=power), z) for side, (power, z) in enumerate(places)]
     # Rays from far away, parallel to the axis: all meet the axis at the back focal length.
-    far = np.array([0.0, 0, 1e7])
-    paths = trace(wall(z=-700), lenses, disc(radius=20), camera=far)
+    paths = trace(wall(z=-700), lenses, disc(radius=20), camera=np.array([0.0, 0, 1e7]))
     power = first + second - gap * first * second
     back_focus = -1000 * gap - 1000 * (1 - gap * first) / power
     at = (back_focus - paths.rays.origins[:, 2]) / paths.rays.directions[:, 2]
@@ -94,11 +86,6 @@ def test_a_ray_passes_every_lens_once_and_shares_multiply():
     assert_allclose(front.mirror_share, 0.1, rtol=1e-12)
     assert_allclose(back.mirror_share, 0.6 * 0.2, rtol=1e-12)
     assert not back.tint_share.any()
-    behind, mirrored = np.array([0.2, 0.5, 0.7]), np.array([3.0, 2, 1])
-    tint = np.asarray(a.tint_linear)
-    one = trace(wall(), lenses[:1], disc(50, radius=20))
-    got = one.share * behind + one.crossings[0].tint_share * tint + one.crossings[0].mirror_share * mirrored
-    assert_allclose(got, np.tile(0.6 * behind + 0.3 * tint + 0.1 * mirrored, (50, 1)))
 
 
 @pytest.mark.parametrize(("alpha", "beta"), [(0.0, 0.04), (0.6, 0.4), (0.0, 1.0), (0.5, 0.0)])
@@ -115,21 +102,15 @@ def test_fresnel_keeps_the_light_together_and_grows_towards_the_edge(alpha, beta
 
 
 def test_the_sphere_mirrors_as_spheres_do():
-    def unit(count):
-        v = rng.normal(size=(count, 3))
-        return v / np.linalg.norm(v, axis=1)[:, None]
-
     rng, axis = np.random.default_rng(0), np.array([0.0, 0, 1])
     center = np.array([30.0, 0, 5])
     radius = 80.0
-    middle = center - radius * axis
-    outward = unit(500)
+    outward = normalized(rng.normal(size=(500, 3)))
     outward = outward[outward[:, 2] > 0.9]
-    incoming = unit(len(outward)) - 2 * outward
+    incoming = normalized(rng.normal(size=outward.shape)) - 2 * outward
     # Points in the lens's plane stand for those of the sphere along its radius.
-    points = middle + outward * (radius / outward[:, 2])[:, None]
-    got = mirror_on_sphere(points, incoming, center, axis, radius)
-    heading = incoming / np.linalg.norm(incoming, axis=1)[:, None]
+    points = center - radius * axis + outward * (radius / outward[:, 2])[:, None]
+    got, heading = mirror_on_sphere(points, incoming, center, axis, radius), normalized(incoming)
     assert_allclose((got * outward).sum(1), -(heading * outward).sum(1), atol=1e-12)
     assert_allclose(np.cross(got - heading, outward), 0, atol=1e-12)
     flat = mirror_on_sphere(points, incoming, center, 2 * axis, np.inf)
@@ -170,18 +151,12 @@ def test_rays_bend_where_they_meet_a_lens_that_is_not_flat():
             assert_allclose(direction, expected, atol=1e-9)
 
 
-def lens_of(glasses, side=0, **options):
-    return insert_lens(
-        glasses.vertices,
-        glasses.faces,
-        options.pop("keypoints", glasses.keypoints),
-        side,
-        options.pop("material", LensMaterial()),
-        **options,
-    )
+def lens_of(glasses, side=0, keypoints=None, **options):
+    marks = glasses.keypoints if keypoints is None else keypoints
+    return insert_lens(glasses.vertices, glasses.faces, marks, side, LensMaterial(), **options)
 
 
-@pytest.mark.parametrize("bend", [GlassesBend(), GlassesBend(temple_spread_mm=8, bridge_deg=2, twist_deg=4)])
+@pytest.mark.parametrize("bend", [GlassesBend(), GlassesBend(8, 2, 4)])
 def test_lenses_sit_in_their_rims(bend):
     for seed in range(4):
         glasses = eyeglasses(seed, bend=bend)
@@ -190,11 +165,9 @@ def test_lenses_sit_in_their_rims(bend):
             off = np.asarray(lens.optics.center) - glasses.lens_centers[side]
             assert np.linalg.norm(off) < 2.5
             assert lens.optics.normal[2] > 0.9
-            inner = np.linalg.norm(lens.rim.points - lens.rim.center, axis=1)
-            seated = np.linalg.norm(lens.vertices[1:] - lens.rim.center, axis=1)
-            grown = (seated - inner)[lens.rim.measured]
-            assert grown.min() > 0.28
-            assert grown.max() < 0.31
+            inner = row_lengths(lens.rim.points - lens.rim.center)
+            seated = row_lengths(lens.vertices[1:] - lens.rim.center)
+            assert_allclose((seated - inner)[lens.rim.measured], 0.295, atol=0.015)
             pupil = glasses.lens_centers[side] + [4.0, -3, 5]
             moved = lens_of(glasses, side, center=pupil, seat_mm=0.3)
             offset = moved.optics.center - pupil
@@ -205,16 +178,16 @@ def test_lenses_sit_in_their_rims(bend):
 
 def test_the_centre_is_the_centroid_and_front_is_away_from_the_temples():
     glasses = eyeglasses(1, shape=GlassesShape(wrap_radius=1e9))
-    lens = lens_of(glasses, 0)
+    lens = lens_of(glasses)
     assert np.linalg.norm(lens.optics.center - glasses.lens_centers[0]) < 0.3
     rims_only = glasses.keypoints.copy()
     rims_only[[i for i, n in enumerate(glasses.names) if "_rim_" not in n]] = np.nan
-    assert lens_of(glasses, 0, keypoints=rims_only).optics.normal @ lens.optics.normal > 0.999
+    assert lens_of(glasses, keypoints=rims_only).optics.normal @ lens.optics.normal > 0.999
     # The temples' key points tell the front, whatever else there is.
     reversed_ = glasses.keypoints.copy()
     behind = [i for i, n in enumerate(glasses.names) if "_rim_" not in n and "bridge" not in n]
     reversed_[behind, 2] *= -1
-    assert lens_of(glasses, 0, keypoints=reversed_).optics.normal @ lens.optics.normal < -0.999
+    assert lens_of(glasses, keypoints=reversed_).optics.normal @ lens.optics.normal < -0.999
 
 
 def test_what_holds_no_lens_is_named():
@@ -223,35 +196,36 @@ def test_what_holds_no_lens_is_named():
     marks[glasses.names.index("right_rim_top")] = np.nan
     with pytest.raises(EyeglassesError, match=r"the right lens needs .* right_rim_top is missing"):
         lens_of(glasses, 1, keypoints=marks)
-    assert lens_of(glasses, 0, keypoints=marks).name == "left lens"
+    assert lens_of(glasses, keypoints=marks).name == "left lens"
     marks[glasses.names.index("right_rim_outer"), 1] = np.inf
     with pytest.raises(EyeglassesError, match="right_rim_top, right_rim_outer are missing"):
         lens_of(glasses, 1, keypoints=marks)
     for scale in (1e-3, 1e3):
         with pytest.raises(EyeglassesError, match=r"the left lens: .* millimetres"):
-            insert_lens(scale * glasses.vertices, glasses.faces, scale * glasses.keypoints, 0, LensMaterial())
+            insert_lens(scale * glasses.vertices, glasses.faces, scale * marks, 0, LensMaterial())
     flat = glasses.keypoints.copy()
     flat[:, 1:] = 0
     with pytest.raises(EyeglassesError, match=r"the left lens: .* one line"):
-        lens_of(glasses, 0, keypoints=flat)
+        lens_of(glasses, keypoints=flat)
 
 
 @pytest.mark.parametrize(
-    "wrong",
+    ("wrong", "kind"),
     [
-        {"dioptres": np.nan},
-        {"tint_linear": (np.nan, 0, 0)},
-        {"tint_linear": (-0.1, 0, 0)},
-        {"alpha": 0.7, "beta": 0.4},
-        {"alpha": 2.0},
-        {"alpha": -0.1},
-        {"alpha": np.nan},
-        {"front_radius_mm": 0.0},
-        {"tint_linear": (1.1, 0, 0), "tinting": "filter"},
+        ({"dioptres": np.nan}, EyeglassesError),
+        ({"tint_linear": (np.nan, 0, 0)}, EyeglassesError),
+        ({"tint_linear": (-0.1, 0, 0)}, EyeglassesError),
+        ({"alpha": 0.7, "beta": 0.4}, EyeglassesError),
+        ({"alpha": -0.1}, EyeglassesError),
+        ({"alpha": np.nan}, EyeglassesError),
+        ({"front_radius_mm": 0.0}, EyeglassesError),
+        ({"tint_linear": (1.1, 0, 0), "tinting": "filter"}, EyeglassesError),
+        ({"tint_linear": (1, 1)}, ValueError),
+        ({"tinting": "glow"}, ValueError),
     ],
 )
-def test_materials_that_cannot_be_are_refused(wrong):
-    with pytest.raises(EyeglassesError):
+def test_materials_that_cannot_be_are_refused(wrong, kind):
+    with pytest.raises(kind, match=next(iter(wrong)).split("_")[0]):
         LensMaterial(**wrong)
 
 
@@ -259,11 +233,7 @@ def test_transmission_is_what_is_left():
     assert LensMaterial().transmission.tolist() == [1, 1, 1]
     assert LensMaterial().clear
     painted = LensMaterial(tint_linear=(1, 1, 1), alpha=0.25, beta=0.25)
-    assert painted.transmission.tolist() == [0.5, 0.5, 0.5]
+    assert painted.transmission.tolist() == [0.5] * 3
     dyed = LensMaterial(tint_linear=(1, 0.5, 0), alpha=0.5, beta=0.25, tinting="filter")
     assert dyed.transmission.tolist() == [0.75, 0.5, 0.25]
     assert not LensMaterial(fresnel=True).clear
-    with pytest.raises(ValueError, match="tint_linear"):
-        LensMaterial(tint_linear=(1, 1))
-    with pytest.raises(ValueError, match="tinting"):
-        LensMaterial(tinting="glow")

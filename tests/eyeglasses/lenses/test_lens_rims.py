@@ -7,11 +7,11 @@ from helpers.eyeglasses import glazed, outline_distances
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.lenses.inserted_lenses import lens_mesh
 from scan2albedo.eyeglasses.lenses.rims import find_lens_rim, fit_normal
-from scan2albedo.geometry.mesh import face_cross_products, face_normals
-from scan2albedo.geometry.rigid import random_rotation
+from scan2albedo.geometry.mesh import face_areas, face_normals
+from scan2albedo.geometry.rigid import compose, random_rotation, transform_points
 from scan2albedo.synthetic import GlassesBend, eyeglasses
 
-BENT = GlassesBend(temple_spread_mm=8, bridge_deg=2, twist_deg=4)
+BENT = GlassesBend(8, 2, 4)
 BAR_MM = 0.2
 
 
@@ -19,12 +19,15 @@ def rim_points(glasses, side):
     return glasses.keypoints[[i for i, n in enumerate(glasses.names) if n.startswith(f"{side}_rim")]]
 
 
-def find(glasses, side=0, faces=None, **options):
+def find(glasses, side=0, **changes):
+    given = {"vertices": glasses.vertices, "faces": glasses.faces, "center": glasses.lens_centers[side]}
     marks = rim_points(glasses, ("left", "right")[side])
-    faces = glasses.faces if faces is None else faces
-    return find_lens_rim(
-        glasses.vertices, faces, glasses.lens_centers[side], **{"rim_points": marks, **options}
-    )
+    return find_lens_rim(**{**given, "rim_points": marks, **changes})
+
+
+def off(rim, glasses, side=0):
+    """Distances of a rim's points from the true outline."""
+    return outline_distances(rim.points, glasses.lens_outlines[side])
 
 
 @pytest.mark.parametrize("welded", [True, False])
@@ -33,9 +36,9 @@ def test_the_rim_is_the_true_inner_outline(welded, bend):
     for seed in range(8):
         glasses = eyeglasses(seed, welded=welded, bend=bend)
         for side in range(2):
-            rim, truth = find(glasses, side), glasses.lens_outlines[side]
-            assert outline_distances(rim.points, truth).max() <= BAR_MM
-            assert outline_distances(truth, rim.points).max() <= BAR_MM
+            rim = find(glasses, side)
+            assert off(rim, glasses, side).max() <= BAR_MM
+            assert outline_distances(glasses.lens_outlines[side], rim.points).max() <= BAR_MM
             assert rim.normal[2] > 0.9
             assert rim.measured.mean() > 0.85
 
@@ -43,29 +46,23 @@ def test_the_rim_is_the_true_inner_outline(welded, bend):
 def test_a_given_normal_will_do_and_need_not_be_exact():
     glasses = eyeglasses(2)
     exact = fit_normal(rim_points(glasses, "left"), glasses.vertices)
-    for off in ([0, 0, 0], [0.08, 0, 0], [-0.05, 0.06, 0], [0, -0.08, 0]):
-        normal = 3 * (exact + off)
-        rim = find(glasses, rim_points=None, normal=normal)
-        assert outline_distances(rim.points, glasses.lens_outlines[0]).max() <= BAR_MM
+    for error in ([0, 0, 0], [0.08, 0, 0], [-0.05, 0.06, 0], [0, -0.08, 0]):
+        rim = find(glasses, rim_points=None, normal=3 * (exact + error))
+        assert off(rim, glasses).max() <= BAR_MM
 
 
 def test_pose_and_unit_do_not_matter():
     rng = np.random.default_rng(0)
     glasses, truth = eyeglasses(3, welded=False), eyeglasses(3).lens_outlines[1]
     for scale in (1.0, 1e-3, 1e3):
-        turn, shift = random_rotation(rng), rng.normal(0, 1000, 3)
-
-        def move(points, turn=turn, shift=shift, scale=scale):
-            return scale * (points @ turn.T + shift)
-
-        rim = find_lens_rim(
-            move(glasses.vertices),
-            glasses.faces,
-            move(glasses.lens_centers[1]),
-            rim_points=move(rim_points(glasses, "right")),
+        pose = compose(scale * random_rotation(rng), scale * rng.normal(0, 1000, 3))
+        vertices, center, marks, outline = (
+            transform_points(pose, points)
+            for points in (glasses.vertices, glasses.lens_centers[1], rim_points(glasses, "right"), truth)
         )
-        assert outline_distances(rim.points, move(truth)).max() <= scale * BAR_MM
-        assert rim.normal @ turn[:, 2] > 0.9
+        rim = find(glasses, vertices=vertices, center=center, rim_points=marks)
+        assert outline_distances(rim.points, outline).max() <= scale * BAR_MM
+        assert rim.normal @ pose[:3, 2] > 0.9 * scale
 
 
 def test_winding_repeated_faces_and_floaters_do_not_matter():
@@ -75,37 +72,34 @@ def test_winding_repeated_faces_and_floaters_do_not_matter():
     crumb = glasses.lens_centers[0] + [15, 2, 0] + rng.normal(0, 0.3, (3, 3))
     vertices = np.concatenate([glasses.vertices, crumb])
     faces = np.concatenate([flipped, flipped[:50], [[0, 0, 1]], [len(glasses.vertices) + np.arange(3)]])
-    rim = find_lens_rim(vertices, faces, glasses.lens_centers[0], rim_points=rim_points(glasses, "left"))
-    assert outline_distances(rim.points, glasses.lens_outlines[0]).max() <= BAR_MM
+    assert off(find(glasses, vertices=vertices, faces=faces), glasses).max() <= BAR_MM
 
 
 def test_small_gaps_are_interpolated_without_key_points():
     glasses = eyeglasses(5)
-    center, truth = glasses.lens_centers[0], glasses.lens_outlines[0]
-    middle = glasses.vertices[glasses.faces].mean(1) - center
+    middle = glasses.vertices[glasses.faces].mean(1) - glasses.lens_centers[0]
     angle = np.rad2deg(np.arctan2(middle[:, 1], middle[:, 0]))
     front = np.hypot(middle[:, 0], middle[:, 1]) < 40
     hole = front & ((np.abs(angle - 80) < 7) | (np.abs(angle + 60) < 5))
     rim = find(glasses, faces=glasses.faces[~hole], rim_points=None, normal=[0.1, 0, 1])
     assert rim.gaps == "interpolated"
     assert 0.7 < rim.measured.mean() < 0.97
-    assert outline_distances(rim.points[rim.measured], truth).max() <= BAR_MM
-    assert outline_distances(rim.points, truth).max() <= 1.0
+    assert off(rim, glasses)[rim.measured].max() <= BAR_MM
+    assert off(rim, glasses).max() <= 1.0
 
 
 @pytest.mark.parametrize("bend", [GlassesBend(), BENT])
 def test_an_open_side_is_rounded_off_from_the_key_points(bend):
     for seed in range(4):
         glasses = eyeglasses(seed, bend=bend, nose_pads=False)
-        center, truth = glasses.lens_centers[0], glasses.lens_outlines[0]
-        middle = glasses.vertices[glasses.faces].mean(1) - center
+        middle = glasses.vertices[glasses.faces].mean(1) - glasses.lens_centers[0]
         lower = (middle[:, 1] < -6) & (np.abs(middle[:, 0]) < 45) & (np.abs(middle[:, 2]) < 20)
         half_rim = glasses.faces[~lower]
         rim = find(glasses, faces=half_rim)
         assert rim.gaps == "subdivided"
         assert 0.4 < rim.measured.mean() < 0.75
-        assert outline_distances(rim.points[rim.measured], truth).max() <= BAR_MM
-        assert outline_distances(rim.points, truth).max() <= 5.0
+        assert off(rim, glasses)[rim.measured].max() <= BAR_MM
+        assert off(rim, glasses).max() <= 5.0
         lens_mesh(rim.center, rim.points)
         with pytest.raises(EyeglassesError, match="no closed rim"):
             find(glasses, faces=half_rim, rim_points=None, normal=rim.normal)
@@ -117,7 +111,7 @@ def test_without_any_rim_the_outline_runs_through_the_key_points():
     rim = find(glasses, faces=glasses.faces[~front])
     assert rim.gaps == "subdivided"
     assert not rim.measured.any()
-    assert outline_distances(rim.points, glasses.lens_outlines[0]).max() <= 5.0
+    assert off(rim, glasses).max() <= 5.0
 
 
 def test_a_lens_fills_its_rim_and_faces_the_viewer():
@@ -126,13 +120,11 @@ def test_a_lens_fills_its_rim_and_faces_the_viewer():
         rim = find(glasses, side)
         for points in (rim.points, rim.points[::-1]):
             vertices, faces = lens_mesh(rim.center, points, rim.normal)
-            assert vertices.shape == (129, 3)
-            assert faces.shape == (128, 3)
+            assert (vertices.shape, faces.shape) == ((129, 3), (128, 3))
             assert (face_normals(vertices, faces) @ rim.normal > 0.8).all()
-        area = np.linalg.norm(face_cross_products(vertices, faces), axis=1).sum() / 2
         outline = glasses.lens_outlines[side] - rim.center
-        true_area = np.linalg.norm(np.cross(outline, np.roll(outline, -1, 0)), axis=1).sum() / 2
-        assert area == pytest.approx(true_area, rel=0.01)
+        area = np.linalg.norm(np.cross(outline, np.roll(outline, -1, 0)), axis=1).sum() / 2
+        assert face_areas(vertices, faces).sum() == pytest.approx(area, rel=0.01)
         assert (face_normals(*lens_mesh(rim.center, rim.points)) @ rim.normal > 0.8).all()
 
 
@@ -160,7 +152,7 @@ def test_lenses_that_the_mesh_holds_are_looked_through(known):
     glasses = eyeglasses(1)
     vertices, whole = glazed(glasses, gap=0.0)
     marks = rim_points(glasses, "left")
-    options = {"rim_points": marks} if known == "rim points" else {"normal": fit_normal(marks, vertices)}
-    rim = find_lens_rim(vertices, whole, glasses.lens_centers[0], **options)
-    alone = find_lens_rim(glasses.vertices, glasses.faces, glasses.lens_centers[0], **options)
+    options = {} if known == "rim points" else {"rim_points": None, "normal": fit_normal(marks, vertices)}
+    rim = find(glasses, vertices=vertices, faces=whole, **options)
+    alone = find(glasses, **options)
     np.testing.assert_allclose(rim.points, alone.points, atol=1e-4)

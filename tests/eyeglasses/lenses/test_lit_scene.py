@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from brdf_reference import oren_nayar, phong
+from helpers.plates import CORNERS, FACES, plate
 from numpy.testing import assert_allclose
 
 from scan2albedo.errors import EyeglassesError
@@ -12,30 +13,30 @@ from scan2albedo.eyeglasses.lenses.inserted_lenses import insert_lens
 from scan2albedo.eyeglasses.lenses.optics import LensMaterial
 from scan2albedo.eyeglasses.lenses.scene_colors import LitScene
 from scan2albedo.eyeglasses.lenses.scenes import LensScene, Surface, radiance_at
+from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rasterization import bilinear
 from scan2albedo.lighting.environment import DistantLights, distant_directions
 from scan2albedo.lighting.shadow_map import ShadowMap
 from scan2albedo.synthetic import eyeglasses
 
 
-def square(half, z, **finish):
-    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
-    return Surface(np.column_stack([corners, np.full(4, z)]), [[0, 1, 2], [0, 2, 3]], **finish)
-
-
 def look_down(scene, xy, z=100.0):
     """Rays along -z at points (N, 2)."""
-    origins = np.column_stack([xy, np.full(len(xy), z)])
-    directions = np.tile([0.0, 0, -1], (len(xy), 1))
-    return scene.rays(origins, directions)
+    down = np.broadcast_to([0.0, 0, -1], (len(xy), 3))
+    return scene.rays(np.column_stack([xy, np.full(len(xy), z)]), down)
+
+
+def seen_from_above(scene, xy, lights, environment=None, z=100.0):
+    return LitScene(scene, (), lights, environment).seen(look_down(scene, xy, z))
 
 
 def test_the_back_of_a_one_sided_surface_is_not_seen_but_casts_shadows():
-    scene = LensScene(square(10, -50), [replace(square(60, 0), one_sided=True)])
+    scene = LensScene(plate(10, -50), [replace(plate(60, 0), one_sided=True)])
     turn = np.array([1.0, 1, -1])
     xy = np.random.default_rng(0).uniform(-50, 50, (200, 2))
-    origins, down = np.column_stack([xy, np.full(200, 100.0)]), np.tile([0.0, 0, -1], (200, 1))
-    from_front, from_behind = scene.rays(origins, down), scene.rays(origins * turn, down * turn)
+    from_front = look_down(scene, xy)
+    down = from_front.directions
+    from_behind = scene.rays(from_front.origins * turn, down * turn)
     assert (scene.surface_of_face[from_front.hits.face] == 1).all()
     small = (np.abs(xy) < 10).all(1)
     assert (from_behind.hits.face[~small] < 0).all()
@@ -45,42 +46,37 @@ def test_the_back_of_a_one_sided_surface_is_not_seen_but_casts_shadows():
     assert ShadowMap(scene.caster, below, -down).visible([0, 0, 1]).sum() == 0
 
 
-def lit(scene, lights, environment=None):
-    return LitScene(scene, (), lights, environment)
-
-
 def test_a_scene_does_what_the_reference_says():
     """Rough and glossy surfaces, seen from many sides, with a lens in the way of some of the light."""
     glasses, rng = eyeglasses(1), np.random.default_rng(0)
     finish = {"roughness_rad": 0.4, "specular": 0.3, "shininess": 20.0, "albedo_linear": (0.2, 0.5, 0.8)}
-    scene = LensScene(Surface(glasses.vertices, glasses.faces), [square(80, -30, **finish)])
+    scene = LensScene(Surface(glasses.vertices, glasses.faces), [plate(80, -30, **finish)])
     dyed = LensMaterial(tint_linear=(1, 0.5, 0.2), alpha=0.9, tinting="filter")
     lenses = [insert_lens(glasses.vertices, glasses.faces, glasses.keypoints, side, dyed) for side in (0, 1)]
-    toward = distant_directions(30)
-    light = rng.random((30, 3))
+    toward, light = distant_directions(30), rng.random((30, 3))
     targets = np.column_stack([rng.uniform(-70, 70, (400, 2)), np.full(400, -30.0)])
     origin = np.array([150.0, 100, 300])
-    directions = (targets - origin) / np.linalg.norm(targets - origin, axis=1)[:, None]
+    directions = normalized(targets - origin)
     rays = scene.rays(origin, directions)
     on = scene.surface_of_face[rays.hits.face] == 1
     colors = LitScene(scene, lenses, DistantLights(toward, light), None).seen(rays)
     normal, ways = np.array([0, 0, 1.0]), set()
-    expected_bare = expected = np.zeros(3)
-    for k in range(30):
-        n_l, n_v, l_v = toward[k] @ normal, -directions @ normal, -directions @ toward[k]
+    bare = shaded = np.zeros(3)
+    for way, sent in zip(toward, light, strict=True):
+        n_l, n_v, l_v = way @ normal, -directions @ normal, -directions @ way
         if n_l <= 0:
             continue
-        open_ = ~scene.caster.occluded(rays.ends + 0.2 * normal, toward[k])
-        matte = np.array([0.2, 0.5, 0.8]) / np.pi * oren_nayar(n_l, n_v, l_v, 0.4)[:, None]
-        sent = light[k] * open_[:, None] * (matte + 0.3 * phong(n_l, n_v, l_v, 20.0)[:, None])
-        through = np.stack([lens.caster.occluded(rays.ends, toward[k]) for lens in lenses], 1)
-        expected_bare = expected_bare + sent
-        expected = expected + sent * (dyed.transmission ** through.sum(1)[:, None])
-        ways |= set((open_ + through.sum(1) * open_).tolist())
+        open_ = ~scene.caster.occluded(rays.ends + 0.2 * normal, way)
+        matte = scene.surfaces[1].albedo_linear / np.pi * oren_nayar(n_l, n_v, l_v, 0.4)[:, None]
+        sent = sent * open_[:, None] * (matte + 0.3 * phong(n_l, n_v, l_v, 20.0)[:, None])
+        crossed = sum(lens.caster.occluded(rays.ends, way).astype(int) for lens in lenses)
+        bare = bare + sent
+        shaded = shaded + sent * dyed.transmission ** crossed[:, None]
+        ways |= set((open_ + crossed * open_).tolist())
     assert on.sum() > 200
     assert ways >= {0, 1, 2}
-    assert_allclose(colors.bare[on], expected_bare[on], rtol=1e-9, atol=1e-12)
-    assert_allclose(colors.shaded[on], expected[on], rtol=1e-9, atol=1e-12)
+    assert_allclose(colors.bare[on], bare[on], rtol=1e-9, atol=1e-12)
+    assert_allclose(colors.shaded[on], shaded[on], rtol=1e-9, atol=1e-12)
     assert not colors.unknown.any()
 
 
@@ -88,47 +84,37 @@ def test_a_plate_has_lamberts_radiance_on_both_sides_and_for_any_winding():
     toward = np.array([[0.6, 0, 0.8]])
     lights = DistantLights(toward, [[1.0, 2, 3]])
     xy = np.array([[3.0, 4], [-7, 2]])
-    for faces in ([[0, 1, 2], [0, 2, 3]], [[0, 2, 1], [0, 2, 3]]):
-        plate = Surface(square(10, 0).vertices, faces, albedo_linear=[0.5, 0.5, 1])
-        scene = LensScene(plate, ())
-        seen = lit(scene, lights).seen(look_down(scene, xy)).bare
+    for faces in (FACES, [[0, 2, 1], [0, 2, 3]]):
+        scene = LensScene(replace(plate(10, 0, albedo_linear=[0.5, 0.5, 1]), faces=faces), ())
+        seen = seen_from_above(scene, xy, lights).bare
         assert_allclose(seen, np.tile([0.4 / np.pi, 0.8 / np.pi, 2.4 / np.pi], (2, 1)), rtol=1e-12)
-    behind = lit(scene, DistantLights(-toward, [1.0])).seen(look_down(scene, xy)).bare
-    assert not behind.any()
+    assert not seen_from_above(scene, xy, DistantLights(-toward, [1.0])).bare.any()
 
 
 def test_shadows_fall_where_the_geometry_says():
-    scene = LensScene(square(10, 30), [square(100, 0)])
+    scene = LensScene(plate(10, 30), [plate(100, 0)])
     toward = np.array([0.36, -0.48, 0.8])
-    colors = lit(scene, DistantLights([toward], [[np.pi] * 3]))
     xy = np.random.default_rng(1).uniform(-60, 60, (4000, 2))
     # Where the way to the light crosses the small square's height.
     at = xy + 30 * toward[:2] / toward[2]
     from_edge = 10 - np.abs(at).max(1)
-    below = look_down(scene, xy, z=20.0)
-    seen = colors.seen(below).bare
+    seen = seen_from_above(scene, xy, DistantLights([toward], [np.pi]), z=20.0).bare
     dark = seen[:, 0] == 0
-    clear = np.abs(from_edge) > 0.2
-    assert (dark == (from_edge > 0))[clear].all()
+    assert (dark == (from_edge > 0))[np.abs(from_edge) > 0.2].all()
     assert dark.sum() > 50
     assert_allclose(seen[~dark], 0.5 * 0.8, rtol=1e-12)
 
 
-def test_rays_past_everything_see_the_background_and_mirrors_the_environment():
-    scene = LensScene(square(10, 0), ())
-    room = np.full((4, 8, 3), 5.0)
-    lights = DistantLights([[0, 0, 1]], [1.0])
-    past = look_down(scene, np.array([[50.0, 0]]))
-    seen = lit(scene, lights, room)
-    assert seen.seen(past).bare.tolist() == seen.seen(past).shaded.tolist() == [[5] * 3]
-    assert not lit(scene, lights).seen(past).shaded.any()
+def test_rays_past_everything_see_the_environment():
+    past = LensScene(plate(10, 0), ()), [[50.0, 0]], DistantLights([[0, 0, 1]], [1.0])
+    seen = seen_from_above(*past, np.full((4, 8, 3), 5.0))
+    assert seen.bare.tolist() == seen.shaded.tolist() == [[5] * 3]
+    assert not seen_from_above(*past).shaded.any()
 
 
 def test_the_environment_lies_where_its_axes_say():
-    height = 180
-    width = 360
-    row, column = np.meshgrid(np.arange(height) + 0.5, np.arange(width) + 0.5, indexing="ij")
-    azimuth, polar = (column / width - 0.5) * 2 * np.pi, row / height * np.pi
+    row, column = np.mgrid[:180, :360] + 0.5
+    azimuth, polar = np.deg2rad(column - 180), np.deg2rad(row)
     sphere = np.stack([np.sin(polar) * np.sin(azimuth), np.cos(polar), np.sin(polar) * np.cos(azimuth)], -1)
     directions = np.concatenate([distant_directions(300), np.eye(3), -np.eye(3)])
     assert_allclose(radiance_at(sphere, 7 * directions), directions, atol=0.01)
@@ -137,18 +123,17 @@ def test_the_environment_lies_where_its_axes_say():
 
 def test_colours_come_from_vertices_or_textures():
     image = np.random.default_rng(2).random((8, 16, 3))
-    corner_uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]])
-    by_vertex = square(10, 0, uv=corner_uv, texture_linear=image)
-    by_corner = square(10, 0, uv=corner_uv[by_vertex.faces], texture_linear=image)
-    painted = square(10, 0, albedo_linear=np.eye(4)[:, :3])
+    corner_uv = (CORNERS + 1) / 2
+    by_vertex = plate(10, 0, uv=corner_uv, texture_linear=image)
+    by_corner = plate(10, 0, uv=corner_uv[by_vertex.faces], texture_linear=image)
     xy = np.random.default_rng(3).uniform(-10, 10, (50, 2))
     texel = np.stack([(xy[:, 0] + 10) / 20 * 16 - 0.5, (10 - xy[:, 1]) / 20 * 8 - 0.5], 1)
     for surface in (by_vertex, by_corner):
-        scene = LensScene(square(1, -50), [surface])
+        scene = LensScene(plate(1, -50), [surface])
         rays = look_down(scene, xy)
         assert (scene.surface_of_face[rays.hits.face] == 1).all()
         assert_allclose(scene.albedo(rays), bilinear(image, texel), atol=1e-12)
-    scene = LensScene(painted, ())
+    scene = LensScene(plate(10, 0, albedo_linear=np.eye(4)[:, :3]), ())
     rays = look_down(scene, np.array([[-10.0, -10], [10, -10]]) * 0.999999)
     assert_allclose(scene.albedo(rays), np.eye(3)[:2], atol=1e-5)
 
@@ -163,13 +148,8 @@ def test_normals_are_smooth_where_the_winding_is_one():
     for winding in (faces, faces[:, ::-1]):
         scene = LensScene(Surface(arc, winding), ())
         rays = look_down(scene, np.array([[5.0, 1], [-20, 3], [12, -4]]))
-        radial = rays.ends * [1, 0, 1]
-        radial /= np.linalg.norm(radial, axis=1)[:, None]
+        radial = normalized(rays.ends * [1, 0, 1])
         assert ((scene.normals(rays) * radial).sum(1) > 0.9999).all()
-
-
-TRIANGLE = {"vertices": np.eye(3), "faces": [[0, 1, 2]]}
-PICTURE = np.ones((2, 2, 3))
 
 
 @pytest.mark.parametrize(
@@ -182,10 +162,10 @@ PICTURE = np.ones((2, 2, 3))
         ({"faces": [[0.0, 1, 2]]}, ValueError, "expected int"),
         ({"vertices": np.zeros((3, 2))}, ValueError, r"vertices is \(3, 2\)"),
         ({"albedo_linear": np.zeros((4, 3))}, ValueError, "albedo_linear must"),
-        ({"texture_linear": PICTURE}, ValueError, "needs uv"),
-        ({"uv": np.zeros((2, 2)), "texture_linear": PICTURE}, ValueError, "uv must"),
+        ({"texture_linear": np.ones((2, 2, 3))}, ValueError, "needs uv"),
+        ({"uv": np.zeros((2, 2)), "texture_linear": np.ones((2, 2, 3))}, ValueError, "uv must"),
     ],
 )
 def test_what_is_no_surface_is_refused(changes, kind, words):
     with pytest.raises(kind, match=words):
-        Surface(**{**TRIANGLE, **changes})
+        Surface(**{"vertices": np.eye(3), "faces": [[0, 1, 2]], **changes})

@@ -7,9 +7,12 @@ from numpy.testing import assert_allclose
 
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.lenses.optics import ThinLens, refract
+from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import random_rotation
 
-FLAT = ThinLens(np.zeros(3), np.array([0.0, 0, 1]), 0.0)
+
+def thin(dioptres):
+    return ThinLens(np.zeros(3), [0, 0, 1], dioptres)
 
 
 def lens_points(rng, count=200):
@@ -20,8 +23,7 @@ def test_rays_meet_the_conjugate_image():
     points, worst = lens_points(np.random.default_rng(0)), []
     for dioptres in (-8, -4, -2, -0.25, 0.25, 1, 2.1, 4, 8):
         for camera in ([30.0, -60, 600], [-200, 90, 350], [5, 3, 1500], [1, 1, 40]):
-            lens = ThinLens(np.zeros(3), [0, 0, 1], dioptres)
-            got = refract(lens, camera, points).directions
+            got = refract(thin(dioptres), camera, points).directions
             image = conjugate_directions(np.array(camera), points, np.zeros(3), np.eye(3)[2], dioptres)
             worst.append(angle_deg(got, image).max())
     assert max(worst) <= 1e-5
@@ -33,31 +35,15 @@ def test_paraxial_rays_agree_with_snells_law_at_two_spheres():
     points = np.array([[0.2, 0.1, 0], [-0.3, 0.2, 0], [0.0, 0.4, 0]])
     radius = 2 * (index - 1) * 1000 / dioptres
     camera = np.array([0, 0, 600.0])
-    d = (points - camera) / np.linalg.norm(points - camera, axis=1)[:, None]
+    d = normalized(points - camera)
     for side, ratio in ((1, 1 / index), (-1, index)):
         # Lens-maker: both spheres pass (almost) through the plane z = 0; thickness is left out.
-        normal = np.column_stack([side * points[:, :2], np.full(3, radius)]) / radius
-        normal /= np.linalg.norm(normal, axis=1)[:, None]
+        normal = normalized(side * points + [0, 0, radius])
         cosine = -(d * normal).sum(1)
         across = np.sqrt(1 - ratio**2 * (1 - cosine**2))
         d = ratio * d + (ratio * cosine - across)[:, None] * normal
-    got = refract(ThinLens(np.zeros(3), [0, 0, 1], dioptres), camera, points).directions
+    got = refract(thin(dioptres), camera, points).directions
     assert angle_deg(got, d).max() < 1e-6
-
-
-@pytest.mark.parametrize(("dioptres", "expected"), [(-8, 0.814), (0, 1.0), (8, 1.296)])
-def test_magnification_of_a_plane_behind_the_lens(dioptres, expected):
-    camera = np.array([0, 0, 600.0])
-    behind = 30.0
-    points = np.array([[15.0, 0, 0], [0, -9, 0], [12, 12, 0]])
-    seen = []
-    for d in (0, dioptres):
-        rays = refract(ThinLens(np.zeros(3), [0, 0, 1], d), camera, points)
-        step = (-behind - rays.origins[:, 2]) / rays.directions[:, 2]
-        seen.append((rays.origins + step[:, None] * rays.directions)[:, :2])
-    ratio = np.linalg.norm(seen[0], axis=1) / np.linalg.norm(seen[1], axis=1)
-    assert_allclose(ratio, (1 + 0.05) / (1 + 0.05 - 30 * dioptres / 1000), rtol=1e-12)
-    assert_allclose(ratio, expected, atol=5e-4)
 
 
 def test_nothing_is_lost_within_20_dioptres_at_the_poles_of_the_usual_formula():
@@ -66,10 +52,8 @@ def test_nothing_is_lost_within_20_dioptres_at_the_poles_of_the_usual_formula():
         # The last distances make 1 + u P zero or nearly so.
         pole = 1000 / dioptres if dioptres > 1e-3 else 500.0
         for distance in (20.0, 600.0, 1e5, pole, np.nextafter(pole, 0), np.nextafter(pole, 1e9)):
-            lens = ThinLens(np.zeros(3), [0, 0, 1], dioptres)
             with np.errstate(all="raise", under="ignore"):
-                rays = refract(lens, [7.0, -4, distance], points)
-            assert np.isfinite(rays.directions).all()
+                rays = refract(thin(dioptres), [7.0, -4, distance], points)
             assert_allclose(np.linalg.norm(rays.directions, axis=1), 1, atol=1e-14)
             assert (rays.directions[:, 2] < 0).all()
 
@@ -77,8 +61,8 @@ def test_nothing_is_lost_within_20_dioptres_at_the_poles_of_the_usual_formula():
 def test_plane_glass_leaves_rays_alone_and_the_collimated_ones_are_parallel():
     points = lens_points(np.random.default_rng(2))
     camera = np.array([40.0, 10, 500])
-    assert angle_deg(refract(FLAT, camera, points).directions, points - camera).max() < 1e-12
-    parallel = refract(ThinLens(np.zeros(3), [0, 0, 1], 2.0), camera, points).directions
+    assert angle_deg(refract(thin(0.0), camera, points).directions, points - camera).max() < 1e-12
+    parallel = refract(thin(2.0), camera, points).directions
     assert angle_deg(parallel, np.tile(-camera, (len(points), 1))).max() < 1e-12
 
 
@@ -86,7 +70,7 @@ def test_a_moved_scene_gives_moved_rays_and_either_normal_will_do():
     rng = np.random.default_rng(4)
     points, camera = lens_points(rng), np.array([30.0, -20, 600])
     turn, shift = random_rotation(rng), np.array([1e4, -5e3, 800.0])
-    still = refract(ThinLens(np.zeros(3), [0, 0, 1], -6.0), camera, points)
+    still = refract(thin(-6.0), camera, points)
     for sign in (1.0, -3.0):
         moved = refract(
             ThinLens(shift, sign * turn[:, 2], -6.0), turn @ camera + shift, points @ turn.T + shift
@@ -97,22 +81,22 @@ def test_a_moved_scene_gives_moved_rays_and_either_normal_will_do():
 
 def test_any_point_on_a_ray_names_it():
     points, camera = lens_points(np.random.default_rng(5)), np.array([0.0, 30, 600])
-    lens = ThinLens(np.zeros(3), [0, 0, 1], 7.0)
+    lens = thin(7.0)
+    bent = refract(lens, camera, points).directions
     for along in (0.2, 0.99, 1.01, 3.0):
         rays = refract(lens, camera, camera + along * (points - camera))
         assert_allclose(rays.origins, points, atol=1e-10)
-        assert angle_deg(rays.directions, refract(lens, camera, points).directions).max() < 1e-10
+        assert angle_deg(rays.directions, bent).max() < 1e-10
 
 
 def test_what_no_lens_can_do_is_said():
     above = [0.0, 0, 600]
     for camera, points, kind, words in (
         ([0.0, 0, 0], [[1.0, 2, 0]], EyeglassesError, "camera lies in the lens plane"),
-        (above, [[0, 0, 0], [0, 0, 700.0]], EyeglassesError, "1 of 2 rays .* never reach"),
-        (above, [[10, 0, 600.0]], EyeglassesError, "never reach"),
+        (above, [[0, 0, 0], [10, 0, 600], [0, 0, 700.0]], EyeglassesError, "2 of 3 rays .* never reach"),
         (above, [[np.nan, 0, 0]], EyeglassesError, "points: 1 values are NaN"),
         ([above] * 3, [[1.0, 2, 0]] * 2, ValueError, "shape"),
     ):
         with pytest.raises(kind, match=words):
-            refract(FLAT, camera, points)
-    assert refract(FLAT, [0.0, 0, 600], np.zeros((0, 3))).directions.shape == (0, 3)
+            refract(thin(0.0), camera, points)
+    assert refract(thin(0.0), [0.0, 0, 600], np.zeros((0, 3))).directions.shape == (0, 3)

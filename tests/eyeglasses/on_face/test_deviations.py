@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from bench.eyeglasses.deviations import misses
 from bench.eyeglasses.scenes import Errors, khronos, photographed, synthetic, without_lenses
+from helpers.measures import rms, row_lengths
 
 from scan2albedo.eyeglasses import FaceRegistrationOptions, register_on_face
 from scan2albedo.eyeglasses.on_face.frame_motion import SkinnedPoints
@@ -19,8 +20,8 @@ def mesh_of(frame, scale=1.0):
     return scale * frame.vertices, frame.faces, scale * frame.keypoints, frame.weights()
 
 
-def rms(found, seen):
-    return float(np.sqrt((np.linalg.norm(found.vertices - seen.vertices, axis=1) ** 2).mean()))
+def error_mm(found, seen):
+    return rms(row_lengths(found.vertices - seen.vertices))
 
 
 @pytest.fixture(scope="module")
@@ -28,41 +29,33 @@ def seen():
     return photographed(SLAB, 3, errors=Errors(0, 0.3, 0, 0), glass=False, size=512, bend=False)
 
 
-def register(seen, masks=None, scale=1.0):
-    masks = list(seen.masks) if masks is None else masks
-    return register_on_face(mesh_of(SLAB, scale), seen.labels, masks, seen.cameras)
+def register(seen, masks, scale=1.0, repeats=1):
+    labels, cameras = (np.tile(part, (repeats, 1, 1)) for part in (seen.labels, seen.cameras))
+    return register_on_face(mesh_of(SLAB, scale), labels, masks, cameras)
 
 
 def test_masks_that_are_too_wide_throughout_move_nothing(seen):
     import cv2
 
-    exact = register(seen)
     wide = [cv2.dilate(m.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0 for m in seen.masks]
     found = register(seen, wide)
-    assert rms(exact, seen) < 0.2
-    assert rms(found, seen) < 0.25
+    assert error_mm(register(seen, seen.masks), seen) < 0.2
+    assert error_mm(found, seen) < 0.25
     # What is left of the two pixels are the differences between views and places.
     assert np.nanmax(found.outline_rms_px) < 1.0
 
 
 def test_a_mesh_that_is_a_percent_too_small_is_stretched(seen):
-    found = register(seen, scale=0.99)
-    sizes = [np.linalg.norm(k - k.mean(0), axis=1).mean() for k in (found.keypoints, seen.keypoints)]
+    found = register(seen, seen.masks, scale=0.99)
+    sizes = [row_lengths(k - k.mean(0)).mean() for k in (found.keypoints, seen.keypoints)]
     assert abs(sizes[0] / sizes[1] - 1) < 0.003
-    assert rms(found, seen) < 0.3
+    assert error_mm(found, seen) < 0.3
 
 
 def test_labels_off_alike_in_all_views_count_once(seen):
     # With three times as many views labels say more on their own errors, not on the ones they share.
-    one = register(seen, [None] * 3)
-    many = register_on_face(
-        mesh_of(SLAB),
-        np.tile(seen.labels, (9, 1, 1)),
-        None,
-        np.tile(seen.cameras, (9, 1, 1)),
-    )
-    ratio = np.median(many.keypoint_deviation / one.keypoint_deviation)
-    assert 0.4 < ratio < 1
+    one, many = (register(seen, None, repeats=repeats).keypoint_deviation for repeats in (1, 9))
+    assert 0.4 < np.median(many / one) < 1
 
 
 def test_slopes_are_those_of_the_sum(seen):
@@ -105,9 +98,9 @@ def check_coverage(frame, seeds, errors, masked, most=1.4):
         found = register_on_face(mesh_of(frame), pictures.labels, masks, pictures.cameras)
         assert found.observed.mean() > 0.6
         for miss, share in zip(misses(found, pictures.vertices, pictures.keypoints), within, strict=True):
-            off.append(np.sqrt((miss.error**2).mean()))
-            stated.append(np.sqrt((miss.stated**2).mean()))
+            off.append(rms(miss.error))
+            stated.append(rms(miss.stated))
             share.append((miss.error <= 2 * miss.stated).mean())
             assert share[-1] > 0.5
     assert min(np.mean(share) for share in within) > 0.7
-    assert 0.6 < np.sqrt(np.mean(np.square(off)) / np.mean(np.square(stated))) < most
+    assert 0.6 < rms(off) / rms(stated) < most

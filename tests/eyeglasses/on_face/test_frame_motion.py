@@ -28,29 +28,24 @@ def scene(missing):
     return keypoints, state, SkinnedPoints(rng.normal(0, 40, (30, 3)), weights), rng
 
 
+def differences(function, keypoints, state, steps):
+    """Central differences (..., N) of a function of a motion along steps (N, P) of its state."""
+
+    def at(step):
+        return function(FrameMotion(keypoints, state.moved(step)))
+
+    return np.stack([at(STEP * step) - at(-STEP * step) for step in steps], -1) / (2 * STEP)
+
+
 @pytest.mark.parametrize("missing", [False, True])
 def test_rows_are_the_derivatives(missing):
-    keypoints, state, points, rng = scene(missing)
-    slopes = rng.normal(size=(30, 3))
-    motion = FrameMotion(keypoints, state)
-    rows = motion.rows(points, motion.positions(points), slopes)
-    differences = np.zeros_like(rows)
-    for number in range(rows.shape[1]):
-        step = np.zeros(rows.shape[1])
-        step[number] = STEP
-        there, back = (FrameMotion(keypoints, state.moved(sign * step)).positions(points) for sign in (1, -1))
-        differences[:, number] = ((there - back) * slopes).sum(1) / (2 * STEP)
-    assert np.abs(rows).max() > 50
-    assert_allclose(rows, differences, atol=2e-7 * np.abs(rows).max())
-
-
-@pytest.mark.parametrize("missing", [False, True])
-def test_rows_of_a_rigid_frame_are_the_first_ones(missing):
     keypoints, state, points, rng = scene(missing)
     slopes, motion = rng.normal(size=(30, 3)), FrameMotion(keypoints, state)
     place = motion.positions(points)
     rows = motion.rows(points, place, slopes)
-    assert rows.shape == (30, 66)
+    moves = differences(lambda moved: moved.positions(points), keypoints, state, np.eye(66))
+    assert np.abs(rows).max() > 50
+    assert_allclose(rows, np.einsum("vip,vi->vp", moves, slopes), atol=2e-7 * np.abs(rows).max())
     assert_array_equal(motion.rows(points, place, slopes, rigid=True), rows[:, :6])
 
 
@@ -58,25 +53,16 @@ def test_rows_of_a_rigid_frame_are_the_first_ones(missing):
 def test_covariances_are_those_of_differences(parameters):
     keypoints, state, points, rng = scene(missing=True)
     motion, root = FrameMotion(keypoints, state), rng.normal(size=(parameters, parameters))
-    spread = np.empty((30, 3, parameters))
-    for number, step in enumerate(STEP * root.T):
-        there, back = (FrameMotion(keypoints, state.moved(sign * step)).positions(points) for sign in (1, -1))
-        spread[:, :, number] = (there - back) / (2 * STEP)
+    spread = differences(lambda moved: moved.positions(points), keypoints, state, root.T)
     expected = spread @ spread.transpose(0, 2, 1)
     assert_allclose(motion.covariances(points, root), expected, atol=1e-6 * np.abs(expected).max())
 
 
-def test_positions_are_those_of_skinning():
+def test_positions_are_those_of_skinning_and_a_step_of_turn_and_translation_is_a_rigid_motion():
     keypoints, state, points, _ = scene(False)
     motion = FrameMotion(keypoints, state)
-    assert_allclose(
-        motion.positions(points), skin(points.rest, points.weights, motion.transforms), atol=1e-11
-    )
-
-
-def test_a_step_of_turn_and_translation_is_a_rigid_motion():
-    keypoints, state, points, _ = scene(False)
-    before = FrameMotion(keypoints, state).positions(points)
+    before = motion.positions(points)
+    assert_allclose(before, skin(points.rest, points.weights, motion.transforms), atol=1e-11)
     turn = np.array([0.1, -0.2, 0.3])
     after = FrameMotion(keypoints, state.moved(np.concatenate([turn, [1.0, 2, 3]]))).positions(points)
     expected = (before - state.origin) @ rotation_from_vector(turn).T + state.origin + [1, 2, 3]
@@ -113,20 +99,10 @@ def test_rotations_are_those_of_decompositions(size, turned):
 
 
 def test_the_priors_derivatives_hold_where_turns_are_small():
-    keypoints = POINTS
-    rng = np.random.default_rng(1)
-    state = FrameState(np.eye(3), np.zeros(3), rng.normal(0, 0.02, (20, 3)))
-    value, rows = bend_prior(FrameMotion(keypoints, state))
-    differences = np.zeros_like(rows)
-    for number in range(6, 66):
-        step = np.zeros(66)
-        step[number] = STEP
-        there, back = (bend_prior(FrameMotion(keypoints, state.moved(sign * step)))[0] for sign in (1, -1))
-        differences[:, number] = (there - back) / (2 * STEP)
-    assert np.isfinite(value).all()
-    assert_allclose(rows, differences, atol=2e-3 * np.abs(rows).max(), rtol=0.02)
-
-
-def test_the_prior_of_a_frame_at_rest_is_nothing():
-    value, _ = bend_prior(FrameMotion(POINTS, FrameState(np.eye(3), np.zeros(3), np.zeros((20, 3)))))
-    assert_allclose(value, 0, atol=1e-9)
+    state = FrameState(np.eye(3), np.zeros(3), np.random.default_rng(1).normal(0, 0.02, (20, 3)))
+    _, rows = bend_prior(FrameMotion(POINTS, state))
+    steps = np.eye(66)[6:]
+    expected = differences(lambda moved: bend_prior(moved)[0], POINTS, state, steps)
+    assert_allclose(rows @ steps.T, expected, atol=2e-3 * np.abs(rows).max(), rtol=0.02)
+    at_rest = FrameState(np.eye(3), np.zeros(3), np.zeros((20, 3)))
+    assert_allclose(bend_prior(FrameMotion(POINTS, at_rest))[0], 0, atol=1e-9)

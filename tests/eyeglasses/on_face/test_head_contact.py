@@ -2,26 +2,19 @@
 
 import numpy as np
 import pytest
+from helpers.eyeglasses import nearest_weights
+from helpers.plates import plate
+from numpy.testing import assert_allclose
 
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, FrameState, SkinnedPoints
 from scan2albedo.eyeglasses.on_face.objective import HeadContact
 from scan2albedo.synthetic import eyeglasses
 
 GLASSES = eyeglasses(0)
-POINTS = SkinnedPoints(
-    GLASSES.rest_vertices,
-    np.eye(20)[np.linalg.norm(GLASSES.rest_vertices[:, None] - GLASSES.rest_keypoints, axis=2).argmin(1)],
-)
-WALL = (
-    np.array([[-200.0, -200, 0], [200, -200, 0], [200, 200, 0], [-200, 200, 0]]),
-    np.array([[0, 1, 2], [0, 2, 3]]),
-)
+POINTS = SkinnedPoints(GLASSES.rest_vertices, nearest_weights(GLASSES.rest_vertices, GLASSES.rest_keypoints))
+SHEET = plate(200, 0.0)
+WALL = SHEET.vertices, SHEET.faces
 """A face without features that looks along +z."""
-
-
-def motion_at(z):
-    center = GLASSES.rest_keypoints.mean(0)
-    return FrameMotion(GLASSES.rest_keypoints, FrameState(np.eye(3), center + [0, 0, z], np.zeros((20, 3))))
 
 
 @pytest.mark.parametrize("gap", [5.0, 0.3, -2.0])
@@ -29,13 +22,15 @@ def test_the_gap_is_that_of_the_fronts_hindmost_point(gap):
     weights = POINTS.weights.argmax(1)
     front = np.isin(weights, [i for i, name in enumerate(GLASSES.names) if "rim" in name or "bridge" in name])
     lowest = GLASSES.rest_vertices[front, 2].min()
-    contact, motion = HeadContact(POINTS, *WALL), motion_at(gap - lowest)
+    marks = GLASSES.rest_keypoints
+    state = FrameState(np.eye(3), marks.mean(0) + [0, 0, gap - lowest], np.zeros((20, 3)))
+    contact, motion = HeadContact(POINTS, *WALL), FrameMotion(marks, state)
     contact.select_candidates(motion)
     point, place, distance, slope = contact.nearest_point(motion)
     assert distance == pytest.approx(gap, abs=1e-9)
     assert place[0, 2] == pytest.approx(gap, abs=1e-9)
-    np.testing.assert_allclose(slope, [[0, 0, 1]], atol=1e-9)
-    np.testing.assert_allclose(motion.positions(point), place)
+    assert_allclose(slope, [[0, 0, 1]], atol=1e-9)
+    assert_allclose(motion.positions(point), place)
 
 
 def test_a_frame_of_temples_alone_touches_nothing():

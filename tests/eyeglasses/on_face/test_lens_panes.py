@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 from bench.eyeglasses.scenes import EVEN, khronos, photographed, synthetic, without_lenses
+from helpers.eyeglasses import nearest_weights
+from helpers.measures import rms
 
 from scan2albedo.eyeglasses import register_on_face
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, FrameState, SkinnedPoints
@@ -21,15 +23,14 @@ def registered(frame, mesh, shown, size):
     truth = seen.vertices if mesh is frame else seen.vertices[np.unique(frame.rims)]
     rims = np.unique(mesh.rims)
     errors = np.linalg.norm(found.vertices - truth, axis=1)[rims]
-    return found, float(np.sqrt((errors**2).mean())), float(found.observed[rims].mean())
+    return found, rms(errors), found.observed[rims].mean()
 
 
 def check_all_four(frame, size, bar):
-    bare = without_lenses(frame)
-    for mesh in (frame, bare):
+    for mesh in (frame, without_lenses(frame)):
         for shown in (True, False):
-            found, rms, observed = registered(frame, mesh, shown, size)
-            assert rms < bar
+            found, error, observed = registered(frame, mesh, shown, size)
+            assert error < bar
             assert observed > 0.98
             assert found.vertices.shape == mesh.vertices.shape
             steps = [step for step in found.plan if step.stage == "glasses.lenses"]
@@ -52,8 +53,8 @@ def test_real_sunglasses(shared_data):
 def shown_frame(mesh, masks, eyes=((0.0, 0.0, 600.0),)):
     cameras = [look_at(eye, [0, 0, 0], focal_px=450, shape=masks[0].shape) for eye in eyes]
     motion = FrameMotion(mesh.keypoints, FrameState(np.eye(3), mesh.keypoints.mean(0), np.zeros((20, 3))))
-    nearest = np.linalg.norm(mesh.vertices[:, None] - mesh.keypoints, axis=2).argmin(1)
-    frame = FrameMesh(SkinnedPoints(mesh.vertices, np.eye(20)[nearest]), mesh.faces)
+    weights = nearest_weights(mesh.vertices, mesh.keypoints)
+    frame = FrameMesh(SkinnedPoints(mesh.vertices, weights), mesh.faces)
     return fit_lenses_to_masks(frame, motion, cameras, list(masks), None)
 
 
@@ -81,9 +82,9 @@ def test_each_view_and_each_lens_is_judged_by_itself():
     assert steps[0].reason.startswith("the mask of view 1 shows no left lens")
     assert steps[1].reason.startswith("the masks of views 1, 2 show no right lens")
     mesh, shown, _ = shown_frame(BARE, [full, empty, half], eyes)
-    added = [len(faces) - len(BARE.faces) for faces in shown]
-    assert added[1] == 0
-    assert added[0] == 2 * added[2] > 0
+    both, none, one = (len(faces) - len(BARE.faces) for faces in shown)
+    assert none == 0
+    assert both == 2 * one > 0
     assert len(mesh.points.rest) > len(BARE.vertices)
     np.testing.assert_allclose(mesh.points.weights.sum(1), 1)
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.plates import FACES
 from numpy.testing import assert_allclose
 
 from scan2albedo.eyeglasses.on_face.outline import MaskDistance, search_edges, trace_outline
@@ -41,9 +42,8 @@ def test_an_outline_is_where_the_mask_ends_and_looks_outward(seen):
 
 
 def test_the_border_of_the_picture_is_no_outline():
-    camera = np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]])
     square = np.array([[-50.0, -50, 1], [60, -50, 1], [60, 350, 1], [-50, 350, 1]])
-    seen = seen_samples(square, np.array([[0, 1, 2], [0, 2, 3]]), camera, SHAPE)
+    seen = seen_samples(square, FACES, np.eye(3, 4), SHAPE)
     which, outward = trace_outline(seen)
     places = mask_of(seen)[1][which]
     assert set(places[:, 0]) == {60}
@@ -59,37 +59,24 @@ def test_a_frame_behind_the_camera_or_beside_the_picture_has_no_outline():
         assert len(seen.index) == len(trace_outline(seen)[0]) == 0
 
 
+@pytest.fixture(scope="module")
 def bar():
-    """A mask of columns 100 to 199, rows 140 to 149."""
+    """Distances to a mask of columns 100 to 199, rows 140 to 149."""
     mask = np.zeros(SHAPE, bool)
     mask[140:150, 100:200] = True
-    return mask
+    return MaskDistance.of(mask)
 
 
-def test_distances_are_zero_on_the_outermost_pixels_and_rise_outward():
-    value, slope = MaskDistance.of(bar()).sample(
-        np.array([[150.0, 140], [150, 137], [150, 143], [150, 139.5], [199, 145], [210, 145]])
-    )
-    assert_allclose(value, [0, 3, -3, 0.5, 0, 11], atol=1e-6)
+def test_distances_are_zero_on_the_outermost_pixels_and_rise_outward_but_far_away_are_not_known(bar):
+    rows = [140, 137, 143, 139.5, 145, 145, 20, 3]
+    value, slope = bar.sample(np.column_stack([[150, 150, 150, 150, 199, 210, 399, np.nan], rows]))
+    assert_allclose(value, [0, 3, -3, 0.5, 0, 11, np.nan, np.nan], atol=1e-6)
     assert_allclose(slope[[1, 2, 3, 5]], [[0, -1], [0, -1], [0, -1], [1, 0]], atol=1e-6)
+    assert np.isnan(slope[6:]).all()
 
 
-def test_distances_far_away_are_not_known():
-    value, slope = MaskDistance.of(bar()).sample(np.array([[399.0, 20], [np.nan, 3]]))
-    assert np.isnan(value).all()
-    assert np.isnan(slope).all()
-
-
-def test_the_search_finds_the_end_of_a_bar_and_not_its_side():
-    distance = MaskDistance.of(bar())
-    places = np.array([[180.0, 145], [205, 145], [150, 145], [180, 145]])
-    outward = np.array([[1.0, 0], [1, 0], [0, -1], [1, 0]])
-    found = search_edges(distance, places, outward, np.array([40.0, 40, 40, 10]))
-    assert_allclose(found[:3], [19, -6, 5], atol=0.05)
-    assert np.isnan(found[3])
-
-
-def test_the_search_does_not_take_an_end_that_is_entered():
-    distance = MaskDistance.of(bar())
-    found = search_edges(distance, np.array([[90.0, 145]]), np.array([[1.0, 0]]), np.array([30.0]))
-    assert np.isnan(found[0])
+def test_the_search_finds_the_end_of_a_bar_but_not_its_side_nor_one_that_is_entered(bar):
+    places = np.array([[180.0, 145], [205, 145], [150, 145], [180, 145], [90, 145]])
+    outward = np.array([[1.0, 0], [1, 0], [0, -1], [1, 0], [1, 0]])
+    found = search_edges(bar, places, outward, np.array([40.0, 40, 40, 10, 30]))
+    assert_allclose(found, [19, -6, 5, np.nan, np.nan], atol=0.05)

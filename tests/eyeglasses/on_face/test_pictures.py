@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from helpers.wearers import rest_frame, small_wearer
+from helpers.measures import row_lengths
+from helpers.wearers import small_wearer
+from helpers.worn_frames import register
 from scipy.ndimage import gaussian_filter
 
 from scan2albedo.errors import EyeglassesError
-from scan2albedo.eyeglasses import register_on_face
 from scan2albedo.eyeglasses.on_face.outline import color_odds, grouped_colors, search_colors
 
 
@@ -25,22 +26,21 @@ def pictures(shown=True):
     return made
 
 
-def register(labels=None, **given):
-    worn = person()
-    marks = np.full_like(worn.labels, np.nan) if labels is None else labels
-    given = {"head": (worn.head_vertices, worn.head_faces), "shapes": [(384, 384)] * 3, **given}
-    return register_on_face(rest_frame(1), marks, None, worn.cameras, **given)
-
-
 def front_error_mm(found):
     worn = person()
     front = worn.glasses.rest_vertices[:, 2] > worn.glasses.rest_keypoints[:, 2].max() - 20
-    return float(np.sqrt((np.linalg.norm(found.vertices - worn.vertices, axis=1)[front] ** 2).mean()))
+    return float(np.sqrt((row_lengths(found.vertices - worn.vertices)[front] ** 2).mean()))
+
+
+def found_in_pictures(**changes):
+    worn = person()
+    given = {"keypoints_2d": np.full_like(worn.labels, np.nan), "masks": None, "shapes": [(384, 384)] * 3}
+    return register(worn, **{**given, **changes})
 
 
 @pytest.fixture(scope="module")
 def seen():
-    return register(pictures=pictures())
+    return found_in_pictures(pictures=pictures())
 
 
 def test_a_bar_is_found_where_it_is_and_missed_where_it_is_not():
@@ -60,12 +60,12 @@ def test_a_bar_is_found_where_it_is_and_missed_where_it_is_not():
 
 def test_pictures_place_a_frame_that_nobody_labelled(seen):
     assert front_error_mm(seen) < 0.8
-    assert front_error_mm(register()) > 2 * front_error_mm(seen)
+    assert front_error_mm(found_in_pictures()) > 2 * front_error_mm(seen)
     assert any(step.stage == "glasses.pictures" and step.ran for step in seen.plan)
 
 
 def test_proposals_are_as_good_as_they_say(seen):
-    off = np.linalg.norm(seen.proposed_labels - person().labels, axis=2)
+    off = row_lengths(seen.proposed_labels - person().labels)
     judged = np.isfinite(off)
     assert judged.sum() > 20
     stated = np.sqrt(2) * seen.proposed_deviation_px[judged]
@@ -79,28 +79,32 @@ def test_proposals_are_as_good_as_they_say(seen):
 
 def test_labels_and_masks_that_somebody_made_go_first():
     worn = person()
-    found = register(worn.labels, pictures=pictures())
+    found = found_in_pictures(keypoints_2d=worn.labels, pictures=pictures())
     assert not (np.isfinite(found.proposed_labels) & np.isfinite(worn.labels)).any()
-    both = register_on_face(rest_frame(1), worn.labels, worn.masks, worn.cameras, pictures=pictures())
+    both = register(worn, pictures=pictures())
     assert both.proposed_masks == (None, None, None)
 
 
 def test_nothing_is_proposed_where_there_is_no_frame():
-    found = register(pictures=pictures(shown=False))
+    found = found_in_pictures(pictures=pictures(shown=False))
     assert np.isnan(found.proposed_labels).all()
     assert found.proposed_masks == (None, None, None)
-    doubts = [step.reason for step in found.plan.doubts()]
-    assert any("not found in the pictures" in reason for reason in doubts)
+    assert any("not found in the pictures" in step.reason for step in found.plan.doubts())
 
 
-def test_without_labels_a_head_in_the_face_models_frame_is_needed():
-    worn = person()
-    with pytest.raises(EyeglassesError, match="no head to put the frame on"):
-        register(pictures=pictures(), head=None)
-    aside = worn.head_vertices + [0.0, 500, 0], worn.head_faces
-    with pytest.raises(EyeglassesError, match="not in the face model's frame"):
-        register(pictures=pictures(), head=aside)
-    with pytest.raises(ValueError, match="picture 0 has shape"):
-        register(pictures=[np.zeros((5, 5, 3))] * 3)
-    with pytest.raises(EyeglassesError, match="picture 0 holds numbers"):
-        register(pictures=[np.full((384, 384, 3), np.nan)] * 3)
+@pytest.mark.parametrize(
+    ("changes", "kind", "words"),
+    [
+        ({"head": None}, EyeglassesError, "no head to put the frame on"),
+        (
+            {"head": (person().head_vertices + [0.0, 500, 0], person().head_faces)},
+            EyeglassesError,
+            "not in the face model's frame",
+        ),
+        ({"pictures": [np.zeros((5, 5, 3))] * 3}, ValueError, "picture 0 has shape"),
+        ({"pictures": [np.full((384, 384, 3), np.nan)] * 3}, EyeglassesError, "picture 0 holds numbers"),
+    ],
+)
+def test_without_labels_pictures_and_a_head_in_the_face_models_frame_are_needed(changes, kind, words):
+    with pytest.raises(kind, match=words):
+        found_in_pictures(**{"pictures": pictures(), **changes})

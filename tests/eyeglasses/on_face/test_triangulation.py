@@ -2,34 +2,36 @@
 
 import numpy as np
 import pytest
+from helpers.measures import rms, row_lengths
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.eyeglasses import triangulate
+from scan2albedo.geometry.pinhole import project
 from scan2albedo.geometry.rigid import rotation_from_vector
 from scan2albedo.synthetic import eyeglasses
 
 
-def ring_of_cameras(count, focal_px=1800.0, distance_mm=600.0):
-    cameras = []
+def ring_of_cameras(count):
+    intrinsic, cameras = np.array([[1800.0, 0, 512], [0, 1800, 512], [0, 0, 1]]), []
     for angle in np.linspace(-0.8, 0.8, count):
         rotation = rotation_from_vector([0.15 * np.cos(7 * angle), angle, 0]) @ np.diag([1.0, -1, -1])
-        placed = np.column_stack([rotation, [0, 0, distance_mm]])
-        cameras.append(np.array([[focal_px, 0, 512], [0, focal_px, 512], [0, 0, 1]]) @ placed)
+        cameras.append(intrinsic @ np.column_stack([rotation, [0, 0, 600.0]]))
     return np.array(cameras)
-
-
-def seen_by(cameras, points):
-    image = np.einsum("cij,kj->cki", cameras[:, :, :3], points) + cameras[:, None, :, 3]
-    return image[..., :2] / image[..., 2:]
 
 
 POINTS = eyeglasses(1).keypoints
 
 
+def labels_of(cameras, noise_px=0.0, seed=0):
+    """Return pixels (C, 20, 2) of the key points, with noise."""
+    exact = np.stack([project(camera, POINTS)[0] for camera in cameras])
+    return exact + noise_px * np.random.default_rng(seed).normal(size=exact.shape)
+
+
 @pytest.mark.parametrize("count", [2, 3, 6])
 def test_exact_labels_give_exact_points(count):
     cameras = ring_of_cameras(count)
-    found = triangulate(seen_by(cameras, POINTS), cameras)
+    found = triangulate(labels_of(cameras), cameras)
     assert_allclose(found.points, POINTS, atol=1e-8)
     assert found.errors_px.max() < 1e-6
     assert found.inliers.all()
@@ -37,7 +39,7 @@ def test_exact_labels_give_exact_points(count):
 
 def test_scale_and_sign_of_cameras_do_not_matter():
     cameras = ring_of_cameras(3)
-    labels = seen_by(cameras, POINTS) + np.random.default_rng(0).normal(0, 1, (3, 20, 2))
+    labels = labels_of(cameras, 1.0)
     scaled = cameras * np.array([2.0, -0.1, 30])[:, None, None]
     assert_allclose(triangulate(labels, scaled).points, triangulate(labels, cameras).points, atol=1e-6)
 
@@ -45,11 +47,9 @@ def test_scale_and_sign_of_cameras_do_not_matter():
 @pytest.mark.parametrize("count", [3, 6])
 def test_noise_is_not_amplified(count):
     cameras = ring_of_cameras(count)
-    rng = np.random.default_rng(2)
-    labels = seen_by(cameras, POINTS) + rng.normal(0, 1, (count, 20, 2))
-    found = triangulate(labels, cameras)
+    found = triangulate(labels_of(cameras, 1.0, seed=2), cameras)
     # A pixel is a third of a millimetre at 600 mm.
-    assert np.sqrt(np.mean((found.points - POINTS) ** 2)) < 0.4
+    assert rms(found.points - POINTS) < 0.4
     assert np.nanmax(found.errors_px) < 5
 
 
@@ -57,20 +57,19 @@ def test_noise_is_not_amplified(count):
 def test_outliers_are_outvoted_and_named(seed):
     rng = np.random.default_rng(seed)
     cameras = ring_of_cameras(6)
-    labels = seen_by(cameras, POINTS) + rng.normal(0, 1, (6, 20, 2))
-    wrong = np.zeros((6, 20), bool)
-    for k in range(20):
-        wrong[rng.choice(6, 2, replace=False), k] = True
+    labels = labels_of(cameras, 1.0, seed)
+    # Two of the six views of each point.
+    wrong = rng.random((6, 20)).argsort(0) < 2
     labels[wrong] += rng.choice([-1, 1], (wrong.sum(), 2)) * rng.uniform(60, 300, (wrong.sum(), 2))
     found = triangulate(labels, cameras)
-    assert np.linalg.norm(found.points - POINTS, axis=1).max() < 2.5
+    assert row_lengths(found.points - POINTS).max() < 2.5
     assert not found.inliers[wrong].any()
     assert found.inliers[~wrong].mean() > 0.97
 
 
 def test_missing_labels_leave_gaps_only_where_fewer_than_two_views_see():
     cameras = ring_of_cameras(4)
-    labels = seen_by(cameras, POINTS)
+    labels = labels_of(cameras)
     labels[1:, 3] = np.nan
     labels[:, 7] = np.nan
     labels[[0, 2], 11] = np.nan
@@ -83,22 +82,23 @@ def test_missing_labels_leave_gaps_only_where_fewer_than_two_views_see():
 
 
 def test_views_from_one_place_see_no_depth():
-    camera = ring_of_cameras(3)[:1]
-    cameras = np.concatenate([camera, camera])
-    found = triangulate(seen_by(cameras, POINTS), cameras)
+    cameras = ring_of_cameras(3)[[0, 0]]
+    found = triangulate(labels_of(cameras), cameras)
     assert np.isnan(found.points).all()
     assert np.isnan(found.errors_px).all()
     assert not found.inliers.any()
 
 
-def test_misuse_is_a_value_error():
-    cameras = ring_of_cameras(2)
-    with pytest.raises(ValueError, match=r"cameras is .* expected \(3, 3, 4\)"):
-        triangulate(np.zeros((3, 20, 2)), cameras)
-    with pytest.raises(ValueError, match="labels_2d"):
-        triangulate(np.zeros((20, 2)), cameras)
-    with pytest.raises(ValueError, match="camera 1 has a singular"):
-        triangulate(np.zeros((2, 20, 2)), [cameras[0], np.zeros((3, 4))])
-    for noise_px in (0, np.nan):
-        with pytest.raises(ValueError, match="noise_px"):
-            triangulate(np.zeros((2, 20, 2)), cameras, noise_px=noise_px)
+@pytest.mark.parametrize(
+    ("shape", "changes", "words"),
+    [
+        ((3, 20, 2), {}, r"cameras is .* expected \(3, 3, 4\)"),
+        ((20, 2), {}, "labels_2d"),
+        ((2, 20, 2), {"cameras": [np.eye(3, 4), np.zeros((3, 4))]}, "camera 1 has a singular"),
+        ((2, 20, 2), {"noise_px": 0}, "noise_px"),
+        ((2, 20, 2), {"noise_px": np.nan}, "noise_px"),
+    ],
+)
+def test_misuse_is_a_value_error(shape, changes, words):
+    with pytest.raises(ValueError, match=words):
+        triangulate(np.zeros(shape), **{"cameras": ring_of_cameras(2), **changes})
