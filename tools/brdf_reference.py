@@ -5,8 +5,6 @@ unit direction to the viewer v, and returns the factor that multiplies albedo (P
 and the light's irradiance. All are 0 where the light is behind the surface and finite everywhere.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -28,7 +26,7 @@ def lambert(n_l: ArrayLike) -> FloatArray:
     >>> lambert([1.0, 0.5, -0.5]).tolist()
     [1.0, 0.5, 0.0]
     """
-    return np.maximum(np.asarray(n_l, np.float64), 0.0)
+    return np.maximum(np.asarray(n_l, float), 0.0)
 
 
 def oren_nayar(n_l: ArrayLike, n_v: ArrayLike, l_v: ArrayLike, sigma_rad: float) -> FloatArray:
@@ -54,7 +52,7 @@ def oren_nayar(n_l: ArrayLike, n_v: ArrayLike, l_v: ArrayLike, sigma_rad: float)
     variance = sigma_rad * sigma_rad
     a = 1.0 - 0.5 * variance / (variance + 0.33)
     b = 0.45 * variance / (variance + 0.09)
-    s = np.maximum(np.asarray(l_v, np.float64) - cos_i * cos_r, 0.0)
+    s = np.maximum(np.asarray(l_v, float) - cos_i * cos_r, 0.0)
     return cos_i * (a + b * s / np.maximum(np.maximum(cos_i, cos_r), COSINE_FLOOR))
 
 
@@ -68,7 +66,7 @@ def minnaert(n_l: ArrayLike, n_v: ArrayLike, exponent: float) -> FloatArray:
     .. [1] M. Minnaert, "The reciprocity principle in lunar photometry", Astrophys. J. 93, 1941.
     """
     cos_i = lambert(n_l)
-    cos_r = np.maximum(np.asarray(n_v, np.float64), COSINE_FLOOR)
+    cos_r = np.maximum(np.asarray(n_v, float), COSINE_FLOOR)
     return np.where(cos_i > 0, cos_i**exponent * cos_r ** (exponent - 1.0), 0.0)
 
 
@@ -82,7 +80,7 @@ def phong(n_l: ArrayLike, n_v: ArrayLike, l_v: ArrayLike, exponent: float) -> Fl
     ----------
     .. [1] B. T. Phong, "Illumination for computer generated pictures", CACM 18(6), 1975.
     """
-    n_l = np.asarray(n_l, np.float64)
-    r_v = 2.0 * n_l * np.asarray(n_v, np.float64) - np.asarray(l_v, np.float64)
+    n_l = np.asarray(n_l, float)
+    r_v = 2.0 * n_l * np.asarray(n_v, float) - np.asarray(l_v, float)
     lit = (n_l > 0) & (r_v > 0)
     return np.where(lit, np.where(lit, np.minimum(r_v, 1.0), 1.0) ** exponent, 0.0)

@@ -7,8 +7,6 @@ first face is under each preset of light and on which side (presets.png), and ev
 complains about; the exit status is 1 when it complains, or when the page asks for anything beside itself.
 """
 
-from __future__ import annotations
-
 import argparse
 import base64
 import sys

@@ -6,8 +6,6 @@ Prints a line for each system and Python: the dependencies without a wheel there
 nothing is installed.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import tempfile

@@ -10,8 +10,6 @@ commit of the package, and which of its scans were looked at while the package w
 by every call.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import re

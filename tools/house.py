@@ -14,8 +14,6 @@ Columns, for the package (and each folder of it), for tools and for tests:
 Lines are not counted: packing them makes code harder to read and lowers nothing here.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import io

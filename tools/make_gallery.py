@@ -9,8 +9,6 @@ folder. With it: what became of the scan (scan.jpg), the scan beside itself with
 the maps of a skin material (maps.jpg).
 """
 
-from __future__ import annotations
-
 import argparse
 import runpy
 import tempfile

@@ -7,8 +7,6 @@ memory is measured for that file alone; a worker that dies, or takes more than t
 clock, counts too. Prints how the files ended and every finding; the exit status is 1 when there is one.
 """
 
-from __future__ import annotations
-
 import argparse
 import multiprocessing
 import shutil

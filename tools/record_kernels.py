@@ -6,8 +6,6 @@ Processes the built-in synthetic scan with all kernels compiled anew, and writes
 `scan2albedo/core`. To be run when a kernel, or the types it is called with, changed; a slow test tells.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import pickle

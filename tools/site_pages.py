@@ -3,8 +3,6 @@
 `mkdocs.yml` names this module as a hook; `make docs` builds the site.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

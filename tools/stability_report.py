@@ -8,8 +8,6 @@ CSV as they are. Exit status 1 when a case ends otherwise than it must, in NaN, 
 `--seconds`.
 """
 
-from __future__ import annotations
-
 import argparse
 import csv
 import importlib

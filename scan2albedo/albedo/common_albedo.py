@@ -19,18 +19,8 @@ from scan2albedo.albedo.result import AlbedoEstimate
 from scan2albedo.albedo.shared_light import shared_lights
 from scan2albedo.albedo.texel_light import light_on_texels
 from scan2albedo.albedo.uncertainty import light_uncertainty
-from scan2albedo.core import (
-    Budget,
-    Float32Array,
-    FloatArray,
-    GeometryImage,
-    Meter,
-    NDArray,
-    Plan,
-    PlanStep,
-    ProgressCallback,
-    Trace,
-)
+from scan2albedo.core import Budget, GeometryImage, Meter, Plan, PlanStep, ProgressCallback, Trace
+from scan2albedo.core.arrays import Float32Array, FloatArray, NDArray
 from scan2albedo.errors import LightingError
 
 _PASSES = 6

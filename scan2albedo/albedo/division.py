@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from scan2albedo.albedo.noise import WINDOW, ChannelNoise, channel_noise, window_mean
-from scan2albedo.core import BoolArray, FloatArray, NDArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, NDArray
 from scan2albedo.core.compiled import compiled
 
 _SCALES = (3, 5)

@@ -24,17 +24,9 @@ from scan2albedo.albedo.shadows import FEWEST
 from scan2albedo.albedo.soft_terms import DARKEST
 from scan2albedo.albedo.texel_light import TexelLight, light_on_texels
 from scan2albedo.albedo.uncertainty import expected_error
-from scan2albedo.core import (
-    Budget,
-    FloatArray,
-    GeometryImage,
-    Meter,
-    Plan,
-    PlanStep,
-    ProgressCallback,
-    on_grid,
-)
+from scan2albedo.core import Budget, GeometryImage, Meter, Plan, PlanStep, ProgressCallback
 from scan2albedo.core.arguments import require_type
+from scan2albedo.core.arrays import FloatArray, on_grid
 from scan2albedo.core.geometry_image import NO_CAMERA
 from scan2albedo.geometry.mesh import lengths
 from scan2albedo.lighting.environment_light import environment_of_shading, open_shading

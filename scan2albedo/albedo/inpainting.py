@@ -5,7 +5,7 @@ from scipy.sparse import csr_matrix, identity
 from scipy.sparse.linalg import splu
 
 from scan2albedo.albedo.node_field import FAINT
-from scan2albedo.core import BoolArray, Float32Array, FloatArray, IntArray, NDArray, finite_rows
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, NDArray, finite_rows
 from scan2albedo.core.compiled import compiled
 
 _HOLD = 1e-4

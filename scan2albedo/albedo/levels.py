@@ -9,7 +9,8 @@ from scipy.ndimage import distance_transform_edt, map_coordinates, uniform_filte
 
 from scan2albedo.albedo.noise import WINDOW
 from scan2albedo.albedo.options import MINIMAL_TEXELS, SATURATION_LINEAR
-from scan2albedo.core import BoolArray, Float32Array, FloatArray, GeometryImage, IntArray, NDArray, RealArray
+from scan2albedo.core import GeometryImage
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, NDArray, RealArray
 from scan2albedo.core.compiled import compiled
 from scan2albedo.errors import LightingError
 from scan2albedo.geometry.mesh import lengths, normalized

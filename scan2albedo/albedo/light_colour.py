@@ -11,7 +11,8 @@ from scan2albedo.albedo.light_parameters import HARMONICS
 from scan2albedo.albedo.node_field import inverse, posterior_factor, solved
 from scan2albedo.albedo.posterior import EXTRA, NOISE, Point, Posterior, cell_trust, robust_weights
 from scan2albedo.albedo.soft_terms import DARKEST
-from scan2albedo.core import FloatArray, IntArray, PlanStep
+from scan2albedo.core import PlanStep
+from scan2albedo.core.arrays import FloatArray, IntArray
 
 STAGE = "albedo.light_colour"
 _COLOUR_SD = 0.5, 0.1, 0.05

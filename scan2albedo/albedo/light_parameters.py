@@ -8,7 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from scan2albedo.core import FloatArray, PointLight
+from scan2albedo.core import PointLight
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.lighting.shading import Reflectance, light_from_direction
 from scan2albedo.lighting.shadow_map import view_frame
 

@@ -8,7 +8,8 @@ import numpy as np
 from scan2albedo.albedo.light_parameters import HARMONICS, PARTS, LightModel
 from scan2albedo.albedo.node_field import TINY
 from scan2albedo.albedo.options import EstimateOptions
-from scan2albedo.core import FloatArray, PlanStep
+from scan2albedo.core import PlanStep
+from scan2albedo.core.arrays import FloatArray
 
 Rows = list[tuple[int, float, float]]
 """Place in x, mean and standard deviation of parameters."""

@@ -14,7 +14,8 @@ from scan2albedo.albedo.node_field import Scales
 from scan2albedo.albedo.posterior import EXTRA, NOISE, TEMPER, Point, Posterior, Start, descend
 from scan2albedo.albedo.shadows import OUTLINE_BLURS
 from scan2albedo.albedo.uncertainty import Alternative, light_uncertainty
-from scan2albedo.core import FloatArray, PlanStep
+from scan2albedo.core import PlanStep
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.optimization.least_squares import damped_step
 
 _DARK_STRENGTH = 10.0

@@ -18,7 +18,8 @@ from scan2albedo.albedo.prior import AlbedoPrior
 from scan2albedo.albedo.shadows import Horizon, ShadowLattice, shadow_caster
 from scan2albedo.albedo.soft_terms import SoftTerms
 from scan2albedo.albedo.uncertainty import LightUncertainty
-from scan2albedo.core import BoolArray, FloatArray, GeometryImage, Meter, PlanStep
+from scan2albedo.core import GeometryImage, Meter, PlanStep
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.geometry.mesh import lengths
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment import distant_directions

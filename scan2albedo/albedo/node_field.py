@@ -10,7 +10,7 @@ from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 
 from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.prior import NODES, AlbedoPrior
-from scan2albedo.core import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.compiled import compiled
 
 UNMODELLED = 0.06

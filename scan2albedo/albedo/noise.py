@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import nnls
 
-from scan2albedo.core import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.core.compiled import compiled
 from scan2albedo.io.color import linear_to_srgb, srgb_to_linear
 

@@ -9,7 +9,8 @@ from scipy.optimize import minimize
 from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.light_parameters import PARTS, LightModel, Solution
 from scan2albedo.albedo.lit_image import CONE_RAD, LightFound, LitImage
-from scan2albedo.core import FloatArray, PlanStep
+from scan2albedo.core import PlanStep
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.compiled import compiled
 from scan2albedo.lighting.shading import shade_rows
 from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable, cone_directions

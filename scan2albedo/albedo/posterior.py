@@ -16,7 +16,8 @@ from scan2albedo.albedo.light_parameters import HARMONICS, LightModel, Solution
 from scan2albedo.albedo.light_priors import light_prior
 from scan2albedo.albedo.shadows import ShadowLattice
 from scan2albedo.albedo.soft_terms import DARKEST, SoftTerms
-from scan2albedo.core import BoolArray, FloatArray, Meter
+from scan2albedo.core import Meter
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.lighting.shading import FreeLamps, LitPoints, log_rows, shade_with_derivatives
 from scan2albedo.optimization.least_squares import Damping, LeastSquaresPoint, NormalEquations, minimize
 

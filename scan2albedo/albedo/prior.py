@@ -12,7 +12,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial.distance import cdist
 
-from scan2albedo.core import ArrayLike, FloatArray, all_finite
+from scan2albedo.core.arrays import ArrayLike, FloatArray, all_finite
 from scan2albedo.errors import LightingError
 from scan2albedo.geometry.rasterization import bilinear
 from scan2albedo.io.npz import read_npz, write_npz

@@ -6,17 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from scan2albedo.albedo.uncertainty import LightUncertainty
-from scan2albedo.core import (
-    ArrayLike,
-    EnvironmentLight,
-    Float32Array,
-    GeometryImage,
-    Plan,
-    PointLight,
-    Trace,
-    all_finite,
-    on_grid,
-)
+from scan2albedo.core import EnvironmentLight, GeometryImage, Plan, PointLight, Trace
+from scan2albedo.core.arrays import ArrayLike, Float32Array, all_finite, on_grid
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment_light import environment_light_on
 from scan2albedo.lighting.shading import Reflectance, Shading, shade_points

@@ -9,7 +9,8 @@ from scan2albedo.albedo.inpainting import RADIUS, resynthesize, surroundings
 from scan2albedo.albedo.node_field import FAINT
 from scan2albedo.albedo.options import MINIMAL_TEXELS, SATURATION_LINEAR, EstimateOptions
 from scan2albedo.albedo.texel_light import HALF_STEP
-from scan2albedo.core import BoolArray, Float32Array, FloatArray, GeometryImage, PlanStep
+from scan2albedo.core import GeometryImage, PlanStep
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray
 from scan2albedo.core.compiled import compiled
 
 _LARGEST_HIGHLIGHT = 0.25

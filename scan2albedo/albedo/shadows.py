@@ -10,7 +10,8 @@ from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.light_parameters import LightModel
 from scan2albedo.albedo.node_field import TINY
 from scan2albedo.albedo.options import EstimateOptions
-from scan2albedo.core import Float32Array, FloatArray, GeometryImage, IntArray, Meter, PlanStep
+from scan2albedo.core import GeometryImage, Meter, PlanStep
+from scan2albedo.core.arrays import Float32Array, FloatArray, IntArray
 from scan2albedo.core.compiled import compiled
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment_light import SKY

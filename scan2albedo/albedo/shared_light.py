@@ -14,7 +14,8 @@ from scipy.linalg.blas import dtrsm
 
 from scan2albedo.albedo import node_field
 from scan2albedo.albedo.posterior import EXTRA, FREEDOM, NOISE, Point, cell_trust, descend, robust_weights
-from scan2albedo.core import FloatArray, IntArray, Meter
+from scan2albedo.core import Meter
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.optimization.least_squares import NormalEquations
 
 

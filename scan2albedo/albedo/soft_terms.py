@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scan2albedo.albedo.light_parameters import HARMONICS, LightModel
-from scan2albedo.core import FloatArray
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.lighting.environment_light import Bounce
 
 DARKEST = 0.03

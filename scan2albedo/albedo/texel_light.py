@@ -15,15 +15,8 @@ from scan2albedo.albedo.node_field import TINY, deviation_of_light
 from scan2albedo.albedo.posterior import FREEDOM, Point
 from scan2albedo.albedo.prior import SPREADS
 from scan2albedo.albedo.soft_terms import DARKEST
-from scan2albedo.core import (
-    BoolArray,
-    EnvironmentLight,
-    Float32Array,
-    FloatArray,
-    NDArray,
-    PointLight,
-    row_sums,
-)
+from scan2albedo.core import EnvironmentLight, PointLight
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, NDArray, row_sums
 from scan2albedo.lighting.environment_light import open_shading, open_transfer
 from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.lighting.shading import Reflectance, Shading, shade_rows

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from scan2albedo.albedo.posterior import NOISE, TEMPER, Point
-from scan2albedo.core import BoolArray, Float32Array, FloatArray, NDArray, PointLight
+from scan2albedo.core import PointLight
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, NDArray
 
 _NOT_SKIN = 0.2
 """Relative error of what is not skin, whose shape and reflectance are least known: .68 of the texels of

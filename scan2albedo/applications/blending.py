@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter
 from scan2albedo.applications import face_features
 from scan2albedo.applications.processed_face import ProcessedFace, on_common_chart
 from scan2albedo.applications.texture_swap import continued_skin
-from scan2albedo.core import FloatArray, NDArray
+from scan2albedo.core.arrays import FloatArray, NDArray
 from scan2albedo.errors import ApplicationError
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.mesh import normalized

@@ -8,7 +8,8 @@ from scipy.ndimage import gaussian_filter
 from scan2albedo.albedo import AlbedoEstimate
 from scan2albedo.applications.light_removal import usual_light
 from scan2albedo.applications.template_baking import REACH_MM, Appearance, Fields, TemplateTexture, painted
-from scan2albedo.core import FloatArray, IntArray, RawScan
+from scan2albedo.core import RawScan
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import ApplicationError
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.closest_points import surface_query

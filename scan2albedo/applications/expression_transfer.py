@@ -7,7 +7,8 @@ from typing import Literal, get_args
 import numpy as np
 
 from scan2albedo.applications.processed_face import SAME_PLACE_MM, FaceMesh, ProcessedFace, on_common_chart
-from scan2albedo.core import FloatArray, RawScan, norms
+from scan2albedo.core import RawScan
+from scan2albedo.core.arrays import FloatArray, norms
 from scan2albedo.errors import ApplicationError
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.face_model.annotation import MOUTH_REGION

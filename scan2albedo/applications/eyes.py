@@ -17,8 +17,8 @@ from scipy.special import expit
 
 from scan2albedo.applications.face_features import FLOOR, without_catchlights
 from scan2albedo.applications.processed_face import Eyeball, ProcessedFace
-from scan2albedo.core import ArrayLike, BoolArray, FloatArray, IntArray, norms, smoothstep
-from scan2albedo.geometry.mesh import grid_faces, normalized
+from scan2albedo.core.arrays import ArrayLike, BoolArray, FloatArray, IntArray, grid_faces, norms, smoothstep
+from scan2albedo.geometry.mesh import normalized
 from scan2albedo.io.glb import GlbPart
 
 LID_LANDMARKS = {"right": slice(36, 42), "left": slice(42, 48)}

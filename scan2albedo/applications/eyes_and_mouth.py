@@ -19,8 +19,8 @@ from scan2albedo.applications.face_features import named_texels
 from scan2albedo.applications.mouth import mouth_parts
 from scan2albedo.applications.processed_face import Eyeball, EyesAndMouth, ProcessedFace
 from scan2albedo.applications.template_baking import REACH_MM, TemplateTexture
-from scan2albedo.core import FloatArray
 from scan2albedo.core.arguments import require_type
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.closest_points import surface_query
 from scan2albedo.geometry.mesh import lengths, vertex_normals

@@ -9,7 +9,7 @@ from skimage.morphology import disk
 
 from scan2albedo.albedo.inpainting import continued_smoothly
 from scan2albedo.applications.processed_face import ProcessedFace
-from scan2albedo.core import BoolArray, FloatArray, RealArray, norms
+from scan2albedo.core.arrays import BoolArray, FloatArray, RealArray, norms
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.face_model.appearance import CLASSES
 from scan2albedo.geometry.rasterization import area_mean

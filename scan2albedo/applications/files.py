@@ -10,8 +10,9 @@ import numpy as np
 
 from scan2albedo.applications.processed_face import NO_MODEL, SAME_PLACE_MM, FaceMesh, ProcessedFace
 from scan2albedo.applications.relighting import relight
-from scan2albedo.core import GeometryImage, PointLight, Values
+from scan2albedo.core import GeometryImage, PointLight
 from scan2albedo.core.arguments import described
+from scan2albedo.core.arrays import Values
 from scan2albedo.core.lights import LAMP_RADIUS_DEG
 from scan2albedo.errors import ApplicationError, OutputError, Scan2AlbedoError
 from scan2albedo.geometry.rasterization import filled_from_nearest

@@ -14,7 +14,8 @@ from scipy.special import logit
 from scan2albedo.albedo import AlbedoEstimate
 from scan2albedo.albedo.result import shade_image
 from scan2albedo.applications.face_features import FLOOR
-from scan2albedo.core import BoolArray, FloatArray, GeometryImage, IntArray, RawScan, row_sums
+from scan2albedo.core import GeometryImage, RawScan
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, row_sums
 from scan2albedo.face_model.appearance import PATCH_MM, beyond_chart
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.closest_points import surface_query

@@ -21,8 +21,9 @@ from scan2albedo.applications.light_beyond_face import (
     LightBeyond,
     SurfaceLight,
 )
-from scan2albedo.core import BoolArray, Float32Array, FloatArray, GeometryImage, IntArray, RawScan, smoothstep
+from scan2albedo.core import GeometryImage, RawScan
 from scan2albedo.core.arguments import require_type
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, smoothstep
 from scan2albedo.errors import ApplicationError
 from scan2albedo.face_model.appearance import CLASSES
 from scan2albedo.fitting import FittedFace

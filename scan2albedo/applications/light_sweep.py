@@ -10,7 +10,8 @@ from pydantic import Field
 
 from scan2albedo.applications.processed_face import ProcessedFace
 from scan2albedo.applications.relighting import RelightOptions, relight
-from scan2albedo.core import ArrayLike, ByteArray, PointLight, all_finite
+from scan2albedo.core import PointLight
+from scan2albedo.core.arrays import ArrayLike, ByteArray, all_finite
 from scan2albedo.core.lights import LAMP_RADIUS_DEG
 from scan2albedo.io.atomic import write_bytes
 from scan2albedo.io.images import write_png

@@ -8,8 +8,7 @@ from scipy.interpolate import CubicSpline
 from scan2albedo.applications.eyes import wet_part
 from scan2albedo.applications.face_features import named_texels
 from scan2albedo.applications.processed_face import ProcessedFace
-from scan2albedo.core import FloatArray, norms, smoothstep
-from scan2albedo.geometry.mesh import grid_faces
+from scan2albedo.core.arrays import FloatArray, grid_faces, norms, smoothstep
 from scan2albedo.io.glb import GlbPart
 
 RIM_LANDMARKS = slice(60, 68)

@@ -8,15 +8,13 @@ from typing import Self
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan2albedo.core import (
+from scan2albedo.core import EnvironmentLight, GeometryImage, PointLight
+from scan2albedo.core.arrays import (
     ArrayLike,
     BoolArray,
-    EnvironmentLight,
     Float32Array,
     FloatArray,
-    GeometryImage,
     IntArray,
-    PointLight,
     all_finite,
     on_grid,
 )

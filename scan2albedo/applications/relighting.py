@@ -13,8 +13,9 @@ from scan2albedo.applications.eyes import WET_EXPONENT, WET_REFLECTANCE
 from scan2albedo.applications.eyes_and_mouth import eyes_and_mouth
 from scan2albedo.applications.face_features import AROUND, feature_texels, without_gaps
 from scan2albedo.applications.processed_face import NO_MODEL, ProcessedFace
-from scan2albedo.core import ArrayLike, EnvironmentLight, Float32Array, FloatArray, PointLight, norms, on_grid
+from scan2albedo.core import EnvironmentLight, PointLight
 from scan2albedo.core.arguments import require_linear, require_type
+from scan2albedo.core.arrays import ArrayLike, Float32Array, FloatArray, norms, on_grid
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.mesh import join, lengths, normalized, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, look_at, normalized_cameras

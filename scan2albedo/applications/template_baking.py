@@ -10,8 +10,9 @@ import numpy as np
 from scipy.ndimage import maximum_filter
 
 from scan2albedo.applications.light_removal import GUTTER, UnlitScan
-from scan2albedo.core import BoolArray, FloatArray, IntArray, NDArray, RawScan, RealArray
+from scan2albedo.core import RawScan
 from scan2albedo.core.arguments import require_type
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, NDArray, RealArray
 from scan2albedo.errors import ApplicationError
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry import mesh, rasterization

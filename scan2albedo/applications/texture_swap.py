@@ -9,8 +9,8 @@ from scan2albedo.albedo.inpainting import integrate_gradients
 from scan2albedo.applications import face_features
 from scan2albedo.applications.face_features import AROUND, blurred_inside, feature_texels, grown
 from scan2albedo.applications.processed_face import ProcessedFace, on_common_chart
-from scan2albedo.core import BoolArray, FloatArray, IntArray
 from scan2albedo.core.arguments import require_type
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.face_model import AnnotatedSurface
 
 _MARGIN = 2

@@ -10,7 +10,7 @@ import numpy as np
 
 from scan2albedo.batch.manifest import BatchManifest
 from scan2albedo.batch.records import CATALOGUE, FILES, FIXED, METRICS, STAGES, BatchScanRecord, path_column
-from scan2albedo.core import BoolArray, Float32Array, FloatArray, NDArray, Values
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, NDArray, Values
 from scan2albedo.errors import BatchError, needs_extra, one_line
 from scan2albedo.geometry.rasterization import area_mean
 from scan2albedo.io.atomic import atomic_path

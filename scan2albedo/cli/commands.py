@@ -18,7 +18,7 @@ from scan2albedo.cli.glasses import app as glasses_app
 from scan2albedo.cli.identify import identify
 from scan2albedo.cli.reflectance import app as reflectance_app
 from scan2albedo.cli.relight import relight
-from scan2albedo.core import Values
+from scan2albedo.core.arrays import Values
 from scan2albedo.core.landmarks import AUTO
 from scan2albedo.core.raw_scan import lost_texture, scan_name
 from scan2albedo.core.version import VERSION

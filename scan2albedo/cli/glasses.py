@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from scan2albedo.cli import common
-from scan2albedo.core import Values
+from scan2albedo.core.arrays import Values
 from scan2albedo.errors import EyeglassesError, Scan2AlbedoError, one_line
 
 if TYPE_CHECKING:

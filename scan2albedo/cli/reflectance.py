@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from scan2albedo.cli import common
-from scan2albedo.core import Values
+from scan2albedo.core.arrays import Values
 
 if TYPE_CHECKING:
     from scan2albedo.cli.progress import ProgressLines

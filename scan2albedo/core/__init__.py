@@ -1,29 +1,5 @@
-"""What every stage speaks: arrays, scans, geometry images, lamps, budgets, plans and traces."""
+"""What every stage speaks: scans, geometry images, lamps, budgets, plans and traces."""
 
-from scan2albedo.core.arrays import (
-    EPSILON,
-    SMALLEST,
-    ArrayLike,
-    BoolArray,
-    ByteArray,
-    Float32Array,
-    FloatArray,
-    IntArray,
-    NDArray,
-    RealArray,
-    Values,
-    all_finite,
-    arc_lengths,
-    checked_array,
-    checked_mesh,
-    finite_rows,
-    identities,
-    norms,
-    on_grid,
-    row_sums,
-    smoothstep,
-    triangle_sides,
-)
 from scan2albedo.core.budget import Budget, Meter, ProgressCallback, Trace, TraceRow, checked_seed
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.lights import EnvironmentLight, PointLight
@@ -31,38 +7,16 @@ from scan2albedo.core.plan import Plan, PlanStep
 from scan2albedo.core.raw_scan import RawScan
 
 __all__ = [
-    "EPSILON",
-    "SMALLEST",
-    "ArrayLike",
-    "BoolArray",
     "Budget",
-    "ByteArray",
     "EnvironmentLight",
-    "Float32Array",
-    "FloatArray",
     "GeometryImage",
-    "IntArray",
     "Meter",
-    "NDArray",
     "Plan",
     "PlanStep",
     "PointLight",
     "ProgressCallback",
     "RawScan",
-    "RealArray",
     "Trace",
     "TraceRow",
-    "Values",
-    "all_finite",
-    "arc_lengths",
-    "checked_array",
-    "checked_mesh",
     "checked_seed",
-    "finite_rows",
-    "identities",
-    "norms",
-    "on_grid",
-    "row_sums",
-    "smoothstep",
-    "triangle_sides",
 ]

@@ -107,6 +107,15 @@ def finite_rows(values: RealArray) -> BoolArray:
     return np.asarray(np.isfinite(values).all(-1))
 
 
+def grid_faces(rows: int, columns: int, *, wrap: bool = False) -> IntArray:
+    """Return (F, 3) triangles of a rows x columns vertex grid; `wrap` joins the last column to the first."""
+    index = np.arange(rows * columns).reshape(rows, columns)
+    if wrap:
+        index = np.concatenate([index, index[:, :1]], 1)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    return np.concatenate([np.stack(t, -1).reshape(-1, 3) for t in ((a, c, b), (b, c, d))])
+
+
 def smoothstep(x: ArrayLike) -> FloatArray:
     """Return 3 x^2 - 2 x^3 of x clipped to [0, 1]."""
     t = np.clip(np.asarray(x, float), 0, 1)

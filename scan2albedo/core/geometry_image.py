@@ -16,6 +16,7 @@ from scan2albedo.core.arrays import (
     all_finite,
     checked_array,
     checked_mesh,
+    grid_faces,
     norms,
     triangle_sides,
 )
@@ -213,14 +214,10 @@ class GeometryImage:
         """
         index = np.full(self.shape, -1, int)
         index[self.mask] = np.arange(int(self.mask.sum()))
-        a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
-        faces = []
-        for triangle in ((a, c, b), (b, c, d)):
-            texels = np.stack(triangle, -1).reshape(-1, 3)
-            faces.append(texels[(texels >= 0).all(1)])
+        faces = index.ravel()[grid_faces(*self.shape)]
         vertices = self.position[self.mask]
         # Face by face: a chart may be cut into pieces, some of them mirrored.
-        return vertices, wound_like(vertices, np.concatenate(faces), self.normal[self.mask])
+        return vertices, wound_like(vertices, faces[(faces >= 0).all(1)], self.normal[self.mask])
 
 
 def wound_like(vertices: FloatArray, faces: IntArray, normals: FloatArray) -> IntArray:

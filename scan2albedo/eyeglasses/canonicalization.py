@@ -6,19 +6,8 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
-from scan2albedo.core import (
-    ArrayLike,
-    Budget,
-    FloatArray,
-    IntArray,
-    Meter,
-    Plan,
-    PlanStep,
-    ProgressCallback,
-    Trace,
-    checked_array,
-    finite_rows,
-)
+from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
+from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray, checked_array, finite_rows
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import mean_keypoints as means
 from scan2albedo.eyeglasses import unbending

@@ -9,7 +9,8 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist, squareform
 
-from scan2albedo.core import SMALLEST, FloatArray, IntArray, Plan, PlanStep
+from scan2albedo.core import Plan, PlanStep
+from scan2albedo.core.arrays import SMALLEST, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.lattice import Lattice, enclosed_cells, join_parts, surface_cells, unique_cells
 from scan2albedo.geometry.closest_points import ClosestPointQuery
@@ -63,7 +64,7 @@ def embed(
     if not size > 0:
         raise EyeglassesError(f"all {len(corners)} corners of the mesh lie in one point: there is no surface")
     apart = _distances(handles, "chebyshev")
-    a, b = sorted(int(k) for k in np.unravel_index(int(np.argmin(apart)), apart.shape))
+    a, b = _nearest(apart)
     if not apart[a, b] > 0:
         said = f"key points {called[a]} and {called[b]} coincide at {np.round(handles[a], 6).tolist()}"
         raise EyeglassesError(f"{said}; each needs a place of its own: leave one of them out (null)")
@@ -98,7 +99,7 @@ def embed(
         owners = np.floor(middles).astype(int)
         touch = _distances(owners.astype(float), "chebyshev") < 2
         apart = np.where(touch, _distances(middles, "euclidean"), np.inf)
-        a, b = sorted(int(k) for k in np.unravel_index(int(np.argmin(apart)), apart.shape))
+        a, b = _nearest(apart)
         if np.isinf(apart[a, b]):
             break
         groups[a] += groups.pop(b)
@@ -176,6 +177,11 @@ def _divided_handles(
         nearness[square == 0] = 1.0
         shares[:, group] = nearness / nearness.sum(1, keepdims=True)
     return handle, shares
+
+
+def _nearest(apart: FloatArray) -> list[int]:
+    """Return the two, in order, that are the least `apart` (N, N)."""
+    return sorted(int(k) for k in np.unravel_index(int(np.argmin(apart)), apart.shape))
 
 
 def _distances(places: FloatArray, metric: str) -> FloatArray:

@@ -11,7 +11,8 @@ from typing import Annotated, Any, Literal, TypeVar
 import numpy as np
 from pydantic import AfterValidator, Field, WithJsonSchema, model_validator
 
-from scan2albedo.core import ArrayLike, FloatArray, Plan, Values, all_finite, finite_rows
+from scan2albedo.core import Plan
+from scan2albedo.core.arrays import ArrayLike, FloatArray, Values, all_finite, finite_rows
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import keypoints as places
 from scan2albedo.eyeglasses.canonicalization import CanonicalEyeglasses

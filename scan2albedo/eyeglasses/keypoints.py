@@ -7,7 +7,8 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import breadth_first_order
 
-from scan2albedo.core import ArrayLike, FloatArray, IntArray, arrays
+from scan2albedo.core import arrays
+from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import ndimage, sparse
 from scipy.spatial import cKDTree
 
-from scan2albedo.core import FloatArray, IntArray, norms, row_sums
+from scan2albedo.core.arrays import FloatArray, IntArray, norms, row_sums
 from scan2albedo.geometry.mesh import vertex_components
 from scan2albedo.geometry.rays import blocks
 

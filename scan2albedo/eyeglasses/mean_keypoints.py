@@ -6,7 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan2albedo.core import EPSILON, FloatArray, Meter, finite_rows, norms
+from scan2albedo.core import Meter
+from scan2albedo.core.arrays import EPSILON, FloatArray, finite_rows, norms
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR, SKELETON, typical_key_points
 from scan2albedo.geometry.rigid import procrustes, transform_points

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from skimage.measure import find_contours
 from skimage.morphology import convex_hull_image
 
-from scan2albedo.core import BoolArray, FloatArray, IntArray, arc_lengths, finite_rows, norms
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, arc_lengths, finite_rows, norms
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, checked_mesh, typical_key_points
 from scan2albedo.geometry import rigid

@@ -3,7 +3,15 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core import EPSILON, ArrayLike, FloatArray, IntArray, checked_array, finite_rows, identities
+from scan2albedo.core.arrays import (
+    EPSILON,
+    ArrayLike,
+    FloatArray,
+    IntArray,
+    checked_array,
+    finite_rows,
+    identities,
+)
 from scan2albedo.eyeglasses.keypoints import SKELETON
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import procrustes

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core import SMALLEST, FloatArray, IntArray, all_finite, finite_rows, identities, norms
+from scan2albedo.core.arrays import SMALLEST, FloatArray, IntArray, all_finite, finite_rows, identities, norms
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR
 from scan2albedo.eyeglasses.mean_keypoints import FRONT, RIMS, SIDES, align_key_points, is_posable
 from scan2albedo.eyeglasses.skinning import turned_translations

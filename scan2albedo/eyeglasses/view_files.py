@@ -8,7 +8,15 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-from scan2albedo.core import ArrayLike, BoolArray, FloatArray, NDArray, all_finite, checked_array, norms
+from scan2albedo.core.arrays import (
+    ArrayLike,
+    BoolArray,
+    FloatArray,
+    NDArray,
+    all_finite,
+    checked_array,
+    norms,
+)
 from scan2albedo.errors import EyeglassesError, ScanError, errors_of
 from scan2albedo.eyeglasses.frame_files import KeyPointName, LengthUnit, named_key_points, read_json
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES

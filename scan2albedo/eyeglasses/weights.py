@@ -8,17 +8,8 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
-from scan2albedo.core import (
-    EPSILON,
-    ArrayLike,
-    Budget,
-    FloatArray,
-    IntArray,
-    Meter,
-    Plan,
-    ProgressCallback,
-    Trace,
-)
+from scan2albedo.core import Budget, Meter, Plan, ProgressCallback, Trace
+from scan2albedo.core.arrays import EPSILON, ArrayLike, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.embedding import MAX_NODES, embed
 from scan2albedo.eyeglasses.keypoints import checked_mesh, checked_points

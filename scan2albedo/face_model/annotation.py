@@ -13,7 +13,7 @@ from typing import Literal, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from scan2albedo.core import BoolArray, ByteArray, FloatArray, IntArray, Values, triangle_sides
+from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, IntArray, Values, triangle_sides
 from scan2albedo.errors import ModelError
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints
 from scan2albedo.geometry.mesh import normalized

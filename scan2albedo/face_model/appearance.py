@@ -21,7 +21,7 @@ import numpy as np
 from scipy import sparse
 from scipy.ndimage import map_coordinates, median_filter, uniform_filter
 
-from scan2albedo.core import BoolArray, ByteArray, Float32Array, FloatArray, RealArray, norms
+from scan2albedo.core.arrays import BoolArray, ByteArray, Float32Array, FloatArray, RealArray, norms
 from scan2albedo.geometry.rasterization import area_mean
 
 CLASSES = ("unseen", "skin", "brow", "eye", "lip", "nostril", "beard", "hair", "cloth")

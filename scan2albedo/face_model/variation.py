@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core import FloatArray
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.face_model.annotation import AnnotatedSurface
 from scan2albedo.geometry.mesh import vertex_normals
 

@@ -10,7 +10,8 @@ from scipy import sparse
 from scipy.interpolate import BSpline
 from scipy.linalg import block_diag
 
-from scan2albedo.core import FloatArray, Meter
+from scan2albedo.core import Meter
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.fitting.forces import ForceGates, ScanForces, scan_forces
 from scan2albedo.fitting.landmark_pull import LandmarkPull
 from scan2albedo.fitting.options import GATE_MM, FitOptions, between

@@ -6,7 +6,7 @@ from typing import Self
 
 import numpy as np
 
-from scan2albedo.core import EPSILON, SMALLEST, FloatArray, IntArray, identities
+from scan2albedo.core.arrays import EPSILON, SMALLEST, FloatArray, IntArray, identities
 from scan2albedo.face_model.annotation import AnnotatedSurface
 from scan2albedo.face_model.variation import expression_variance, identity_modes, similarity_modes
 from scan2albedo.fitting.result import NEAR_MM, UNSEEN_MM, FittedFace

@@ -9,7 +9,8 @@ how rare covers are against it. A cover leaves a hole, over which the model keep
 import numpy as np
 from scipy.stats import norm
 
-from scan2albedo.core import BoolArray, FloatArray, Meter, norms
+from scan2albedo.core import Meter
+from scan2albedo.core.arrays import BoolArray, FloatArray, norms
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.variation import shape_modes
 from scan2albedo.fitting.forces import ForceGates, scan_forces

@@ -7,7 +7,7 @@ from cholespy import CholeskySolverD, MatrixType
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from scan2albedo.core import FloatArray, all_finite
+from scan2albedo.core.arrays import FloatArray, all_finite
 from scan2albedo.errors import FitError
 
 Springs = Callable[[FloatArray], FloatArray]

@@ -5,8 +5,9 @@ from typing import Protocol
 
 import numpy as np
 
-from scan2albedo.core import Budget, FloatArray, Meter, Plan, PlanStep, ProgressCallback, RawScan
+from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, RawScan
 from scan2albedo.core.arguments import described, require_type
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import FitError
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.fitting.alignment import SIZE_SD, aligned, proportioned

@@ -6,7 +6,7 @@ from typing import Self
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan2albedo.core import BoolArray, FloatArray, IntArray, norms
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, norms
 from scan2albedo.core.compiled import compiled, triple
 from scan2albedo.fitting.options import GATE_MM, FitOptions, between
 from scan2albedo.fitting.scan_surface import ScanSurface

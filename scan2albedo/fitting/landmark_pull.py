@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from scan2albedo.core import BoolArray, FloatArray, IntArray, norms
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, norms
 from scan2albedo.core.landmarks import PlacedLandmarks
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import LANDMARK_LEVELS

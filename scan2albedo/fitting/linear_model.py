@@ -9,18 +9,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist
 
-from scan2albedo.core import (
-    EPSILON,
-    BoolArray,
-    Budget,
-    FloatArray,
-    IntArray,
-    Meter,
-    PlanStep,
-    ProgressCallback,
-    RawScan,
-    Trace,
-)
+from scan2albedo.core import Budget, Meter, PlanStep, ProgressCallback, RawScan, Trace
+from scan2albedo.core.arrays import EPSILON, BoolArray, FloatArray, IntArray
 from scan2albedo.errors import FitError
 from scan2albedo.fitting.alignment import SIZE_SD
 from scan2albedo.fitting.options import GATE_MM, FitOptions

@@ -14,7 +14,7 @@ from typing import Self
 import numpy as np
 from scipy import sparse
 
-from scan2albedo.core import FloatArray, norms
+from scan2albedo.core.arrays import FloatArray, norms
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.fitting.dynamics import factorized

@@ -20,7 +20,8 @@ from scipy.special import logsumexp
 from scipy.stats import norm, qmc
 from skimage.measure import points_in_poly
 
-from scan2albedo.core import FloatArray, RawScan
+from scan2albedo.core import RawScan
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.compiled import compiled
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import LANDMARK_LEVELS

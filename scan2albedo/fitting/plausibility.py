@@ -8,7 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan2albedo.core import SMALLEST, BoolArray, PlanStep, norms
+from scan2albedo.core import PlanStep
+from scan2albedo.core.arrays import SMALLEST, BoolArray, norms
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.fitting.result import FittedFace

@@ -5,7 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan2albedo.core import EPSILON, SMALLEST, BoolArray, FloatArray, IntArray, Plan, PlanStep, Trace, norms
+from scan2albedo.core import Plan, PlanStep, Trace
+from scan2albedo.core.arrays import EPSILON, SMALLEST, BoolArray, FloatArray, IntArray, norms
 from scan2albedo.errors import FitError
 from scan2albedo.face_model import default_model
 from scan2albedo.face_model.annotation import FittedSurface

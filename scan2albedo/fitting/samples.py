@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from scan2albedo.core import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.core.compiled import compiled, triple
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import MOUTH_REGION

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from scan2albedo.core import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry import mesh
 from scan2albedo.geometry.closest_points import ClosestHits, NearestSurface
 from scan2albedo.geometry.oriented_points import above_neighbours

@@ -6,7 +6,8 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from scan2albedo.core import BoolArray, FloatArray, IntArray, Meter, norms
+from scan2albedo.core import Meter
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, norms
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.fitting.dynamics import ImplicitSystem
 from scan2albedo.fitting.forces import ForceGates, ScanForces, scan_forces

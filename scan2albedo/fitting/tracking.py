@@ -6,7 +6,8 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from scan2albedo.core import SMALLEST, BoolArray, Budget, FloatArray, Meter, ProgressCallback, RawScan
+from scan2albedo.core import Budget, Meter, ProgressCallback, RawScan
+from scan2albedo.core.arrays import SMALLEST, BoolArray, FloatArray
 from scan2albedo.errors import FitError
 from scan2albedo.fitting.alignment import aligned
 from scan2albedo.fitting.fit import scan_beside

@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from scan2albedo.core import FloatArray, NDArray
+from scan2albedo.core.arrays import FloatArray, NDArray
 from scan2albedo.core.compiled import compiled
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import Similarity, dot, rotation_from_vector

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan2albedo.core import ArrayLike, FloatArray, IntArray, NDArray, norms, triangle_sides
+from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray, NDArray, norms, triangle_sides
 from scan2albedo.core.compiled import compiled, triple
 from scan2albedo.geometry.mesh import RayHits, face_lists, face_normals, neighbour_lists, vertex_mask
 

@@ -6,7 +6,7 @@ from typing import Self
 import numpy as np
 from scipy import sparse
 
-from scan2albedo.core import FloatArray, IntArray, row_sums
+from scan2albedo.core.arrays import FloatArray, IntArray, row_sums
 from scan2albedo.geometry.mesh import adjacency, edges_with_faces, face_edges, vertex_mask
 
 

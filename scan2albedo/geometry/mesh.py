@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from scan2albedo.core import BoolArray, FloatArray, IntArray, row_sums
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, row_sums
 
 _OBJECT_SHARE = 0.05
 
@@ -221,15 +221,6 @@ def join(meshes: Sequence[tuple[FloatArray, IntArray]]) -> tuple[FloatArray, Int
     offsets = np.cumsum([0] + [len(v) for v, _ in meshes[:-1]])
     faces = np.concatenate([f + o for (_, f), o in zip(meshes, offsets, strict=True)])
     return np.concatenate([v for v, _ in meshes]), faces
-
-
-def grid_faces(rows: int, columns: int, *, wrap: bool = False) -> IntArray:
-    """Return (F, 3) triangles of a rows x columns vertex grid; `wrap` joins the last column to the first."""
-    index = np.arange(rows * columns).reshape(rows, columns)
-    if wrap:
-        index = np.concatenate([index, index[:, :1]], 1)
-    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
-    return np.concatenate([np.stack(t, -1).reshape(-1, 3) for t in ((a, c, b), (b, c, d))])
 
 
 def require_vertices(faces: IntArray, vertex_count: int) -> None:

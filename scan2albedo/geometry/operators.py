@@ -6,7 +6,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu, spsolve
 
-from scan2albedo.core import ArrayLike, FloatArray, IntArray, all_finite, norms, row_sums
+from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray, all_finite, norms, row_sums
 from scan2albedo.geometry import mesh
 from scan2albedo.geometry.loop_subdivision import refine
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from scan2albedo.core import BoolArray, FloatArray, IntArray, NDArray, norms
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, NDArray, norms
 from scan2albedo.geometry import mesh
 from scan2albedo.geometry.mesh import neighbour_lists, normalized, vertex_normals
 

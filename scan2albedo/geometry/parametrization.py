@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scan2albedo.core import FloatArray, IntArray, norms
+from scan2albedo.core.arrays import FloatArray, IntArray, norms
 from scan2albedo.errors import ModelError
 from scan2albedo.geometry import mesh
 from scan2albedo.geometry.operators import filled_over_mesh

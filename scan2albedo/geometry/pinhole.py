@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scan2albedo.core import ArrayLike, BoolArray, FloatArray, all_finite, norms
+from scan2albedo.core.arrays import ArrayLike, BoolArray, FloatArray, all_finite, norms
 from scan2albedo.geometry.mesh import normalized
 
 

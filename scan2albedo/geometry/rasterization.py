@@ -5,13 +5,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from scan2albedo.core import (
+from scan2albedo.core import RawScan
+from scan2albedo.core.arrays import (
     ArrayLike,
     BoolArray,
     FloatArray,
     IntArray,
     NDArray,
-    RawScan,
     RealArray,
     norms,
     triangle_sides,

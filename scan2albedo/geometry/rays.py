@@ -7,7 +7,7 @@ from threading import Lock
 
 import numpy as np
 
-from scan2albedo.core import ArrayLike, BoolArray, Float32Array, checked_mesh
+from scan2albedo.core.arrays import ArrayLike, BoolArray, Float32Array, checked_mesh
 from scan2albedo.geometry.mesh import RayHits
 
 _CHUNK = 8192

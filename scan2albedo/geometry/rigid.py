@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core import ArrayLike, FloatArray, IntArray, all_finite
+from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray, all_finite
 from scan2albedo.core.compiled import compiled
 from scan2albedo.geometry.mesh import face_areas
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core import FloatArray, IntArray, triangle_sides
+from scan2albedo.core.arrays import FloatArray, IntArray, triangle_sides
 from scan2albedo.geometry.mesh import lengths, normalized
 
 

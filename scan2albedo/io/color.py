@@ -4,7 +4,7 @@ from typing import cast
 
 import numpy as np
 
-from scan2albedo.core import ArrayLike, ByteArray, Float32Array, FloatArray, NDArray
+from scan2albedo.core.arrays import ArrayLike, ByteArray, Float32Array, FloatArray, NDArray
 
 
 def srgb_to_linear(srgb: ArrayLike) -> FloatArray:

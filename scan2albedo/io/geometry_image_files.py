@@ -4,7 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from scan2albedo.core import Float32Array, GeometryImage, NDArray
+from scan2albedo.core import GeometryImage
+from scan2albedo.core.arrays import Float32Array, NDArray
 from scan2albedo.core.geometry_image import ARRAYS
 from scan2albedo.errors import GeometryImageError, ScanError, errors_of
 from scan2albedo.io.images import read_exr_channels, read_image_linear, write_exr_channels

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core import (
+from scan2albedo.core.arrays import (
     ArrayLike,
     BoolArray,
     ByteArray,

@@ -14,7 +14,7 @@ from urllib.parse import unquote, unquote_to_bytes
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core import Float32Array, FloatArray, NDArray, Values
+from scan2albedo.core.arrays import Float32Array, FloatArray, NDArray, Values
 from scan2albedo.core.raw_scan import require_valid_indices
 from scan2albedo.errors import MissingDependencyError, ScanError, errors_of, one_line
 from scan2albedo.io import limits

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from scan2albedo.core import ArrayLike, ByteArray, Float32Array, NDArray, all_finite
+from scan2albedo.core.arrays import ArrayLike, ByteArray, Float32Array, NDArray, all_finite
 from scan2albedo.errors import OutputError, ScanError, errors_of, needs_extra, one_line
 from scan2albedo.io import limits
 from scan2albedo.io.atomic import atomic_path, write_bytes

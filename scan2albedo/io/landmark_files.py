@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import numpy as np
 from pydantic import Field
 
-from scan2albedo.core import FloatArray
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.landmarks import COUNT, PLACED_SIGMA_MM, PlacedLandmarks
 from scan2albedo.errors import ScanError, errors_of
 from scan2albedo.io.csv_tables import cells_by_column, read_text, table_rows

@@ -13,7 +13,15 @@ from scipy import sparse
 from scipy.io import loadmat
 from scipy.io.matlab import MatReadError
 
-from scan2albedo.core import Float32Array, FloatArray, IntArray, RealArray, Values, all_finite, identities
+from scan2albedo.core.arrays import (
+    Float32Array,
+    FloatArray,
+    IntArray,
+    RealArray,
+    Values,
+    all_finite,
+    identities,
+)
 from scan2albedo.errors import ModelError, ScanError, needs_extra, one_line
 from scan2albedo.geometry.rigid import rotation_from_vector
 from scan2albedo.io import limits

@@ -11,8 +11,9 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
 
-from scan2albedo.core import IntArray, RawScan
+from scan2albedo.core import RawScan
 from scan2albedo.core.arguments import linear_doubt, require_type
+from scan2albedo.core.arrays import IntArray
 from scan2albedo.core.landmarks import AUTO, PlacedLandmarks, landmarks_option
 from scan2albedo.core.raw_scan import scan_name
 from scan2albedo.errors import ScanError, TooLargeError, memory_errors_named, one_line

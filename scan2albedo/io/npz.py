@@ -9,7 +9,7 @@ import numpy as np
 from numpy.lib.npyio import NpzFile
 from pydantic import BaseModel
 
-from scan2albedo.core import NDArray
+from scan2albedo.core.arrays import NDArray
 from scan2albedo.errors import Scan2AlbedoError, ScanError, one_line
 from scan2albedo.io import limits
 from scan2albedo.io.atomic import atomic_path

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scan2albedo.core import FloatArray, IntArray, all_finite
+from scan2albedo.core.arrays import FloatArray, IntArray, all_finite
 from scan2albedo.errors import ScanError
 from scan2albedo.io import limits, parsed_mesh
 from scan2albedo.io import text_tables as tables

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scan2albedo.core import Float32Array, FloatArray, IntArray
+from scan2albedo.core.arrays import Float32Array, FloatArray, IntArray
 from scan2albedo.errors import ScanError, TooLargeError
 from scan2albedo.io import limits
 from scan2albedo.io.color import srgb_to_linear

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from scan2albedo.core import ByteArray, Float32Array, IntArray, NDArray, all_finite
+from scan2albedo.core.arrays import ByteArray, Float32Array, IntArray, NDArray, all_finite
 from scan2albedo.errors import ScanError
 from scan2albedo.geometry.operators import vertex_average
 from scan2albedo.io import limits, parsed_mesh

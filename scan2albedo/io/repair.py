@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from scan2albedo.core import IntArray, NDArray, triangle_sides
+from scan2albedo.core.arrays import IntArray, NDArray, triangle_sides
 from scan2albedo.core.raw_scan import LARGEST_COORDINATE, require_valid_indices
 from scan2albedo.errors import ScanError
 from scan2albedo.geometry.mesh import turned_against_neighbours, vertex_mask

@@ -8,7 +8,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, PlainSerializer, PlainValidator
 
-from scan2albedo.core import EnvironmentLight, PlanStep, PointLight, RawScan, Values
+from scan2albedo.core import EnvironmentLight, PlanStep, PointLight, RawScan
+from scan2albedo.core.arrays import Values
 from scan2albedo.io.load_scan import input_sha256
 from scan2albedo.io.records import Figures, Matrix, Number, OptionalNumber, Record
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from scan2albedo.core import ByteArray, FloatArray, IntArray
+from scan2albedo.core.arrays import ByteArray, FloatArray, IntArray
 from scan2albedo.core.compiled import compiled
 from scan2albedo.io import limits
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core import BoolArray, Float32Array, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from scan2albedo.core.raw_scan import TextureTile
 from scan2albedo.io import limits
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh

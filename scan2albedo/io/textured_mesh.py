@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scan2albedo.core import BoolArray, Float32Array, FloatArray, IntArray, NDArray, Values
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, NDArray, Values
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.tangents import split_at_seams, tangent_mesh
 from scan2albedo.io.atomic import write_bytes, write_text

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scan2albedo.core import FloatArray, IntArray, finite_rows
+from scan2albedo.core.arrays import FloatArray, IntArray, finite_rows
 from scan2albedo.errors import ScanError, UnitError
 from scan2albedo.geometry.mesh import far_vertices
 

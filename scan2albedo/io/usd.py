@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scan2albedo.core import ArrayLike, FloatArray, IntArray
+from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.tangents import split_at_seams
 from scan2albedo.io.atomic import write_text

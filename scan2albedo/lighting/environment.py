@@ -7,7 +7,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from scan2albedo.core import ArrayLike, FloatArray, checked_array, norms
+from scan2albedo.core.arrays import ArrayLike, FloatArray, checked_array, norms
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rasterization import area_mean
 

@@ -8,7 +8,8 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from scan2albedo.core import SMALLEST, EnvironmentLight, FloatArray
+from scan2albedo.core import EnvironmentLight
+from scan2albedo.core.arrays import SMALLEST, FloatArray
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scan2albedo.core import ArrayLike, FloatArray, IntArray, checked_array
+from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray, checked_array
 from scan2albedo.lighting.environment import checked_map, map_directions
 
 _NODES = 160

@@ -7,15 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from scan2albedo.core import (
-    ArrayLike,
-    Float32Array,
-    FloatArray,
-    NDArray,
-    PointLight,
-    all_finite,
-    checked_array,
-)
+from scan2albedo.core import PointLight
+from scan2albedo.core.arrays import ArrayLike, Float32Array, FloatArray, NDArray, all_finite, checked_array
 from scan2albedo.core.compiled import compiled, triple
 from scan2albedo.geometry.rigid import dot
 

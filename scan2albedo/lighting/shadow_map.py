@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from scan2albedo.core import ArrayLike, ByteArray, Float32Array, FloatArray, NDArray, norms
+from scan2albedo.core.arrays import ArrayLike, ByteArray, Float32Array, FloatArray, NDArray, norms
 from scan2albedo.core.compiled import compiled
 from scan2albedo.geometry.rays import RayCaster
 

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core import ArrayLike, FloatArray, Meter
+from scan2albedo.core import Meter
+from scan2albedo.core.arrays import ArrayLike, FloatArray
 
 _FINAL_TEMPERATURE = 1e-4
 """In units of the spread of the first costs."""

@@ -1,7 +1,5 @@
 """Damped least squares (Levenberg-Marquardt) over any state that a step can move."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -9,7 +7,8 @@ from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
-from scan2albedo.core import FloatArray, Meter
+from scan2albedo.core import Meter
+from scan2albedo.core.arrays import FloatArray
 
 SMALLEST_DIAGONAL = 1e-9
 """As a part of the largest: damps parameters that the cost does not depend on, so that they stay."""

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from scan2albedo.albedo import AlbedoError, albedo_error
-from scan2albedo.core import ProgressCallback, Values, norms
+from scan2albedo.core import ProgressCallback
+from scan2albedo.core.arrays import Values, norms
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import invert_rigid, rotation_angle_rad, transform_points
 from scan2albedo.io.run_folder import RunFolder

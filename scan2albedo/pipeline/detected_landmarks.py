@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from scan2albedo.core import ByteArray, Float32Array, FloatArray, PlanStep, RawScan, Values, norms
+from scan2albedo.core import PlanStep, RawScan
+from scan2albedo.core.arrays import ByteArray, Float32Array, FloatArray, Values, norms
 from scan2albedo.core.landmarks import COUNT, PlacedLandmarks
 from scan2albedo.errors import MissingDependencyError, needs_extra
 from scan2albedo.geometry.mesh import face_normals

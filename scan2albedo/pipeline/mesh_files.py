@@ -7,7 +7,7 @@ import numpy as np
 
 from scan2albedo.applications import template_baking as baking
 from scan2albedo.applications.light_removal import UnlitScan
-from scan2albedo.core import ByteArray, Float32Array, NDArray, RealArray
+from scan2albedo.core.arrays import ByteArray, Float32Array, NDArray, RealArray
 from scan2albedo.geometry.rasterization import interpolate, pixels_from_uv, rasterize
 from scan2albedo.io.color import encode_srgb_integers
 from scan2albedo.io.images import encode_image, write_exr, write_png

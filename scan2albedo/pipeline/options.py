@@ -13,7 +13,8 @@ from scan2albedo.albedo.estimate import BRDFS
 from scan2albedo.applications.engine_maps import CARRIERS
 from scan2albedo.applications.light_removal import REACHES
 from scan2albedo.applications.template_baking import LARGEST_TEXTURE
-from scan2albedo.core import Budget, Values, checked_seed
+from scan2albedo.core import Budget, checked_seed
+from scan2albedo.core.arrays import Values
 from scan2albedo.core.geometry_image import LARGEST_SIZE, SMALLEST_SIZE, check_size
 from scan2albedo.core.landmarks import AUTO, landmarks_option
 from scan2albedo.fitting.options import FitOptions

@@ -12,7 +12,8 @@ from scan2albedo.applications.eyes_and_mouth import eyes_and_mouth, on_template
 from scan2albedo.applications.files import load_result
 from scan2albedo.applications.light_removal import LightRemoval, UnlitScan, usual_light
 from scan2albedo.applications.template_baking import TemplateTexture, template_texture, tile_numbers
-from scan2albedo.core import FloatArray, PlanStep, RawScan, RealArray, Values
+from scan2albedo.core import PlanStep, RawScan
+from scan2albedo.core.arrays import FloatArray, RealArray, Values
 from scan2albedo.face_model.annotation import AnnotatedSurface
 from scan2albedo.fitting import FittedFace
 from scan2albedo.io.texture_atlas import in_first_period

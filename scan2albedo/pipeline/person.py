@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from scan2albedo.albedo import AlbedoEstimate, CommonAlbedo, estimate_common_albedo
-from scan2albedo.core import Budget, GeometryImage, Plan, PlanStep, ProgressCallback, RawScan, Trace, Values
+from scan2albedo.core import Budget, GeometryImage, Plan, PlanStep, ProgressCallback, RawScan, Trace
+from scan2albedo.core.arrays import Values
 from scan2albedo.core.first_run import compiled_beside
 from scan2albedo.core.raw_scan import is_folder_name, lost_texture, scan_name
 from scan2albedo.errors import RegistrationError, Scan2AlbedoError, one_line

@@ -12,8 +12,9 @@ from typing import Any, Never
 import numpy as np
 
 from scan2albedo.albedo import AlbedoEstimate, estimate_albedo
-from scan2albedo.core import Budget, Plan, PlanStep, ProgressCallback, RawScan, Trace, Values
+from scan2albedo.core import Budget, Plan, PlanStep, ProgressCallback, RawScan, Trace
 from scan2albedo.core.arguments import require_type
+from scan2albedo.core.arrays import Values
 from scan2albedo.core.first_run import compiled_beside
 from scan2albedo.core.raw_scan import is_folder_name, scan_name
 from scan2albedo.errors import memory_errors_named

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from scan2albedo.core import ByteArray, FloatArray, RealArray, Values
+from scan2albedo.core.arrays import ByteArray, FloatArray, RealArray, Values
 from scan2albedo.core.raw_scan import lost_texture
 from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.geometry.rigid import invert_rigid, transform_points

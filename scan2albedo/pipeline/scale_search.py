@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from scan2albedo.core import IntArray, RawScan
+from scan2albedo.core import RawScan
+from scan2albedo.core.arrays import IntArray
 from scan2albedo.errors import InsideOutError, NoFaceError, RegistrationError, UnitError
 from scan2albedo.geometry.mesh import vertex_components
 from scan2albedo.io.load_scan import load_scan_with

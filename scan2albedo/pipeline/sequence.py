@@ -11,17 +11,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core import (
-    BoolArray,
-    ByteArray,
-    FloatArray,
-    Plan,
-    PlanStep,
-    ProgressCallback,
-    RawScan,
-    Values,
-    identities,
-)
+from scan2albedo.core import Plan, PlanStep, ProgressCallback, RawScan
+from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, Values, identities
 from scan2albedo.core.first_run import compiled_beside
 from scan2albedo.core.raw_scan import is_folder_name
 from scan2albedo.errors import FitError, RegistrationError, Scan2AlbedoError, one_line

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from scan2albedo.albedo import albedo_error, estimate_albedo
-from scan2albedo.core import NDArray, PointLight, Values
+from scan2albedo.core import PointLight
+from scan2albedo.core.arrays import NDArray, Values
 from scan2albedo.synthetic import Material, SyntheticScene, face, hemisphere, light_at, with_normal_error
 
 PAPER_MSE_PERCENT = {"hemisphere": 1.07, "face": 2.01}

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from scan2albedo.albedo.prior import AlbedoPrior
-from scan2albedo.core import Float32Array, GeometryImage, PlanStep, RawScan
+from scan2albedo.core import GeometryImage, PlanStep, RawScan
+from scan2albedo.core.arrays import Float32Array
 
 NAMES = ("none", "grey-skin")
 

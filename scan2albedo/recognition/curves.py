@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core import ArrayLike, BoolArray, FloatArray, IntArray, all_finite
+from scan2albedo.core.arrays import ArrayLike, BoolArray, FloatArray, IntArray, all_finite
 from scan2albedo.errors import RecognitionError
 from scan2albedo.recognition.identification import Identification
 

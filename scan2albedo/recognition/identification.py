@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from scan2albedo.core import ArrayLike, BoolArray, FloatArray, IntArray, all_finite
+from scan2albedo.core.arrays import ArrayLike, BoolArray, FloatArray, IntArray, all_finite
 from scan2albedo.errors import RecognitionError
 from scan2albedo.recognition.similarity import WINDOW, similarity_matrix
 from scan2albedo.recognition.templates import Templates

@@ -8,7 +8,7 @@ from typing import Any, Literal, Self, get_args
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from scan2albedo.core import ArrayLike, IntArray
+from scan2albedo.core.arrays import ArrayLike, IntArray
 from scan2albedo.errors import RecognitionError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.recognition import templates as tpl

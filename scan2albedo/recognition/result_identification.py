@@ -7,7 +7,7 @@ from typing import get_args
 
 import numpy as np
 
-from scan2albedo.core import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import RecognitionError
 from scan2albedo.recognition import identification as matching
 from scan2albedo.recognition.labelled_templates import (

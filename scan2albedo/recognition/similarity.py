@@ -4,7 +4,7 @@ from numbers import Integral
 
 import numpy as np
 
-from scan2albedo.core import ArrayLike, BoolArray, Float32Array, FloatArray, NDArray, RealArray
+from scan2albedo.core.arrays import ArrayLike, BoolArray, Float32Array, FloatArray, NDArray, RealArray
 from scan2albedo.core.compiled import compiled
 from scan2albedo.errors import RecognitionError
 from scan2albedo.geometry.rays import blocks

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import fft
 from scipy.ndimage import distance_transform_edt, minimum_filter, uniform_filter
 
-from scan2albedo.core import (
+from scan2albedo.core.arrays import (
     ArrayLike,
     BoolArray,
     Float32Array,

@@ -9,7 +9,7 @@ from typing import Literal, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from scan2albedo.core import BoolArray, FloatArray, IntArray, NDArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, NDArray
 from scan2albedo.errors import ReflectanceError, ScanError, errors_of
 from scan2albedo.io.images import read_image_values
 from scan2albedo.io.load_scan import read_mesh_file

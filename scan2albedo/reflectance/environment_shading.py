@@ -8,7 +8,7 @@ import numpy as np
 from numpy.polynomial.legendre import Legendre, leggauss, legvander
 from scipy.interpolate import CubicSpline
 
-from scan2albedo.core import EPSILON, ArrayLike, FloatArray, all_finite, checked_array, norms
+from scan2albedo.core.arrays import EPSILON, ArrayLike, FloatArray, all_finite, checked_array, norms
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.lighting.harmonics import harmonic_degrees, harmonics, harmonics_gradient

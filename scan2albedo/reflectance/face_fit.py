@@ -9,18 +9,8 @@ import numpy as np
 from scipy import sparse
 from scipy.special import softmax
 
-from scan2albedo.core import (
-    EPSILON,
-    ArrayLike,
-    BoolArray,
-    Budget,
-    FloatArray,
-    IntArray,
-    Plan,
-    PlanStep,
-    ProgressCallback,
-    checked_mesh,
-)
+from scan2albedo.core import Budget, Plan, PlanStep, ProgressCallback
+from scan2albedo.core.arrays import EPSILON, ArrayLike, BoolArray, FloatArray, IntArray, checked_mesh
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import edges_with_faces
 from scan2albedo.geometry.operators import surface_diffusion

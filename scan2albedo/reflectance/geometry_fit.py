@@ -8,20 +8,8 @@ from typing import Self
 
 import numpy as np
 
-from scan2albedo.core import (
-    ArrayLike,
-    Budget,
-    FloatArray,
-    IntArray,
-    Meter,
-    Plan,
-    PlanStep,
-    ProgressCallback,
-    Trace,
-    checked_array,
-    finite_rows,
-    norms,
-)
+from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
+from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray, checked_array, finite_rows, norms
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import edges_with_faces, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, pixel_directions, project

@@ -8,13 +8,13 @@ from typing import Self
 import numpy as np
 from scipy import sparse
 
-from scan2albedo.core import (
+from scan2albedo.core import Meter
+from scan2albedo.core.arrays import (
     SMALLEST,
     ArrayLike,
     BoolArray,
     FloatArray,
     IntArray,
-    Meter,
     all_finite,
     checked_array,
     finite_rows,

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scan2albedo.core import ArrayLike, FloatArray, checked_array
+from scan2albedo.core.arrays import ArrayLike, FloatArray, checked_array
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.npz import read_npz
 from scan2albedo.reflectance.environment_shading import HARMONICS

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core import ArrayLike, FloatArray, checked_array, norms
+from scan2albedo.core.arrays import ArrayLike, FloatArray, checked_array, norms
 from scan2albedo.errors import ReflectanceError
 
 _RANK_TOLERANCE = 1e-12

@@ -8,7 +8,15 @@ from typing import Literal, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from scan2albedo.core import SMALLEST, ArrayLike, BoolArray, FloatArray, IntArray, Values, checked_array
+from scan2albedo.core.arrays import (
+    SMALLEST,
+    ArrayLike,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    Values,
+    checked_array,
+)
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.reflectance.linear_model import LinearModel, principal_directions, require_one_topology

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core import BoolArray, Float32Array, FloatArray, NDArray
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, NDArray
 from scan2albedo.errors import ReflectanceError
 
 Pictures = NDArray | Sequence[NDArray]

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core import ArrayLike, BoolArray, FloatArray, NDArray, checked_array, finite_rows
+from scan2albedo.core.arrays import ArrayLike, BoolArray, FloatArray, NDArray, checked_array, finite_rows
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, project

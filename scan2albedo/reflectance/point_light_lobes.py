@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scan2albedo.core import ArrayLike, FloatArray, checked_array
+from scan2albedo.core.arrays import ArrayLike, FloatArray, checked_array
 from scan2albedo.core.compiled import compiled
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance

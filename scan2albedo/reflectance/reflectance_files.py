@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from scan2albedo.core import BoolArray, FloatArray, IntArray, checked_array, checked_mesh
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array, checked_mesh
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.reflectance.linear_model import require_one_topology

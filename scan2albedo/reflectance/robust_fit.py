@@ -5,7 +5,8 @@ from typing import Self
 
 import numpy as np
 
-from scan2albedo.core import BoolArray, FloatArray, IntArray, Meter
+from scan2albedo.core import Meter
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.geometry.rays import blocks, each_block
 from scan2albedo.reflectance import vertex_kernels as kernels
 from scan2albedo.reflectance.point_light_lobes import turn_lobes

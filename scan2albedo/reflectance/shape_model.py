@@ -7,7 +7,7 @@ from typing import Literal, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from scan2albedo.core import ArrayLike, FloatArray, IntArray, checked_array, checked_mesh
+from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray, checked_array, checked_mesh
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.reflectance.linear_model import LinearModel, principal_directions, require_one_topology

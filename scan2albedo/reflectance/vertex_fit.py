@@ -5,19 +5,14 @@ from functools import partial
 
 import numpy as np
 
-from scan2albedo.core import (
+from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
+from scan2albedo.core.arrays import (
     EPSILON,
     SMALLEST,
     ArrayLike,
     BoolArray,
-    Budget,
     FloatArray,
     IntArray,
-    Meter,
-    Plan,
-    PlanStep,
-    ProgressCallback,
-    Trace,
     checked_array,
 )
 from scan2albedo.errors import ReflectanceError

@@ -7,7 +7,7 @@ from typing import cast
 
 import numpy as np
 
-from scan2albedo.core import ArrayLike, BoolArray, FloatArray, IntArray, checked_array, finite_rows
+from scan2albedo.core.arrays import ArrayLike, BoolArray, FloatArray, IntArray, checked_array, finite_rows
 from scan2albedo.errors import ReflectanceError
 
 EXPONENTS = (1.0, 8.0, 64.0)

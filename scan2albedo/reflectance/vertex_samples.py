@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 from scipy import sparse
 
-from scan2albedo.core import (
+from scan2albedo.core.arrays import (
     SMALLEST,
     ArrayLike,
     BoolArray,

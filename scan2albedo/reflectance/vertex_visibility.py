@@ -5,7 +5,7 @@ import math
 import numpy as np
 from scipy import sparse
 
-from scan2albedo.core import (
+from scan2albedo.core.arrays import (
     ArrayLike,
     BoolArray,
     FloatArray,

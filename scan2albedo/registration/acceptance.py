@@ -7,7 +7,8 @@ from importlib.resources import as_file, files
 import numpy as np
 from scipy.special import expit
 
-from scan2albedo.core import FloatArray, Meter, Plan, PlanStep, norms
+from scan2albedo.core import Meter, Plan, PlanStep
+from scan2albedo.core.arrays import FloatArray, norms
 from scan2albedo.errors import InsideOutError, NoFaceError, RegistrationError
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry.alignment import Alignment

@@ -11,7 +11,8 @@ from itertools import chain, repeat
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from scan2albedo.core import FloatArray, IntArray, Meter
+from scan2albedo.core import Meter
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import import_open3d
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import Similarity, invert_rigid

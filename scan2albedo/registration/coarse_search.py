@@ -7,7 +7,8 @@ from itertools import combinations
 
 import numpy as np
 
-from scan2albedo.core import FloatArray, IntArray, Meter
+from scan2albedo.core import Meter
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.alignment import NearestGrid, align_on_grid
 from scan2albedo.geometry.oriented_points import OrientedPoints

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core import FloatArray, IntArray, Meter, PlanStep
+from scan2albedo.core import Meter, PlanStep
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.geometry.rasterization import interpolate, rasterize
 from scan2albedo.geometry.rigid import Similarity, compose, rotation_angle_rad, rotation_from_vector
 from scan2albedo.optimization.annealing import simulated_annealing

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core import FloatArray, Meter, RawScan
+from scan2albedo.core import Meter, RawScan
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.appearance import appearance
 from scan2albedo.geometry.closest_points import NearestSurface

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core import BoolArray, FloatArray, Meter, PlanStep
+from scan2albedo.core import Meter, PlanStep
+from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.face_model.variation import STRETCHES
 from scan2albedo.geometry.alignment import Alignment, Pairs, align
 from scan2albedo.geometry.mesh import normalized

@@ -14,7 +14,8 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from scan2albedo.core import FloatArray, IntArray, RawScan
+from scan2albedo.core import RawScan
+from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.errors import RegistrationError
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.variation import shape_modes

@@ -6,18 +6,9 @@ from functools import cache
 import numpy as np
 from scipy.special import expit, logit
 
-from scan2albedo.core import (
-    Budget,
-    FloatArray,
-    Meter,
-    Plan,
-    PlanStep,
-    ProgressCallback,
-    RawScan,
-    Trace,
-    checked_seed,
-)
+from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, RawScan, Trace, checked_seed
 from scan2albedo.core.arguments import require_type
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import NoFaceError
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.rigid import Similarity, invert_rigid, rotation_angle_rad

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from scan2albedo.core import ArrayLike, BoolArray, FloatArray, IntArray, NDArray
+from scan2albedo.core.arrays import ArrayLike, BoolArray, FloatArray, IntArray, NDArray
 from scan2albedo.geometry.oriented_points import SurfaceNoise
 from scan2albedo.geometry.rasterization import nearest_depths
 from scan2albedo.geometry.rigid import transform_points

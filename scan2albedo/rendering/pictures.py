@@ -6,7 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core import ArrayLike, ByteArray, Float32Array, FloatArray, IntArray, NDArray, RealArray
+from scan2albedo.core.arrays import (
+    ArrayLike,
+    ByteArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    NDArray,
+    RealArray,
+)
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.pinhole import project
 from scan2albedo.geometry.rasterization import Raster, interpolate, pixels_from_uv, rasterize

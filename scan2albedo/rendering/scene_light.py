@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core import ArrayLike, EnvironmentLight, FloatArray, PointLight
+from scan2albedo.core import EnvironmentLight, PointLight
+from scan2albedo.core.arrays import ArrayLike, FloatArray
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.lighting.environment_light import environment_light_on
 from scan2albedo.lighting.shading import Reflectance, lamp_factors

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.ndimage import affine_transform, binary_dilation
 
-from scan2albedo.core import BoolArray, FloatArray, IntArray, RawScan, all_finite, finite_rows, norms
+from scan2albedo.core import RawScan
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, all_finite, finite_rows, norms
 from scan2albedo.eyeglasses import Camera, RegisteredEyeglasses
 from scan2albedo.eyeglasses.canonicalization import CanonicalEyeglasses
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, KEY_POINT_PLACES

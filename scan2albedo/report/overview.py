@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scan2albedo.core import BoolArray, ByteArray, FloatArray, RealArray, Values
+from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, RealArray, Values
 from scan2albedo.geometry.mesh import far_faces
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.io.color import encode_srgb_bytes, label_colors, linear_to_srgb

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scan2albedo.core import BoolArray, ByteArray, FloatArray, IntArray, finite_rows
+from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, IntArray, finite_rows
 from scan2albedo.geometry.mesh import face_cross_products, normalized
 from scan2albedo.geometry.operators import filled_over_mesh
 from scan2albedo.geometry.pinhole import camera_centers

@@ -6,8 +6,9 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.special import logsumexp
 
-from scan2albedo.core import ByteArray, Float32Array, GeometryImage, PlanStep, RawScan, on_grid
+from scan2albedo.core import GeometryImage, PlanStep, RawScan
 from scan2albedo.core.arguments import described, require_type
+from scan2albedo.core.arrays import ByteArray, Float32Array, on_grid
 from scan2albedo.core.geometry_image import check_size
 from scan2albedo.errors import GeometryImageError
 from scan2albedo.face_model.annotation import FittedSurface

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core import (
+from scan2albedo.core import RawScan
+from scan2albedo.core.arrays import (
     BoolArray,
     Float32Array,
     FloatArray,
     IntArray,
-    RawScan,
     Values,
     norms,
     on_grid,

@@ -5,7 +5,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from scan2albedo.core import ByteArray, FloatArray, GeometryImage, IntArray, on_grid
+from scan2albedo.core import GeometryImage
+from scan2albedo.core.arrays import ByteArray, FloatArray, IntArray, on_grid
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model import AnnotatedSurface, variation
 from scan2albedo.geometry.mesh import normalized, vertex_normals

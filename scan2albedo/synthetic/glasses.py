@@ -6,7 +6,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from scan2albedo.core import FloatArray, IntArray, arc_lengths, norms, smoothstep
+from scan2albedo.core.arrays import FloatArray, IntArray, arc_lengths, norms, smoothstep
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.geometry.mesh import normalized, vertex_components, without_unreferenced
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core import BoolArray, FloatArray, IntArray, norms
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, norms
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.operators import vertex_average

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core import ArrayLike, BoolArray, FloatArray, IntArray, NDArray, on_grid
+from scan2albedo.core.arrays import ArrayLike, BoolArray, FloatArray, IntArray, NDArray, on_grid
 from scan2albedo.geometry.pinhole import camera_centers, project
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.synthetic.glossy_person import GlossyFace, GlossyPerson

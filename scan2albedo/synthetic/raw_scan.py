@@ -6,7 +6,8 @@ from functools import partial
 
 import numpy as np
 
-from scan2albedo.core import Float32Array, FloatArray, GeometryImage, IntArray, PointLight, RawScan, on_grid
+from scan2albedo.core import GeometryImage, PointLight, RawScan
+from scan2albedo.core.arrays import Float32Array, FloatArray, IntArray, on_grid
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry import pinhole, rigid
 from scan2albedo.geometry.mesh import face_normals, normalized, vertex_normals

@@ -9,16 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core import (
-    ArrayLike,
-    BoolArray,
-    Float32Array,
-    FloatArray,
-    NDArray,
-    PointLight,
-    RealArray,
-    norms,
-)
+from scan2albedo.core import PointLight
+from scan2albedo.core.arrays import ArrayLike, BoolArray, Float32Array, FloatArray, NDArray, RealArray, norms
 from scan2albedo.errors import import_open3d
 from scan2albedo.geometry.mesh import RayHits, normalized
 from scan2albedo.geometry.pinhole import look_at

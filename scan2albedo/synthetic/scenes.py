@@ -7,7 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from scan2albedo.core import BoolArray, Float32Array, FloatArray, GeometryImage, PointLight, norms, on_grid
+from scan2albedo.core import GeometryImage, PointLight
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, norms, on_grid
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.synthetic.face_shape import Expression, face_geometry_image, face_surface, person

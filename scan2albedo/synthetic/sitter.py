@@ -8,9 +8,9 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 from scipy.ndimage import gaussian_filter
 
-from scan2albedo.core import FloatArray, IntArray, norms, smoothstep
+from scan2albedo.core.arrays import FloatArray, IntArray, grid_faces, norms, smoothstep
 from scan2albedo.face_model import AnnotatedSurface
-from scan2albedo.geometry.mesh import grid_faces, join, normalized, vertex_normals, without_unreferenced
+from scan2albedo.geometry.mesh import join, normalized, vertex_normals, without_unreferenced
 from scan2albedo.geometry.parametrization import boundary_loop
 from scan2albedo.synthetic.face_shape import Expression, FaceSurface, face_surface, person, with_relief
 from scan2albedo.synthetic.renderer import RayScene

@@ -9,7 +9,7 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 from skimage.measure import points_in_poly
 
-from scan2albedo.core import ArrayLike, BoolArray, FloatArray, arc_lengths, norms, smoothstep
+from scan2albedo.core.arrays import ArrayLike, BoolArray, FloatArray, arc_lengths, norms, smoothstep
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model import AnnotatedSurface
 

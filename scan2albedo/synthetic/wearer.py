@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
-from scan2albedo.core import BoolArray, FloatArray, IntArray, finite_rows
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, finite_rows
 from scan2albedo.face_model import default_model
 from scan2albedo.geometry.pinhole import camera_centers, look_at, pixel_directions, pixel_grid, project
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
-from scan2albedo.core import FloatArray, IntArray, RawScan, norms
+from scan2albedo.core import RawScan
+from scan2albedo.core.arrays import FloatArray, IntArray, norms
 from scan2albedo.errors import ModelError, RegistrationError, ScanError, errors_of
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.face_model.annotation import FILLED_REGION, LANDMARK_LEVELS, MOUTH_REGION

@@ -8,7 +8,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
-from scan2albedo.core import ByteArray, FloatArray, IntArray, all_finite, finite_rows, norms, row_sums
+from scan2albedo.core.arrays import ByteArray, FloatArray, IntArray, all_finite, finite_rows, norms, row_sums
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model import AnnotatedSurface, Region
 from scan2albedo.face_model.annotation import FILLED_REGION, LANDMARK_LEVELS, REST_REGION, surface_frames

@@ -5,7 +5,7 @@ from typing import Self
 
 import numpy as np
 
-from scan2albedo.core import BoolArray, FloatArray, IntArray, checked_mesh, norms
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_mesh, norms
 from scan2albedo.core.compiled import compiled
 from scan2albedo.errors import ModelError, errors_of
 from scan2albedo.geometry import mesh as meshes

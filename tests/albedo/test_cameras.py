@@ -46,6 +46,7 @@ def row(estimate):
     return found
 
 
+@pytest.mark.slow
 def test_highlights_of_two_cameras_are_taken_off_without_a_seam(two_pods, known):
     blind = estimate_albedo(two_pods.image, 1, options=EstimateOptions(skip=("albedo.cameras",)))
     assert percent_off(known, two_pods) < 0.045

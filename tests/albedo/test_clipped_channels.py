@@ -27,6 +27,7 @@ def _broken(albedo, disc, channels):
     return np.where(lost, 0.7 * albedo, albedo), lost
 
 
+@pytest.mark.slow
 def test_two_survivors_tell_a_third_of_two_pigments(pigments):
     albedo, disc = pigments
     broken, lost = _broken(albedo, disc, [0])

@@ -41,6 +41,7 @@ def test_two_lights_tell_more_than_the_better_of_them():
     assert error(found().albedo_linear, scenes[0]) < min(errors), errors
 
 
+@pytest.mark.slow
 def test_colours_of_cameras_are_brought_to_one_and_the_stated_error_holds():
     scene, common = two_lights()[0], found()
     ratio = common.gains[0] / common.gains[1]

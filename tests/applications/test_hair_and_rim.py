@@ -43,6 +43,7 @@ def texels(result, shared_data):
     return np.log(true[there]), interpolate(raster, index, own)[..., 0][there], there
 
 
+@pytest.mark.slow
 def test_skin_beyond_the_face_has_the_faces_colour(result, texels):
     log_true, weight, there = texels
     usual = np.median(log_true[weight > 0.99], axis=0)

@@ -47,6 +47,7 @@ def test_a_face_is_relit(tmp_path):
     assert sky[:, 24:][face[:, 24:]].mean() > 1.2 * sky[:, :24][face[:, :24]].mean()
 
 
+@pytest.mark.slow
 def test_faces_are_swapped_and_blended(tmp_path):
     run("swap_and_blend", tmp_path, "--size", 48)
     assert size_of(tmp_path / "swaps.png") == (4 * 48, 48)
@@ -64,6 +65,7 @@ def test_a_smile_is_transferred(tmp_path, capsys):
     assert 2 < moved < 20
 
 
+@pytest.mark.slow
 def test_persons_are_identified(tmp_path, capsys):
     run("identify_gallery", tmp_path, "--persons", 2, "--size", 48)
     assert read_templates(tmp_path / "gallery.npz").names == ("person-0", "person-1")

@@ -5,7 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from scan2albedo.geometry.mesh import grid_faces, normalized
+from scan2albedo.core.arrays import grid_faces
+from scan2albedo.geometry.mesh import normalized
 
 
 def build_tube(path, radius=2.0, sides=12):

@@ -72,6 +72,7 @@ def test_lenses_are_looked_through(sewn):
     judged(*proposed(vertices, faces, seed=3), glasses.keypoints, 1.0)
 
 
+@pytest.mark.slow
 def test_a_front_alone_has_no_temples_and_says_so():
     glasses = eyeglasses(42, welded=False)
     temples = np.unique(glasses.part[glasses.keypoint_vertices[[8, 17]]])
@@ -105,6 +106,7 @@ def test_what_is_no_frame_is_refused():
         propose_keypoints((np.zeros((0, 3)), np.zeros((0, 3), int)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("file", "placed"),
     [
@@ -155,6 +157,7 @@ def folder(tmp_path_factory):
     return path, glasses
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_file_and_a_picture_and_keeps_placed_points(folder, tmp_path):
     path, glasses = folder
     placed, out = tmp_path / "placed.json", tmp_path / "points.json"

@@ -87,6 +87,7 @@ def test_the_mean_is_placed_whatever_its_axes_and_unit(linear):
         linear_model_places(replace(linear, mean=linear.mean * [1, 1, 0.01]), AnnotatedFaceModel.default())
 
 
+@pytest.mark.slow
 def test_coefficients_of_its_own_shapes_come_back(linear):
     truth = np.random.default_rng(5).normal(size=15)
     scan, true, pose = scanned(linear, truth)
@@ -107,6 +108,7 @@ def test_coefficients_of_its_own_shapes_come_back(linear):
     assert_allclose(again, direct, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_jaw_that_is_open_is_turned(jointed):
     truth, turns = np.random.default_rng(7).normal(size=15) * 0.7, np.array([[0.0, 0, 0], [0.2, 0, 0]])
     scan, true, pose = scanned(jointed, truth, turns)

@@ -26,6 +26,7 @@ def found_at(person, shift=(0.0, 0.0, 0.0), **changes):
     return painted_features(replace(scan, **changes), truth.model_from_scan, truth.landmarks + shift)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shift", [(0, 0, 0), (1, 3, 0), (-1, -3, 0)], ids=str)
 def test_features_are_found_from_beside(fine_scan, shift):
     _, truth = fine_scan

@@ -89,6 +89,7 @@ def test_names_that_no_file_has_find_nothing(places, name):
     assert ScanFolder(places[0]).why_missing(name).startswith("is missing beside the scan (--textures ")
 
 
+@pytest.mark.slow
 def test_the_command_takes_the_folder(places, tmp_path):
     scan, other = places
     path, out = obj(scan, "../other/secret.png"), tmp_path / "out"

@@ -48,6 +48,7 @@ def errors_mm(found, truth):
     return np.linalg.norm(transform_points(truth.model_from_scan, found.points) - truth.landmarks, axis=1)
 
 
+@pytest.mark.slow
 def test_a_process_hands_them_to_the_fit_or_goes_on_without(coarse_scan, network):
     scan, truth = coarse_scan
     network(Network(truth))

@@ -32,6 +32,7 @@ def result(coarse_scan, file, tmp_path_factory):
     return s2a.process(coarse_scan[0], tmp_path_factory.mktemp("out"), linear_model=file, **CHOSEN)
 
 
+@pytest.mark.slow
 def test_files_place_the_model_on_the_scan(result, file):
     record = read_json(result.out / "coefficients.json")
     model = LinearFaceModel.load(file)

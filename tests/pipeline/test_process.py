@@ -49,6 +49,7 @@ def result(coarse_scan, tmp_path_factory):
     return s2a.process(coarse_scan[0], tmp_path_factory.mktemp("out"), size=SIZE)
 
 
+@pytest.mark.slow
 def test_a_scan_turned_inside_out_is_turned_back_with_a_note(coarse_scan, result):
     """The same pose and picture as of the scan as it should be, and left and right are not swapped."""
     turned = s2a.process(coarse_scan[0].inside_out(), size=SIZE, skip=["albedo"])
@@ -121,6 +122,7 @@ def test_landmarks_lie_on_the_scan_in_the_unit_of_its_file(result, tmp_path):
     assert np.linalg.norm(10 * again.landmarks_scan - plain.landmarks_scan, axis=1)[17:].max() < 0.5
 
 
+@pytest.mark.slow
 def test_landmarks_of_a_file_are_followed_in_the_scans_own_unit(coarse_scan, result, tmp_path):
     scan, _ = coarse_scan
     write_obj(tmp_path / "face.obj", scan.vertices / 1000, scan.faces)

@@ -22,6 +22,7 @@ def test_presets_carry_their_names_and_own_qualities_pass_through():
         Quality("tiny", size=4)
 
 
+@pytest.mark.slow
 def test_presets_take_their_own_steps_and_size_unless_a_size_is_asked_for(coarse_scan):
     scan = coarse_scan[0]
     draft = s2a.process(scan, quality="draft", skip=["albedo"])

@@ -45,6 +45,7 @@ def mse_percent(scan, result, truth):
     return compare_with_truth(replace(result, geometry_image=image), truth).texture.mse_percent
 
 
+@pytest.mark.slow
 def test_the_scans_own_texels_are_as_good_as_the_charts(coarse_scan, result, face_unlit):
     truth = coarse_scan[1]
     chart = compare_with_truth(result, truth)
@@ -186,6 +187,7 @@ def test_what_cannot_be_made_is_left_out_with_its_reason_and_the_face_comes_firs
     assert made.fitted is not None
 
 
+@pytest.mark.slow
 def test_minimal_files_leave_out_what_others_have_and_all_have_the_unlit_scan(coarse_scan, tmp_path):
     options = {"size": 32, "quality": "draft", "budget": s2a.Budget(evaluations=20)}
     minimal = s2a.process(coarse_scan[0], tmp_path / "a", files="minimal", **options)

@@ -62,6 +62,7 @@ def test_too_few_or_points_in_a_line_show_no_pose(model, numbers):
     assert found(model, model.landmarks, numbers).triples() == []
 
 
+@pytest.mark.slow
 def test_a_capture_too_poor_to_show_a_face_is_let_in_by_landmarks(model):
     scanner = StereoScanner(noise_mm=(1.5, 6.0), holes=(15, 60), reach_mm=(45.0, 170.0))
     scan, truth = stereo_scan(105_020, scanner=scanner)

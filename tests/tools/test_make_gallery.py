@@ -53,6 +53,7 @@ def test_the_jaw_of_the_synthetic_model_parts_the_lips(tmp_path):
     assert np.abs(linear.mean[joined, 0]).min(initial=np.inf) > 15
 
 
+@pytest.mark.slow
 def test_proposed_key_points_are_drawn_with_their_deviations():
     pixels = np.asarray(make_gallery.key_points_picture(), float)
     red = (pixels[..., 0] > 150) & (pixels[..., 1:].max(-1) < 90)

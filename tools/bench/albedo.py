@@ -82,7 +82,7 @@ class Scene:
 
 def value_of(linear: NDArray | None) -> FloatArray:
     """Return V (H, W) of linear colours (H, W, 3): the channel that light is found on."""
-    return np.asarray(linear, np.float64).max(axis=2)
+    return np.asarray(linear, float).max(axis=2)
 
 
 def single_light(shape: str, texture: str, grain: float, at: tuple[float, float], noise: float) -> Scene:

@@ -14,8 +14,6 @@ maps by few lights, beside 8,192 drawn by brightness: rms error, and the worst o
 `--pictures` gets swaps, blends and faces under environment maps.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -399,14 +397,14 @@ def features(scene: tuple[ProcessedFace, ProcessedFace], made: ProcessedFace) ->
     row: dict[str, float] = {}
     for name, (label, *_) in LABELS.items():
         own = [named_texels(face, [label]) for face in (a, b)]
-        moved = [warped(t.astype(np.float64), flow) > 0.5 for t, flow in zip(own, flows, strict=True)]
+        moved = [warped(t.astype(float), flow) > 0.5 for t, flow in zip(own, flows, strict=True)]
         around = np.logical_or.reduce([*own, *moved])
         if own[0].any() and own[1].any():
             for when, (t, s), pictures in (("before", own, shown[:2]), ("after", moved, shown[2:])):
                 row[f"{name} {when}"] = float(2 * np.sum(t & s) / (t.sum() + s.sum()))
                 row[f"{name} agrees {when}"] = float(np.corrcoef(*(p[around] for p in pictures))[0, 1])
     faces = [
-        replace(face, albedo_linear=np.maximum(warped(face.albedo_linear.astype(np.float64), flow), 0))
+        replace(face, albedo_linear=np.maximum(warped(face.albedo_linear.astype(float), flow), 0))
         for face, flow in zip(scene, flows, strict=True)
     ]
     row["edges as moved %"] = invented_percent(*faces, made)
@@ -483,7 +481,7 @@ def by_lights(scene: tuple[ProcessedFace, FloatArray], spread: str, count: int) 
 def beside_many_lights(scene: tuple[ProcessedFace, FloatArray], made: Any) -> dict[str, float]:
     many = relight(scene[0], environment_linear=reference_lights(scene[1]))
     truth = many.picture(shape=(LIGHT_PIXELS, LIGHT_PIXELS), samples=1)
-    parts = [picture.linear[truth.alpha > 0][None].astype(np.float64) for picture in (made, truth)]
+    parts = [picture.linear[truth.alpha > 0][None].astype(float) for picture in (made, truth)]
     rms, worst = picture_errors(*parts)
     return {"rms %": 100 * rms, "worst %": 100 * worst}
 

@@ -6,8 +6,6 @@ seconds stand beside them. "steady s" are between two scans that end, once every
 but no albedo. `killed` ends a batch with SIGKILL when half is done, and resumes it: finished files stay.
 """
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import json

@@ -7,8 +7,6 @@ machine's other work shows: "over s" is the part of the wall time beyond the bud
 time over its wall time.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence

@@ -8,8 +8,6 @@
 one is broken.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from pathlib import Path

@@ -6,8 +6,6 @@ common albedo, and of each photograph's own, found together with the others'. "s
 error, "holds" the share of texels that err by less.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial

@@ -19,8 +19,6 @@ true, true+  the scan's true albedo, matte and smooth, and with all maps
 Needs Mitsuba (`llvm_ad_rgb`, so DRJIT_LIBLLVM_PATH). `--pictures` gets reference and pictures of each scan.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from copy import copy
 from dataclasses import replace

@@ -6,8 +6,6 @@ of eyes that are shown, and of holes, against shut lids, the lower of both eyes.
 people with painted eyes: how far irises are from their true places, mm. `--pictures` gets each face relit.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import tempfile

@@ -9,8 +9,6 @@ cannot be told apart in one image), and normals; "believed" counts fits that kep
 have other weights of the landmarks.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

@@ -9,8 +9,6 @@ pictures ("right"). Faces are painted by `scan2albedo.synthetic`, light is gener
 Nothing was chosen on seed 20; `seeds` are five others.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace

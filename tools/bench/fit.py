@@ -8,8 +8,6 @@ at the resolution of our samples. They run in the Python that S2A_PEERS_PYTHON n
 extra [peers]).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -26,12 +24,12 @@ from bench.peers.fit import LEVEL, deformed
 from bench.runner import Bench, Case, Timed
 from bench.settings import presets, varied, within
 from scan2albedo.core import Budget
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray, grid_faces
 from scan2albedo.fitting import FitOptions
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rigid import compose, invert_rigid, procrustes, random_rotation, transform_points
-from scan2albedo.synthetic.sitter import grid_faces, join
+from scan2albedo.synthetic.sitter import join
 
 SHAPES = (
     "person1",

@@ -5,8 +5,6 @@ linear colour, in percent, and mm by which the surface interpolated between texe
 colours up at the fitted vertices and interpolates them over the mesh: what needs no chart.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial

@@ -87,14 +87,14 @@ def load_image(folder: Path, name: str) -> TracedImage:
     with np.load(folder / f"geometry_{fields['geometry']}.npz") as stored:
         shape = dict(stored)
     image = s2a.GeometryImage(
-        shape["position_mm"].astype(np.float64),
-        shape["normal"].astype(np.float64),
+        shape["position_mm"].astype(float),
+        shape["normal"].astype(float),
         fields["mask"],
         texture_linear=srgb_to_linear(fields["texture_srgb8"] / 255.0).astype(np.float32),
-        occluder=(shape["occluder_vertices"].astype(np.float64), shape["occluder_faces"].astype(np.int64)),
+        occluder=(shape["occluder_vertices"].astype(float), shape["occluder_faces"].astype(np.int64)),
     )
     lamps = json.loads(str(fields["lights"])) if "lights" in fields else []
-    albedo, mask = fields["albedo_linear"].astype(np.float64), image.mask
+    albedo, mask = fields["albedo_linear"].astype(float), image.mask
     judged = np.zeros(mask.shape, bool)
     judged[mask] = lit(image.texture_linear[mask], albedo[mask], np.ones(int(mask.sum()), bool))
     return TracedImage(name, image, albedo, judged, lamps)
@@ -105,10 +105,10 @@ def flash_photograph(person: Mapping[str, NDArray], k: int) -> tuple[s2a.Geometr
 
     The relief is only roughly right, so cast shadows do not lie where it says: others do not count.
     """
-    position, normal, albedo = (person[key].astype(np.float64) for key in ("position_mm", "normal", "albedo"))
+    position, normal, albedo = (person[key].astype(float) for key in ("position_mm", "normal", "albedo"))
     mask = person["mask"]
     value = np.where(mask, person["texture_linear8"][k] / 255.0, 0.0)
-    flash = person["strength"][k] * np.maximum(normal @ person["direction"][k].astype(np.float64), 0)
+    flash = person["strength"][k] * np.maximum(normal @ person["direction"][k].astype(float), 0)
     expected = np.maximum((flash + _AMBIENT) * albedo, 1e-3)
     explained = mask & (flash > _REACHED) & (np.abs(value / expected - 1) < _EXPLAINED)
     texture = np.repeat(value[..., None], 3, 2).astype(np.float32)
@@ -119,7 +119,7 @@ def load_flashes(folder: Path, name: str) -> Iterator[TracedImage]:
     """Yield a person of Extended Yale B under each flash, with the albedo by photometric stereo."""
     with np.load(folder / f"{name}.npz") as stored:
         fields = dict(stored)
-    albedo = np.repeat(fields["albedo"].astype(np.float64)[..., None], 3, 2)
+    albedo = np.repeat(fields["albedo"].astype(float)[..., None], 3, 2)
     for k, light in enumerate(fields["lights"]):
         image, judged = flash_photograph(fields, k)
         yield TracedImage(f"{name}_{light}", image, albedo, judged, [{"hard": True}])
@@ -167,10 +167,10 @@ class ScanTruth:
         with np.load(beside if beside.is_file() else folder / "truth" / f"{name}.npz") as stored:
             fields = dict(stored)
         return cls(
-            fields["vertices_mm" if "vertices_mm" in fields else "vertices"].astype(np.float64),
+            fields["vertices_mm" if "vertices_mm" in fields else "vertices"].astype(float),
             fields["faces"].astype(np.int64),
-            fields["uv_corners"].astype(np.float64),
-            read_image_linear(folder / f"{name}_albedo.png").astype(np.float64),
+            fields["uv_corners"].astype(float),
+            read_image_linear(folder / f"{name}_albedo.png").astype(float),
             fields["scan_from_truth" if "scan_from_truth" in fields else "scan_from_canonical"],
             float(fields["unit_mm"]),
             len(fields["light_directions"]) if "light_directions" in fields else int(fields["lights"]),
@@ -212,7 +212,7 @@ def judged_scan(result: ProcessResult, truth: ScanTruth) -> JudgedScan:
         raise ValueError("the scan was processed without a face model, expected a fitted face")
     mask = np.asarray(image.mask)
     scan_from_model = np.linalg.inv(np.asarray(fitted.model_from_scan))
-    in_scan = transform_points(scan_from_model, np.asarray(image.position, np.float64)[mask]) / truth.unit_mm
+    in_scan = transform_points(scan_from_model, np.asarray(image.position, float)[mask]) / truth.unit_mm
     true, distance = truth.at(transform_points(np.linalg.inv(truth.scan_from_truth), in_scan))
     # Comparisons with NaN are false.
     counted = (distance < _FARTHEST_MM) & (true.max(1) > _DARKEST)
@@ -313,7 +313,7 @@ def simple_peers(image: s2a.GeometryImage, light: Received | None = None) -> dic
     receive, where that is known.
     """
     mask, light = image.mask, light or received(image)
-    texture = np.asarray(image.texture_linear, np.float64)[mask]
+    texture = np.asarray(image.texture_linear, float)[mask]
 
     def divided(by: FloatArray) -> FloatArray:
         albedo = np.zeros((*mask.shape, 3))

@@ -13,8 +13,6 @@ under a lamp, and shows by how much landmarks get worse when colours are looked 
 with lenses on shapes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache, partial

@@ -7,8 +7,6 @@ lights at least 25 degrees apart, and holds the log odds of parts that are absen
 seconds of whole estimates at 512 x 512.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from functools import partial

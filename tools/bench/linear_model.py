@@ -12,8 +12,6 @@ stated ones; "mm" RMS of vertices, "surface mm" mean distance of the true face t
 tuned on the people; james and flame_scan were seen before.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache, partial

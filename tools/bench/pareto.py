@@ -1,7 +1,5 @@
 """Which points of (time, error) are worth choosing, and where more time stops to pay."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -21,7 +19,7 @@ def pareto_front(cost: ArrayLike, error: ArrayLike) -> NDArray[np.bool_]:
     >>> pareto_front([1, 2, 3, 4], [9, 5, 6, 1]).tolist()
     [True, True, False, True]
     """
-    spent, wrong = np.asarray(cost, np.float64), np.asarray(error, np.float64)
+    spent, wrong = np.asarray(cost, float), np.asarray(error, float)
     if spent.shape != wrong.shape or spent.ndim != 1:
         raise ValueError(f"cost {spent.shape} and error {wrong.shape} must be of one shape (N,)")
     front = np.zeros(len(spent), bool)
@@ -58,7 +56,7 @@ def knee(cost: ArrayLike, error: ArrayLike) -> int | None:
     >>> knee([1, 2, 4, 100], [10, 1, 0.9, 0.8])
     1
     """
-    spent, wrong = np.asarray(cost, np.float64), np.asarray(error, np.float64)
+    spent, wrong = np.asarray(cost, float), np.asarray(error, float)
     front = np.flatnonzero(pareto_front(spent, wrong))
     if not len(front):
         return None

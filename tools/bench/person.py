@@ -13,8 +13,6 @@ both alone, and the common albedo on the texels of skin of either. `FIT_MM` and 
 person1, person2 and the generic face.
 """
 
-from __future__ import annotations
-
 import os
 import tempfile
 from collections.abc import Callable, Iterator, Sequence

@@ -11,8 +11,6 @@ Budgets are shares of the wall seconds of a run without one; "over s" is by how 
 albedo (relative RMSE in percent after the best single scale).
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -5,8 +5,6 @@ same texels, but shoots only where they face the light. "differ" counts texels t
 of the shading it is the largest difference from the reference.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

@@ -12,8 +12,6 @@ S2A_RECOGNITION names keeps processed scans (one takes 15 s; all cores work).
 the false ones are, and d': how many standard deviations similarities of one person lie above those of two.
 """
 
-from __future__ import annotations
-
 import csv
 import os
 import tempfile
@@ -126,7 +124,7 @@ Images = Mapping[str, np.ndarray]
 
 
 def stored(name: str, images: Images) -> FloatArray:
-    return images[name].astype(np.float64)
+    return images[name].astype(float)
 
 
 def red_to_green(name: str, images: Images) -> FloatArray:

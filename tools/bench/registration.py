@@ -8,8 +8,6 @@ confidence of 0.5 and more. `settings` are our options, and others' budgets, on 
 is by how far the face's points are from their place.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache, partial

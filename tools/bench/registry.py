@@ -1,7 +1,5 @@
 """Which benches there are, and their bars."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import json

@@ -7,8 +7,6 @@ true motion, and those of the error at the nose; "drift", how much the error dif
 and the first. `process_sequence` was made with the first two people; the others judge.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Settings of a stage as the methods of a bench: presets, one option varied, budgets of evaluations."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Rows and summaries of a bench as text."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from bench.runner import ALL, Bench, Row, Summary

@@ -10,8 +10,6 @@ lamp or of random lamps, and a probe one photograph or the mean of three. Albedo
 each) and kept in the folder that S2A_RECOGNITION names.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
@@ -103,7 +101,7 @@ def worsened(
 def slipped(count: int, amounts: Sequence[float]) -> Slipped:
     scenes = [face(k, size=256) for k in range(count)]
     masks = [scene.image.mask for scene in scenes]
-    albedos = [scene.albedo_linear.astype(np.float64) for scene in scenes]
+    albedos = [scene.albedo_linear.astype(float) for scene in scenes]
     seen = [worsened(a, m, *amounts, k) for k, (a, m) in enumerate(zip(albedos, masks, strict=True))]
     return Slipped(albedos, seen, masks)
 

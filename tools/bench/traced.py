@@ -14,8 +14,6 @@ flash explains to a quarter. Peers divide by ambient occlusion, by nine harmonic
 the face's own shadows.
 """
 
-from __future__ import annotations
-
 import os
 import tempfile
 import time

@@ -6,8 +6,6 @@ Imports a scan named person.obj, compares scan, face and normals, and renders pa
 AssertionError where something is wrong.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

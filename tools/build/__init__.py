@@ -1,7 +1,5 @@
 """Makers of the files that ship with the package; `python tools/build` lists them."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Iterator
 from pathlib import Path

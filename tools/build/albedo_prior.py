@@ -23,8 +23,6 @@ level that a head's chroma speaks for is off by 0.23 (root mean square) with tha
 with its group.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ Each head is registered, fitted and sampled, and shown LIGHTS times: under up to
 shadows and an environment, with a beard painted on some, and a cap, a mask or a fringe on others.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -105,7 +103,7 @@ def heads() -> Iterator[tuple[s2a.GeometryImage, NDArray[np.uint8]]]:
     """Yield the image and the classes (SIZE, SIZE) of each head."""
     for _, scan, fitted in fitted_heads():
         assert scan.texture_linear is not None
-        truth = truth_in_texture(scan.texture_linear.astype(np.float64))
+        truth = truth_in_texture(scan.texture_linear.astype(float))
         planes = []
         for first in range(0, len(CLASSES), 3):
             three = np.stack([truth == first + k for k in range(3)], axis=-1).astype(np.float32)
@@ -121,7 +119,7 @@ def painted(
 ) -> tuple[FloatArray, NDArray[np.uint8]]:
     """Return a head's texture and classes with a beard, a cap or a mask, each now and then."""
     assert image.texture_linear is not None
-    texture, truth = image.texture_linear.astype(np.float64), truth.copy()
+    texture, truth = image.texture_linear.astype(float), truth.copy()
     row, column = (np.indices(truth.shape) + 0.5) / SIZE
     wave = gaussian_filter(rng.standard_normal(truth.shape), 12) * 12
     if rng.random() < 0.5:

@@ -1,7 +1,5 @@
 """Build the model of light that comes with the package, of 600 drawn skies, rooms and studios."""
 
-from __future__ import annotations
-
 from worlds.environments import generated_lighting
 
 from build import output

@@ -9,8 +9,6 @@ people. Nobody is refused for being as flat as a face of East Asia. How many hea
 stretched or scaled, tools/fit_proportions.py of commit 1592766c printed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import product
 from typing import cast

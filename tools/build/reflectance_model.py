@@ -5,8 +5,6 @@ rounded to a 127th of the largest number among them, and shapes are stored at th
 model. Everything in it comes from the generator in `scan2albedo.synthetic`. Takes 20 s of CPU.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

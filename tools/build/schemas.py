@@ -1,7 +1,5 @@
 """Write the JSON Schemas of every file we read or write; --check only tells whether they are current."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

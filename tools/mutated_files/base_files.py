@@ -1,7 +1,5 @@
 """Small whole files of every kind that the package reads, made by its own code."""
 
-from __future__ import annotations
-
 import base64
 import json
 import struct
@@ -18,7 +16,7 @@ from numpy.typing import NDArray
 
 import scan2albedo as s2a
 from scan2albedo.core import GeometryImage
-from scan2albedo.geometry.mesh import grid_faces
+from scan2albedo.core.arrays import grid_faces
 from scan2albedo.io.geometry_image_files import write_geometry_image, write_geometry_image_exr
 from scan2albedo.io.glb import write_glb, write_skinned_glb
 from scan2albedo.io.images import encode_image, write_exr

@@ -4,8 +4,6 @@ Half of the files that carry checksums or lengths of their parts get them right 
 damage passes the first check.
 """
 
-from __future__ import annotations
-
 import io
 import re
 import struct

@@ -11,8 +11,6 @@ interreflection are Mitsuba's (variant `llvm_ad_rgb`; DRJIT_LIBLLVM_PATH names a
 exists is not made again. `--small` halves resolution and quarters the paths, to try the tool.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path

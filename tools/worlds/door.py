@@ -1,7 +1,5 @@
 """Scans for the door of the pipeline: faces in raw stereo with their true pose, and what shows no face."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

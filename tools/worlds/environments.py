@@ -3,8 +3,6 @@
 Rows go from +y down to -y, columns by azimuth from -pi to pi, from +z toward +x.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from scan2albedo.core.arrays import BoolArray, FloatArray
@@ -152,7 +150,7 @@ def sky(rows: int = 128) -> FloatArray:
     """Return a hazy sky (rows, 2 rows, 3) over dark ground, the sun's disc six degrees wide."""
     toward = texel_directions((rows, 2 * rows))
     height = toward[..., 1]
-    image = np.where(height[..., None] > 0, [0.35, 0.5, 0.9], [0.12, 0.1, 0.08]).astype(np.float64)
+    image = np.where(height[..., None] > 0, [0.35, 0.5, 0.9], [0.12, 0.1, 0.08]).astype(float)
     image += np.clip(1 - np.abs(height), 0, 1)[..., None] ** 4 * 0.3
     sun = np.array([0.5, 0.7, 0.6]) / np.linalg.norm([0.5, 0.7, 0.6])
     image += np.where(toward @ sun > np.cos(np.deg2rad(3.0)), 120.0, 0.0)[..., None] * [1.0, 0.95, 0.85]

@@ -1,7 +1,5 @@
 """Scans as files: those that are not part of the repository, and synthetic ones written as OBJ."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

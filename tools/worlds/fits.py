@@ -1,7 +1,5 @@
 """What the pipeline makes of a scan before it looks at its colours."""
 
-from __future__ import annotations
-
 from scan2albedo import AnnotatedFaceModel, RawScan, fit, register
 from scan2albedo.fitting import FitOptions, FittedFace
 

@@ -3,8 +3,6 @@
 Radiance is written out here once more, in plain NumPy: nothing of it is the code under test.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Glasses on any head, as a scanner sees them: a frame with opaque lenses."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from scan2albedo.core.arrays import FloatArray

@@ -5,8 +5,6 @@ faces a lamp at the origin reflects its albedo as radiance) and gets its colour 
 a rig are added.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -46,7 +44,7 @@ def _over_ground(sky: FloatArray, ground: Color, up: FloatArray) -> FloatArray:
 def dim_room(directions: FloatArray) -> FloatArray:
     """Return radiance (N, 3) of a room by its own light: white ceiling, one warm wall, a wooden floor."""
     x, y, _ = directions.T
-    walls = np.array([0.95, 0.95, 0.95]) * np.ones((len(x), 1))
+    walls = np.full((len(x), 3), 0.95)
     warm = smoothstep((x - 0.35) / 0.3)[:, None]
     walls = walls + warm * (np.array([1.15, 0.80, 0.55]) - walls)
     ceiling, floor = smoothstep((y - 0.5) / 0.25)[:, None], smoothstep((-0.45 - y) / 0.25)[:, None]
@@ -56,7 +54,7 @@ def dim_room(directions: FloatArray) -> FloatArray:
 
 def uniform(directions: FloatArray) -> FloatArray:
     """Return radiance 1 (N, 3) from everywhere."""
-    return np.ones((len(directions), 3))
+    return np.ones_like(directions)
 
 
 ENVIRONMENTS: dict[str, Callable[[FloatArray], FloatArray]] = {

@@ -6,8 +6,6 @@ to 60 degrees off among them. Light falls on the true surface with relief that n
 given the fitted surface, or in the view one that is off by a smooth error.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial

@@ -3,8 +3,6 @@
 What lit it is Mitsuba's, none of it ours; README.txt there tells how it was made.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -93,7 +91,7 @@ def _scene(entry: dict[str, Any]) -> MitsubaScene:
     surface = load_surface(entry["geometry"])
     mask = surface.image.mask
     with np.load(FOLDER / f"{entry['name']}.npz") as stored:
-        code, light = stored["texture_srgb"], stored["light_on_value"].astype(np.float64)
+        code, light = stored["texture_srgb"], stored["light_on_value"].astype(float)
 
     def grid(values: NDArray) -> NDArray:
         full = np.zeros((*mask.shape, *values.shape[1:]), values.dtype)

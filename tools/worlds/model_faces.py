@@ -4,8 +4,6 @@ Light with shadows is summed over the middles of 8,192 quarter texels of a map, 
 surface four times finer than the one that is fitted: neither knows harmonics or the sums of `light_transfer`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache

@@ -1,7 +1,5 @@
 """What is not a face: forty-three objects of a head's size, random reliefs and bodies."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache, partial
 from typing import Any
@@ -12,9 +10,9 @@ from scipy.ndimage import gaussian_filter
 
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core import RawScan
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, grid_faces
 from scan2albedo.io import load_scan
-from scan2albedo.synthetic.sitter import BodyPart, Mesh, compact, grid_faces, join, shoulder_sheet, sit_down
+from scan2albedo.synthetic.sitter import BodyPart, Mesh, compact, join, shoulder_sheet, sit_down
 from worlds.files import face_data
 from worlds.light_stage import light_stage_head
 

@@ -3,8 +3,6 @@
 `Studio` needs Mitsuba's `llvm_ad_rgb` variant, which wants libLLVM (DRJIT_LIBLLVM_PATH names the file).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -190,4 +188,4 @@ def exposure_of(radiance: FloatArray) -> float:
 def stored(linear: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Return the linear picture decoded from 8 bits sRGB, with a sensor's noise: NOISE sqrt(light)."""
     noise = NOISE * np.sqrt(np.clip(linear, 0.01, 1)) * rng.standard_normal(linear.shape)
-    return photograph(linear + noise, exposure=1.0, noise=0.0, bits=8, rng=rng).astype(np.float64)
+    return photograph(linear + noise, exposure=1.0, noise=0.0, bits=8, rng=rng).astype(float)

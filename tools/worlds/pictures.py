@@ -1,7 +1,5 @@
 """What the cameras of a photographic scanner see: pixels of K square pictures, row by row, one by one."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -1,7 +1,5 @@
 """Synthetic people who are hard to tell apart, scanned several times, for recognition."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal, get_args

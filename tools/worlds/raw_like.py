@@ -1,7 +1,5 @@
 """Any clean shape as a virtual two-pod scanner sees it."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -63,7 +61,7 @@ def raw_like(
         Unit of the returned scan: 1 millimetres, 0.1 centimetres, 0.001 metres.
     """
     rng = np.random.default_rng(seed)
-    shape, index = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
+    shape, index = np.asarray(vertices, float), np.asarray(faces, np.int64)
     parts = [(shape, index)]
     if hair:
         parts.append(hair_shell(shape, index, rng))

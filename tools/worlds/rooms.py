@@ -3,8 +3,6 @@
 The sources are not spherical harmonics, as which the estimator represents soft light.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Painted people: synthetic sitters with stubble, a fringe, an open mouth and gloss."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -54,7 +52,7 @@ def photographed(head: Path) -> FloatArray:
     """Return (512, 512, 3) the linear colours of a head on the face's chart."""
     texture = s2a.process(head, skip=["albedo"], size=512).geometry_image.texture_linear
     assert texture is not None
-    return texture.astype(np.float64)
+    return texture.astype(float)
 
 
 def seated(person: Person, model: s2a.AnnotatedFaceModel) -> Sitter:

@@ -3,14 +3,12 @@
 Features hide, change or cut off the face: glasses, beards, hair, an open mouth; scraps show none.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, smoothstep
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, grid_faces, smoothstep
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.face_model import default_model
 from scan2albedo.face_model.variation import EXPRESSION_BUMPS
@@ -28,7 +26,6 @@ from scan2albedo.synthetic.sitter import (
     Mesh,
     compact,
     crumb_meshes,
-    grid_faces,
     join,
     nose_tip,
     sit_down,
@@ -178,8 +175,8 @@ def stereo_scan_of(
     capture_seed, features, scrap, scanner
         As in `stereo_scan`.
     """
-    points, index = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
-    marks = np.asarray(landmarks, np.float64)
+    points, index = np.asarray(vertices, float), np.asarray(faces, np.int64)
+    marks = np.asarray(landmarks, float)
     rng = np.random.default_rng([seed, 29])
     worn = _drawn_features(features, rng)
     # The face is what is turned forward between chin, temples and hairline; the forehead is about as high

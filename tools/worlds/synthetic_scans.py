@@ -1,7 +1,5 @@
 """Raw synthetic scans whose pose, surface and correspondence are known; registration and fit share them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 

@@ -1,7 +1,5 @@
 """A take of one moving face with ground truth: frames of raw-like scans, each of its own topology."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

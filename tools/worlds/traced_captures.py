@@ -5,8 +5,6 @@ whether the flash reaches it; with `bounces` its path tracer adds the light that
 The lobes are written out here once more. Nothing of it is code that the benchmark measures.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any

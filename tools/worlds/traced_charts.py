@@ -1,7 +1,5 @@
 """Path-traced geometry images of painted people with exact shape: soft_*.npz, geometry_*.npz."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Raw scans of painted people, textured with path-traced photographs of two to five cameras; their truth."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
-from scan2albedo.geometry.mesh import grid_faces, join
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, grid_faces
+from scan2albedo.geometry.mesh import join
 from scan2albedo.geometry.pinhole import look_at, pixel_directions, pixel_grid
 from scan2albedo.reflectance import CaptureRig
 from worlds.flash_captures import highlights, unit

@@ -6,8 +6,6 @@ bounces under the lights of `lamps`; the picture gets a sensor's noise and 8 bit
 `scan2albedo.fit` finds on the shape, so that vertices do not correspond exactly either.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from scan2albedo.core import (
+from scan2albedo.core.arrays import (
     SMALLEST,
     ArrayLike,
     BoolArray,

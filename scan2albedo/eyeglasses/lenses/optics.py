@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from scan2albedo.core import ArrayLike, FloatArray, checked_array, norms
+from scan2albedo.core.arrays import ArrayLike, FloatArray, checked_array, norms
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.geometry.mesh import normalized
 

@@ -7,7 +7,15 @@ from typing import Literal, Self
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan2albedo.core import ArrayLike, BoolArray, FloatArray, IntArray, all_finite, checked_array, norms
+from scan2albedo.core.arrays import (
+    ArrayLike,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    all_finite,
+    checked_array,
+    norms,
+)
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import checked_mesh, checked_points
 from scan2albedo.eyeglasses.on_face.objective import BIAS_PX, ROBUST, VOTE

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
-from scan2albedo.core import ArrayLike, BoolArray, ByteArray, FloatArray, IntArray, norms
+from scan2albedo.core.arrays import ArrayLike, BoolArray, ByteArray, FloatArray, IntArray, norms
 from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens
 from scan2albedo.eyeglasses.lenses.scenes import LensScene, SceneRays, radiance_at
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, pixel_grid, project

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core import ArrayLike, BoolArray, FloatArray, IntArray, all_finite, norms, smoothstep
+from scan2albedo.core.arrays import ArrayLike, BoolArray, FloatArray, IntArray, all_finite, norms, smoothstep
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import checked_mesh
 from scan2albedo.geometry.mesh import RayHits, face_cross_products, normalized, vertex_normals

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core import BoolArray, FloatArray, finite_rows, identities, norms
+from scan2albedo.core.arrays import BoolArray, FloatArray, finite_rows, identities, norms
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.mean_keypoints import FRONT
 from scan2albedo.eyeglasses.skinning import known_bones, turn_conditions, turned_translations

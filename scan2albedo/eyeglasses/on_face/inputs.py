@@ -6,15 +6,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from scan2albedo.core import (
+from scan2albedo.core import Plan, PlanStep, Trace
+from scan2albedo.core.arrays import (
     ArrayLike,
     BoolArray,
     FloatArray,
     IntArray,
     NDArray,
-    Plan,
-    PlanStep,
-    Trace,
     all_finite,
     checked_array,
     finite_rows,

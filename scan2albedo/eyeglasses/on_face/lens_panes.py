@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan2albedo.core import BoolArray, FloatArray, IntArray, PlanStep, all_finite
+from scan2albedo.core import PlanStep
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, all_finite
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.lenses.inserted_lenses import SIDES, insert_lens
 from scan2albedo.eyeglasses.lenses.optics import LensMaterial

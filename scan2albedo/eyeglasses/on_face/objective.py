@@ -9,7 +9,8 @@ from typing import Literal
 
 import numpy as np
 
-from scan2albedo.core import EPSILON, FloatArray, IntArray, Meter, finite_rows, norms
+from scan2albedo.core import Meter
+from scan2albedo.core.arrays import EPSILON, FloatArray, IntArray, finite_rows, norms
 from scan2albedo.eyeglasses.mean_keypoints import FRONT
 from scan2albedo.eyeglasses.on_face import frame_motion as moving
 from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions

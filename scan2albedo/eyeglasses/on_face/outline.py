@@ -9,7 +9,7 @@ from scipy.cluster.vq import kmeans2, vq
 from scipy.ndimage import binary_dilation, distance_transform_edt
 from scipy.special import expit, logsumexp
 
-from scan2albedo.core import (
+from scan2albedo.core.arrays import (
     BoolArray,
     Float32Array,
     FloatArray,

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from scan2albedo.core import ArrayLike, Budget, Meter, Plan, PlanStep, ProgressCallback, norms
+from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback
+from scan2albedo.core.arrays import ArrayLike, norms
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses.mean_keypoints import BEHIND
 from scan2albedo.eyeglasses.on_face import inputs, objective, outline, start_poses

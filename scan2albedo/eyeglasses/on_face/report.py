@@ -7,7 +7,8 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 from scipy.special import erfinv, log_ndtr
 
-from scan2albedo.core import SMALLEST, BoolArray, FloatArray, Meter, Plan, PlanStep, finite_rows, norms
+from scan2albedo.core import Meter, Plan, PlanStep
+from scan2albedo.core.arrays import SMALLEST, BoolArray, FloatArray, finite_rows, norms
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
 from scan2albedo.eyeglasses.on_face.inputs import (

@@ -1,7 +1,5 @@
 """First poses of a frame, from labels, its head or pictures; key points triangulated; sides exchanged."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,13 +11,13 @@ from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 from scipy.special import xlogy
 
-from scan2albedo.core import (
+from scan2albedo.core import Meter
+from scan2albedo.core.arrays import (
     SMALLEST,
     ArrayLike,
     BoolArray,
     FloatArray,
     IntArray,
-    Meter,
     all_finite,
     checked_array,
     finite_rows,

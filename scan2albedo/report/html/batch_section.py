@@ -9,7 +9,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from scan2albedo.core import Values
+from scan2albedo.core.arrays import Values
 from scan2albedo.errors import Scan2AlbedoError, needs_extra, one_line
 from scan2albedo.io.records import read_record
 from scan2albedo.io.result_records import ResultRecord, metric_columns

@@ -11,11 +11,11 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace
 from scan2albedo.applications.relighting import RelightOptions, as_lit
-from scan2albedo.core import (
+from scan2albedo.core import GeometryImage
+from scan2albedo.core.arrays import (
     BoolArray,
     ByteArray,
     FloatArray,
-    GeometryImage,
     NDArray,
     RealArray,
     Values,

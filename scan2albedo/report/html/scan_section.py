@@ -10,7 +10,7 @@ from urllib.parse import quote
 import numpy as np
 
 from scan2albedo.applications.files import load_result
-from scan2albedo.core import Values
+from scan2albedo.core.arrays import Values
 from scan2albedo.errors import Scan2AlbedoError, one_line
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.result_records import ResultRecord, flat_figures

@@ -15,7 +15,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scan2albedo.core import Values
+from scan2albedo.core.arrays import Values
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import OutputError, Scan2AlbedoError, needs_extra, one_line
 from scan2albedo.io.atomic import write_text

@@ -10,7 +10,8 @@ import numpy as np
 from pydantic import Field
 
 from scan2albedo import eyeglasses
-from scan2albedo.core import Budget, PlanStep, ProgressCallback, Values, norms
+from scan2albedo.core import Budget, PlanStep, ProgressCallback
+from scan2albedo.core.arrays import Values, norms
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import CanonicalizationOptions, skin, write_keypoints
 from scan2albedo.eyeglasses.frame_files import read_keypoints_with_unit, write_frame_glb

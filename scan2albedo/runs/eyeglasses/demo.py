@@ -9,7 +9,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scan2albedo import eyeglasses
-from scan2albedo.core import FloatArray, IntArray, ProgressCallback, Values, norms
+from scan2albedo.core import ProgressCallback
+from scan2albedo.core.arrays import FloatArray, IntArray, Values, norms
 from scan2albedo.errors import OutputError
 from scan2albedo.eyeglasses import Camera, LensMaterial, write_keypoints, write_labels
 from scan2albedo.fitting import fit

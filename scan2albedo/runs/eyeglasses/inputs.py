@@ -9,7 +9,8 @@ import numpy as np
 from pydantic import Field
 
 from scan2albedo import eyeglasses
-from scan2albedo.core import BoolArray, FloatArray, IntArray, RawScan, Values, all_finite, finite_rows
+from scan2albedo.core import RawScan
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, Values, all_finite, finite_rows
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import Camera, LensMaterial, read_cameras, write_keypoints
 from scan2albedo.eyeglasses.frame_files import read_keypoints_with_unit

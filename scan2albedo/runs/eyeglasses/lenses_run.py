@@ -10,7 +10,8 @@ import numpy as np
 from pydantic import Field
 
 from scan2albedo import eyeglasses
-from scan2albedo.core import ArrayLike, RawScan, finite_rows, norms
+from scan2albedo.core import RawScan
+from scan2albedo.core.arrays import ArrayLike, finite_rows, norms
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import Camera, LensPictureOptions, Surface
 from scan2albedo.eyeglasses.keypoints import checked_keypoints

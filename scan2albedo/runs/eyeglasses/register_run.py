@@ -10,7 +10,8 @@ import numpy as np
 from pydantic import Field
 
 from scan2albedo import eyeglasses
-from scan2albedo.core import Budget, FloatArray, PlanStep, ProgressCallback, Values, norms
+from scan2albedo.core import Budget, PlanStep, ProgressCallback
+from scan2albedo.core.arrays import FloatArray, Values, norms
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import write_keypoints, write_labels
 from scan2albedo.eyeglasses.frame_files import write_frame_glb

@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from scan2albedo.core import Values
+from scan2albedo.core.arrays import Values
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.records import Figures, Record
 from scan2albedo.io.run_folder import OwnFiles, RunFolder, Staging

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from scan2albedo import reflectance
-from scan2albedo.core import SMALLEST, BoolArray, Budget, FloatArray, ProgressCallback, Values
+from scan2albedo.core import Budget, ProgressCallback
+from scan2albedo.core.arrays import SMALLEST, BoolArray, FloatArray, Values
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.geometry.mesh import vertex_components, vertex_normals
 from scan2albedo.io.color import encode_srgb_bytes

@@ -10,7 +10,8 @@ from pydantic import Field
 
 from scan2albedo import reflectance
 from scan2albedo.albedo import albedo_error
-from scan2albedo.core import EPSILON, FloatArray, IntArray, ProgressCallback, Values, norms
+from scan2albedo.core import ProgressCallback
+from scan2albedo.core.arrays import EPSILON, FloatArray, IntArray, Values, norms
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.io.atomic import write_text

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from scan2albedo import reflectance
-from scan2albedo.core import Budget, FloatArray, IntArray, ProgressCallback, RawScan, Trace, Values
+from scan2albedo.core import Budget, ProgressCallback, RawScan, Trace
+from scan2albedo.core.arrays import FloatArray, IntArray, Values
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.fitting import fit
 from scan2albedo.geometry.rigid import invert_rigid, transform_points

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from scan2albedo import reflectance
-from scan2albedo.core import FloatArray, Values
+from scan2albedo.core.arrays import FloatArray, Values
 from scan2albedo.errors import ReflectanceError, errors_of, one_line
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.io.npz import read_npz

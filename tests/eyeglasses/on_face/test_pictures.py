@@ -58,6 +58,7 @@ def test_a_bar_is_found_where_it_is_and_missed_where_it_is_not():
     assert search_colors(hidden, frame, place, outward, np.array([15.0]))[2][0] < 0.5
 
 
+@pytest.mark.slow
 def test_pictures_place_a_frame_that_nobody_labelled(seen):
     assert front_error_mm(seen) < 0.8
     assert front_error_mm(found_in_pictures()) > 2 * front_error_mm(seen)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from scan2albedo.synthetic.sitter import grid_faces
+from scan2albedo.core.arrays import grid_faces
 
 
 @pytest.fixture(scope="session")

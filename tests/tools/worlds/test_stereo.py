@@ -51,6 +51,7 @@ def _across(points, center):
     return np.linalg.norm((points - center)[:, :2], axis=1)
 
 
+@pytest.mark.slow
 def test_each_feature_changes_what_is_measured():
     """Behind glasses, beside a half face and below a chin nothing is left; mouth, beard, fringe stand off."""
     seen = {name: stereo_scan(5, features=(name,)) for name in FEATURES}

@@ -1,7 +1,5 @@
 """Frames of several makers, whole and bent: key points by a rule, bends that the package does not contain."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ Frames in five parts and welded, in any pose, mode "mean", with key points that 
 errors of vertices in mm.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial

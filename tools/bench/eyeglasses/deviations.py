@@ -7,8 +7,6 @@ within one and two deviations (wanted: about .68 and .95). These frames and seed
 frames with lenses and without, on masks with lenses and without: errors of the rims' vertices.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial

@@ -4,8 +4,6 @@ A frame on a head of a light stage's face model, under lights spread evenly and 
 errors over the mean brightness, and the error that a hundredth of the pixels exceeds.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache, partial
 

@@ -6,8 +6,6 @@ frame and one bend, fronts laid on the true one: rms of what both sides share, a
 "wires": thin frames.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial

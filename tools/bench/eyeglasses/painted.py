@@ -5,8 +5,6 @@ skin; lenses are clear with a faint mirror image, or dark. Neither bends (`own_b
 the package.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 

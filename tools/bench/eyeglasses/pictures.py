@@ -5,8 +5,6 @@ points beside their stated deviations, proposed masks beside true ones. Nothing 
 people and colours.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 

@@ -7,8 +7,6 @@ from the unbent pose: our descent beside Adam, which stops within 1 % of our cos
 steps.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass

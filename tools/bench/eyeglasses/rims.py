@@ -6,8 +6,6 @@ and with masks of three views, beside stated deviations. The frame is 0.3 mm and
 mm off. Nothing was chosen on these frames and seeds.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache, partial

@@ -5,8 +5,6 @@ labels miss the key point by an amount that all views share, by heavy-tailed err
 are too wide or too narrow throughout.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -155,7 +153,7 @@ def own_bend(frame: BareFrame, rng: np.random.Generator) -> Callable[[FloatArray
     scale = 1 + rng.normal(0, 0.007)
 
     def bent(points: FloatArray) -> FloatArray:
-        x, y, z = np.moveaxis(np.asarray(points, np.float64), -1, 0)
+        x, y, z = np.moveaxis(np.asarray(points, float), -1, 0)
         side = np.tanh(x / 9.0)
         behind = np.clip((high[2] - 15.0 - z) / depth, 0.0, 1.2)
         left = np.where(x > 0, 0, 1)

@@ -6,8 +6,6 @@ builds of them. Energies are the sums over all key points, by libigl's matrix an
 libigl's weights.
 """
 
-from __future__ import annotations
-
 import itertools
 from functools import cached_property
 

@@ -3,8 +3,6 @@
 All take and return values (H, W) of a chart or picture; scale is unknown to all of them.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from bench.judging import robust_light

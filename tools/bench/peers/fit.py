@@ -1,7 +1,5 @@
 """Peers of the fit, run in the Python that S2A_PEERS_PYTHON names, or in this one."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

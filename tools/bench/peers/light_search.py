@@ -3,8 +3,6 @@
 It is told how many lights there are, and does not use `scan2albedo.albedo`.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable
@@ -132,7 +130,7 @@ def _blocks(mask: BoolArray) -> IntArray:
 
 def _value(image: s2a.GeometryImage) -> FloatArray:
     """Return (N,) V of the masked texels."""
-    return image.texture_linear[image.mask].astype(np.float64).max(1)
+    return image.texture_linear[image.mask].astype(float).max(1)
 
 
 SLOW_PEERS: dict[str, Callable[[s2a.GeometryImage, int], PeerAnswer]] = {

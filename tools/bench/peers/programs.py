@@ -5,8 +5,6 @@
 Needs trimesh and rtree; nothing of this repository.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 

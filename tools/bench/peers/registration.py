@@ -1,7 +1,5 @@
 """Rigid registration by other libraries: model samples onto a scan."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
