@@ -46,8 +46,13 @@ def test_models_of_reflectance_are_made_again(maker, name, tmp_path):
     with np.load(tmp_path / "made.npz") as made, np.load(shipped(name)) as expected:
         assert set(made.files) == set(expected.files)
         for key in expected.files:
-            rounded = 1 if expected[key].dtype == np.int8 else 1e-5
-            assert_allclose(made[key].astype(float), expected[key], rtol=1e-4, atol=rounded)
+            found = made[key].astype(float)
+            rounded = 1e-5
+            if expected[key].dtype == np.int8:  # principal directions, up to their signs
+                rounded = 1
+                agreement = (found * expected[key].astype(float)).reshape(len(found), -1).sum(1)
+                found.T[...] *= np.sign(agreement)
+            assert_allclose(found, expected[key], rtol=1e-4, atol=rounded)
 
 
 def test_a_prior_of_heads_knows_their_mean_and_colours():
