@@ -115,7 +115,8 @@ def parts_steps(
         away, own = x[at] - plain, covariance[np.ix_(at, at)]
         prior = -0.5 * float((((plain - mean) / deviation) ** 2).sum()) - float(np.log(deviation).sum())
         own = own + np.diag(1e-9 * deviation**2)
-        posterior = -0.5 * float(away @ np.linalg.solve(own, away)) - float(np.linalg.slogdet(own)[1]) / 2
+        misfit = float(away @ np.linalg.solve(own, away))
+        posterior = -(misfit + float(np.linalg.slogdet(own)[1])) / 2
         evidence = f"log odds {prior - posterior:.1f}"
         steps.append(PlanStep(stage, True, "in the model, as its prior allows", evidence))
     return steps

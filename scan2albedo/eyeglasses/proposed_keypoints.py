@@ -169,7 +169,7 @@ class _Seen:
         line = max(find_contours(opening.astype(float)), key=len)[:-1, ::-1] * self.pixel + self.low
         line = (line * [sign, 1])[::sign]
         line = np.roll(line, -_side(line, 1), 0)
-        run = _run(line := np.append(line, line[:1], 0))
+        run = arc_lengths(line := np.append(line, line[:1], 0))
         edge = _at_run(np.linspace(0, run[-1], 360, endpoint=False), run, line)
         edge = ndimage.gaussian_filter1d(edge, 2, axis=0, mode="wrap")
         out = normalized((np.roll(edge, -1, 0) - np.roll(edge, 1, 0))[:, ::-1]) * [1, -1]
@@ -270,11 +270,6 @@ def _depth_of(ring: FloatArray) -> FloatArray:
     return np.asarray(found)
 
 
-def _run(line: FloatArray) -> FloatArray:
-    """Return (N,) how far along a line of points (N, K) each is."""
-    return arc_lengths(line)
-
-
 def _at_run(place: FloatArray, run: FloatArray, line: FloatArray) -> FloatArray:
     return np.stack([np.interp(place, run, column) for column in line.T], -1)
 
@@ -345,7 +340,7 @@ def _temple_points(cloud: FloatArray, height: FloatArray, outer: FloatArray) -> 
         return found
     along = temple @ (line[-1] - line[-6]) / np.linalg.norm(line[-1] - line[-6])
     tip = temple[along > along.max() - _SPACING].mean(0)
-    run = _run(line)
+    run = arc_lengths(line)
     # Where the middle line turns down: the corner of two straight lines, before designs' two thirds.
     misfit = np.full(len(run), np.inf)
     z, y = -line[:, 2], line[:, 1]
