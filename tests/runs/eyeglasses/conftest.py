@@ -5,7 +5,8 @@ import pytest
 from scan2albedo.cli import common
 
 
-@pytest.fixture(scope="package", autouse=True)
+# Not for the package: a folder without __init__.py is none to pytest, and the patch would stay to the end.
+@pytest.fixture(scope="module", autouse=True)
 def own_signals():
     """Signals stay those of pytest."""
     with pytest.MonkeyPatch.context() as patch:
