@@ -63,9 +63,7 @@ def test_the_truth_of_a_face_lies_where_a_camera_shows_it(sitter):
 def test_the_best_free_view_is_taken_and_hidden_points_have_none():
     # A floor under a small roof.
     plate = np.array([[-1.0, 0, -1], [-1, 0, 1], [1, 0, 1], [1, 0, -1]])
-    shapes = RayCaster(
-        *join([(size * plate + [0, high, 0], SQUARE_FACES) for size, high in ((9, 0), (2, 1))])
-    )
+    shapes = RayCaster(*join([(9 * plate, SQUARE_FACES), (2 * plate + [0, 1, 0], SQUARE_FACES)]))
     cameras = np.array([1000.0 * toward(0.0, elevation) for elevation in (89.9, 30.0)])
     points, up = np.array([[8.0, 0, 0], [0, 0, 0], [0, 0, 1.5]]), np.tile([0.0, 1, 0], (3, 1))
     camera, direction = best_views(points, up, shapes, cameras)
