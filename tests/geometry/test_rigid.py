@@ -3,29 +3,14 @@
 import numpy as np
 import pytest
 from helpers.meshes import sphere
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.geometry import rigid
-
-coordinate = st.floats(-3, 3, allow_nan=False)
 
 
 def test_rotation_by_a_quarter_turn_about_z():
     quarter = rigid.rotation_from_vector([0, 0, np.pi / 2])
     assert_allclose(quarter @ [1, 0, 0], [0, 1, 0], atol=1e-15)
-
-
-@given(arrays(float, 3, elements=coordinate))
-@settings(max_examples=50, deadline=None)
-def test_rotation_from_vector_is_a_rotation_of_that_angle(vector):
-    rotation = rigid.rotation_from_vector(vector)
-    assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
-    assert np.linalg.det(rotation) == pytest.approx(1)
-    angle = np.linalg.norm(vector) % (2 * np.pi)
-    assert rigid.rotation_angle_rad(rotation) == pytest.approx(min(angle, 2 * np.pi - angle), abs=1e-7)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, np.pi - 1e-3, np.pi - 1e-9, np.pi])
@@ -40,23 +25,21 @@ def test_inverse_and_composition():
     pose = rigid.compose(rigid.random_rotation(rng), rng.normal(size=3))
     assert_allclose(rigid.invert_rigid(pose) @ pose, np.eye(4), atol=1e-14)
     points = rng.normal(size=(7, 3))
-    back = rigid.transform_points(rigid.invert_rigid(pose), rigid.transform_points(pose, points))
-    assert_allclose(back, points, atol=1e-14)
-    turned = rigid.transform_directions(pose, points)
-    assert_allclose(np.linalg.norm(turned, axis=1), np.linalg.norm(points, axis=1))
+    moved = rigid.transform_points(pose, points)
+    assert_allclose(rigid.transform_points(rigid.invert_rigid(pose), moved), points, atol=1e-14)
+    assert_allclose(rigid.transform_directions(pose, points), moved - pose[:3, 3], atol=1e-14)
 
 
 def test_super_fibonacci_rotations_leave_no_gap_and_do_not_crowd():
     rotations = rigid.super_fibonacci_rotations(300)
-    assert_allclose(np.einsum("nij,nkj->nik", rotations, rotations), [np.eye(3)] * 300, atol=1e-12)
+    assert_allclose(rotations @ rotations.transpose(0, 2, 1), [np.eye(3)] * 300, atol=1e-12)
     rng = np.random.default_rng(1)
-    probes = np.array([rigid.random_rotation(rng) for _ in range(500)])
-    traces = np.einsum("pij,nij->pn", probes, rotations)
-    farthest = np.degrees(np.arccos(np.clip((traces.max(1) - 1) / 2, -1, 1)).max())
-    assert farthest < 40, "some rotation is far from every sample"
-    pairs = np.einsum("pij,nij->pn", rotations, rotations) - 4 * np.eye(300)
-    nearest = np.degrees(np.arccos(np.clip((pairs.max() - 1) / 2, -1, 1)))
-    assert nearest > 15, "two samples nearly coincide"
+
+    def cosines(others):
+        return (np.einsum("pij,nij->pn", others, rotations) - 1) / 2
+
+    assert cosines([rigid.random_rotation(rng) for _ in range(500)]).max(1).min() > np.cos(np.deg2rad(40))
+    assert (cosines(rotations) - 2 * np.eye(300)).max() < np.cos(np.deg2rad(15))
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -79,14 +62,6 @@ def test_a_surface_without_area_is_only_moved():
     assert_array_equal(prepared_from_scan[:3, :3], np.eye(3))
 
 
-def test_random_rotations_are_uniform():
-    rng = np.random.default_rng(2)
-    rotations = np.array([rigid.random_rotation(rng) for _ in range(4000)])
-    # The mean of a uniform rotation is zero, and each entry has variance 1/3.
-    assert np.abs(rotations.mean(0)).max() < 0.04
-    assert np.abs(rotations.var(0) - 1 / 3).max() < 0.03
-
-
 @pytest.mark.parametrize(("scale", "center", "rounded"), [(1.0, 0, 1e-12), (0.3, 0, 1e-12), (1.0, 1e6, 1e-6)])
 def test_procrustes_finds_the_transform_that_made_the_points(scale, center, rounded):
     rng = np.random.default_rng(3)
@@ -100,8 +75,7 @@ def test_procrustes_finds_the_transform_that_made_the_points(scale, center, roun
 
 def test_procrustes_never_mirrors():
     source = np.random.default_rng(4).normal(size=(10, 3))
-    found = rigid.procrustes(source, source * [-1, 1, 1])
-    assert np.linalg.det(found[:3, :3]) == pytest.approx(1)
+    assert rigid.is_rigid(rigid.procrustes(source, source * [-1, 1, 1]))
 
 
 def test_procrustes_weights_silence_outliers():
