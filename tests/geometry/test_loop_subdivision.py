@@ -7,9 +7,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints, limit_matrix, refine
 
-VERTICES, FACES = grid(7, 7)
-POINTS = 6 * VERTICES[:, :2] @ [[1, 0], [-0.5, np.sqrt(3) / 2]]
-"""A sheared lattice: every inner vertex has six neighbours at distance 1."""
+_, FACES = grid(7, 7)
+"""Of a lattice in which every inner vertex has six neighbours."""
 
 
 def row(matrix, index):
@@ -47,14 +46,8 @@ def test_regular_refinement_stencils():
 def test_boundary_follows_the_cubic_spline_of_the_boundary_alone():
     matrix, _ = refine(49, FACES)
     assert row(matrix, 3) == pytest.approx({2: 1 / 8, 3: 3 / 4, 4: 1 / 8})
+    assert {2: 1 / 2, 3: 1 / 2} in [row(matrix, r) for r in range(49, matrix.shape[0])]
     assert row(limit_matrix(49, FACES), 3) == pytest.approx({2: 1 / 6, 3: 2 / 3, 4: 1 / 6})
-    moved = POINTS + 0.0
-    moved[CENTRE] += 5.0
-    subdivision = LoopSubdivision.of(49, FACES, 2)
-    on_edge = np.abs((subdivision.matrix @ POINTS)[:, 1]) < 1e-12
-    # The spline rounds the corners, so only the middle of the side stays straight.
-    assert on_edge.sum() >= 4 * 4 + 1
-    assert_allclose((subdivision.matrix @ moved)[on_edge], (subdivision.matrix @ POINTS)[on_edge])
 
 
 def test_limit_does_not_move_under_refinement():
@@ -103,6 +96,4 @@ def test_points_matrix_sums_to_one_and_control_points_undo_the_descent(rows, lev
 
 
 def test_unreferenced_vertices_stay():
-    subdivision = LoopSubdivision.of(50, FACES, 1)
-    moved = subdivision.matrix @ np.vstack([POINTS, [[9.0, 9.0]]])
-    assert_allclose(moved[49], [9, 9])
+    assert row(LoopSubdivision.of(50, FACES, 1).matrix, 49) == {49: 1}

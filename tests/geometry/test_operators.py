@@ -150,9 +150,8 @@ def test_a_linear_field_is_continued_exactly():
 
 
 def test_a_part_without_any_value_gets_the_mean():
-    faces = np.array([[0, 1, 2], [3, 4, 5]])
-    known = np.array([True, True, False, False, False, False])
-    filled = filled_over_mesh(np.array([[1.0], [3], [9], [9], [9], [9]]), known, faces)
+    faces, values = np.arange(6).reshape(2, 3), np.array([1.0, 3, 9, 9, 9, 9])
+    filled = filled_over_mesh(values[:, None], values < 9, faces)
     assert_allclose(filled.ravel(), [1, 3, 2, 2, 2, 2])
     with pytest.raises(ValueError, match="no vertex is known"):
-        filled_over_mesh(np.ones((6, 1)), np.zeros(6, bool), faces)
+        filled_over_mesh(values[:, None], values < 0, faces)

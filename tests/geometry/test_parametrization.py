@@ -20,11 +20,9 @@ from scan2albedo.geometry.parametrization import (
 def test_distortion_of_known_maps():
     v, f = grid(3, 3)
     v = 2 * v - [1, 1, 0]
-    isometric = chart_distortion(v, f, v[:, :2])
-    assert_allclose([isometric.area, isometric.conformal, isometric.coverage], [0, 1, 4])
-    stretched = chart_distortion(v, f, v[:, :2] * [3.0, 1.0])
-    assert_allclose([stretched.area, stretched.conformal], [0, 3], atol=1e-12)
-    assert chart_distortion(v, f, v[:, :2] * [-1.0, 1.0]).flipped == len(f)
+    stretched = chart_distortion(v, f, v[:, :2] * [-3.0, 1.0])
+    assert_allclose([stretched.area, stretched.conformal, stretched.coverage], [0, 3, -12], atol=1e-12)
+    assert stretched.flipped == len(f)
 
 
 def symmetric_grid(n, m):
@@ -63,8 +61,7 @@ def test_chart_of_a_dome_is_flip_free_symmetric_and_fills_the_square(dome):
 def test_chart_turns_with_the_axes_whatever_the_unit_and_is_less_distorted_than_tuttes(dome):
     v, f, _ = dome
     uv = parametrize_disc(v, f)
-    assert np.corrcoef(uv[:, 0], v[:, 0])[0, 1] > 0.95
-    assert np.corrcoef(uv[:, 1], v[:, 1])[0, 1] > 0.95
+    assert np.corrcoef(uv.T, v[:, :2].T)[[0, 1], [2, 3]].min() > 0.95
     assert_allclose(uv, parametrize_disc(v * 1e3 + 1e4, f), atol=1e-5)
     loop = boundary_loop(len(v), f)
     plain = chart_distortion(v, f, tutte(len(v), f, loop, boundary_curve(v, loop)))

@@ -15,6 +15,7 @@ from scan2albedo.applications import light_removal, load_result, swap_texture, w
 from scan2albedo.applications.light_removal import UnlitScan, unlit_scan
 from scan2albedo.applications.template_baking import template_texture
 from scan2albedo.errors import ApplicationError
+from scan2albedo.geometry.rasterization import pixels_from_uv
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.io.color import is_deep
 from scan2albedo.io.images import encode_image, read_image_linear, read_image_values
@@ -92,10 +93,8 @@ def test_what_was_left_out_of_the_fit_keeps_its_colours(result):
     covered = np.linalg.norm(middles - result.fitted.landmarks[30], axis=1) < 12  # of the nose
     assert covered.any()
     unlit = unlit_scan(result.scan, replace(result.fitted, covered_faces=covered), result.albedo)
-    corners = unlit.scan.uv[covered].mean(1)
-    height, width = unlit.confidence.shape
-    at = ((1 - corners[:, 1]) * height).astype(int), (corners[:, 0] * width).astype(int)
-    assert np.median(unlit.confidence[at]) == 0
+    column, row = pixels_from_uv(unlit.scan.uv[covered].mean(1), unlit.confidence.shape).round().astype(int).T
+    assert np.median(unlit.confidence[row, column]) == 0
 
 
 def test_errors_name_what_is_missing(result):
@@ -114,9 +113,6 @@ def test_errors_name_what_is_missing(result):
     ):
         with pytest.raises((ApplicationError, ValueError), match=words):
             call(*given)
-    for option, wrong in (("texture_size", 9000), ("unlit", "head"), ("files", "few")):
-        with pytest.raises(ValueError, match=f"{option} is {wrong!r}"):
-            s2a.process(scan, **{option: wrong})
 
 
 def test_a_template_gets_the_colours_of_the_skin_below_it(result):
@@ -129,8 +125,7 @@ def test_a_template_gets_the_colours_of_the_skin_below_it(result):
     image = result.geometry_image
     both = tile.seen & image.seen
     assert both.sum() > 0.8 * image.seen.sum()
-    apart = np.abs(tile.color_linear - image.texture_linear)[both]
-    assert apart.mean() < 0.02
+    assert np.abs(tile.color_linear - image.texture_linear)[both].mean() < 0.02
     assert (tile.color_linear[~tile.seen].max(-1) > 0.01).all()  # nothing is left black
 
 
@@ -158,8 +153,7 @@ def test_files_and_plan_tell_of_both(result):
     assert record["template_from_model"] is None  # the model was not made from a mesh
     again = s2a.load_scan(result.out / "unlit.obj", unit="mm")
     assert_allclose(again.vertices, result.scan.vertices, atol=1e-4)
-    stored = read_image_linear(result.out / "unlit.png")
-    assert np.abs(stored - np.clip(result.unlit.scan.texture_linear, 0, 1)).max() < 0.01
+    assert_allclose(again.texture_linear, np.clip(result.unlit.scan.texture_linear, 0, 1), atol=0.01)
     assert s2a.load_scan(result.out / "template.glb").texture_linear is not None
 
 
