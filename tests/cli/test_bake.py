@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from helpers.cli import invoke
 from helpers.commands import printed
+from helpers.folders import contents
 from helpers.meshes import grid
 from helpers.usage import usage_error
 from numpy.testing import assert_allclose
@@ -13,13 +14,11 @@ from scan2albedo.io.images import encode_image, read_image_linear
 from scan2albedo.io.load_scan import read_mesh_file
 from scan2albedo.io.textured_mesh import MeshPicture, TexturedMesh, write_textured_obj
 
-SIZE_MM = 100.0
-
 
 def sheet(cells):
     """A sheet with coordinates as they lie, on a grid of so many cells a side."""
     flat, faces = grid(cells + 1, cells + 1)
-    vertices = SIZE_MM * flat
+    vertices = 100 * flat
     vertices[:, 2] = 0.001 * vertices[:, 0] ** 2
     return vertices, faces, flat[faces][..., :2]
 
@@ -37,15 +36,19 @@ def meshes(tmp_path):
     return tmp_path
 
 
-def run(monkeypatch, *arguments):
+@pytest.fixture
+def bake(meshes, monkeypatch):
+    """Run the command with the names of two meshes and of what it makes, in their folder."""
     monkeypatch.setattr(applications, "stop_cleanly_on_interrupt", lambda out: None)
-    return invoke("bake", *arguments)
+
+    def run(source, target, out, *options):
+        return invoke("bake", meshes / source, meshes / target, "-o", meshes / out, *options)
+
+    return run
 
 
-def test_colours_are_laid_on_the_other_coordinates(meshes, monkeypatch):
-    paths = meshes / "fine.obj", meshes / "coarse.obj"
-    done = run(monkeypatch, *paths, "-o", meshes / "baked.obj", "--size", "32", "--json")
-    assert printed(done)["seen"] > 0.95
+def test_colours_are_laid_on_the_other_coordinates(meshes, bake):
+    assert printed(bake("fine.obj", "coarse.obj", "baked.obj", "--size", "32", "--json"))["seen"] > 0.95
     picture = read_image_linear(meshes / "baked.png")[..., :3]
     assert_allclose(picture[16, 2:30, 0], np.linspace(0.9, 0.1, 32)[2:30], atol=0.03)
     assert_allclose(picture[2:30, 16, 2], 0.4, atol=0.02)
@@ -57,16 +60,12 @@ def test_colours_are_laid_on_the_other_coordinates(meshes, monkeypatch):
 
 
 @pytest.mark.parametrize("out", ["baked.png", "coarse.obj"])
-def test_nothing_given_is_overwritten(meshes, monkeypatch, out):
-    before = (meshes / "coarse.obj").read_bytes()
-    done = run(monkeypatch, meshes / "fine.obj", meshes / "coarse.obj", "-o", meshes / out)
-    assert "takes a new name that ends in .obj" in usage_error(done)
-    assert (meshes / "coarse.obj").read_bytes() == before
+def test_nothing_given_is_overwritten(meshes, bake, out):
+    before = contents(meshes)
+    assert "takes a new name that ends in .obj" in usage_error(bake("fine.obj", "coarse.obj", out))
+    assert contents(meshes) == before
 
 
-def test_a_mesh_without_colours_is_named(meshes):
-    from scan2albedo.errors import ApplicationError
-
-    done = invoke("bake", meshes / "coarse.obj", meshes / "fine.obj", "-o", meshes / "x.obj")
-    assert isinstance(done.exception, ApplicationError)
-    assert "coarse: the mesh has no colours to bake" in str(done.exception)
+def test_a_mesh_without_colours_is_named(bake):
+    done = bake("coarse.obj", "fine.obj", "x.obj")
+    assert repr(done.exception).startswith("ApplicationError('coarse: the mesh has no colours to bake")

@@ -1,14 +1,15 @@
+"""Energies, means, diffusion and fillings over meshes, and the derivative of vertex normals."""
+
 import numpy as np
 import pytest
 from helpers.meshes import grid
 from numpy.testing import assert_allclose, assert_array_equal
 
-from scan2albedo import AnnotatedFaceModel
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision
 from scan2albedo.geometry.mesh import face_areas, vertex_areas, vertex_normals
 from scan2albedo.geometry.operators import (
     bending,
-    cross_matrices,
+    filled_over_mesh,
     laplacian,
     linear_refinement,
     surface_diffusion,
@@ -71,22 +72,17 @@ def test_linear_refinement_numbers_vertices_as_subdivision_does():
     assert areas.sum() == pytest.approx(1)
 
 
-def sheet(count, side_mm=100.0):
+def sheet(count):
     vertices, faces = grid(count, count)
-    return side_mm * (vertices - [0.5, 0.5, 0.0]), faces
-
-
-def spread_of_a_peak(count, deviation_mm):
-    vertices, faces = sheet(count)
-    peak = np.zeros(len(vertices))
-    peak[np.linalg.norm(vertices, axis=1).argmin()] = 1.0
-    bump = surface_diffusion(vertices, faces, deviation_mm)(peak) * vertex_areas(vertices, faces)
-    return np.sqrt(bump @ vertices[:, 0] ** 2 / bump.sum())
+    return 100 * (vertices - [0.5, 0.5, 0.0]), faces
 
 
 @pytest.mark.parametrize("count", [41, 81])
 def test_a_peak_spreads_over_the_distance_asked_for_whatever_the_resolution(count):
-    assert spread_of_a_peak(count, 6.0) == pytest.approx(6.0, rel=0.05)
+    vertices, faces = sheet(count)
+    peak = (np.linalg.norm(vertices, axis=1) < 1e-9).astype(float)
+    bump = surface_diffusion(vertices, faces, 6.0)(peak) * vertex_areas(vertices, faces)
+    assert np.sqrt(bump @ vertices[:, 0] ** 2 / bump.sum()) == pytest.approx(6.0, rel=0.05)
 
 
 def test_the_integral_and_the_range_stay():
@@ -126,27 +122,14 @@ def test_what_is_no_distance_or_not_a_value_a_vertex_is_refused():
         surface_diffusion(vertices, faces, 1.0)(np.zeros(3))
 
 
-VERTICES, FACES = AnnotatedFaceModel.default().surface(0)
-
-
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e5])
-def test_it_agrees_with_finite_differences(scale):
-    vertices, step = scale * VERTICES, 1e-6 * scale
-    jacobian = vertex_normal_jacobian(vertices, FACES)
+def test_the_derivative_of_normals_agrees_with_finite_differences(model, scale):
+    vertices, faces = model.surface(0)
+    jacobian = vertex_normal_jacobian(scale * vertices, faces)
     for direction in np.random.default_rng(0).normal(size=(2, *vertices.shape)):
-        ahead, behind = (vertex_normals(vertices + h * direction, FACES) for h in (step, -step))
-        expected = (ahead - behind) / (2 * step)
-        found = (jacobian @ direction.ravel()).reshape(-1, 3)
-        assert_allclose(found, expected, atol=1e-7 * np.abs(expected).max())
-
-
-def test_shifts_and_scale_turn_nothing_and_turns_turn_alike():
-    jacobian = vertex_normal_jacobian(VERTICES, FACES)
-    assert_allclose(jacobian @ np.tile([1.0, 2, 3], len(VERTICES)), 0, atol=1e-12)
-    assert_allclose(jacobian @ VERTICES.ravel(), 0, atol=1e-11)
-    axis = np.array([0.3, -0.2, 0.5])
-    turned = (jacobian @ np.cross(axis, VERTICES).ravel()).reshape(-1, 3)
-    assert_allclose(turned, np.cross(axis, vertex_normals(VERTICES, FACES)), atol=1e-11)
+        ahead, behind = (vertex_normals(vertices + h * direction, faces) for h in (1e-6, -1e-6))
+        expected = (ahead - behind).ravel() / (2e-6 * scale)
+        assert_allclose(jacobian @ direction.ravel(), expected, atol=1e-7 * np.abs(expected).max())
 
 
 def test_vertices_without_area_have_no_derivative():
@@ -157,6 +140,18 @@ def test_vertices_without_area_have_no_derivative():
     assert np.abs(jacobian[:9]).max() > 0
 
 
-def test_cross_matrices_are_cross_products():
-    a, b = np.random.default_rng(0).normal(size=(2, 5, 3))
-    assert_allclose(np.einsum("nij,nj->ni", cross_matrices(a), b), np.cross(a, b))
+def test_a_linear_field_is_continued_exactly():
+    _, faces = grid(9, 9)
+    row, column = np.divmod(np.arange(81), 9)
+    values = np.stack([2.0 * row - column, 0.5 * column], 1)
+    hole = (abs(row - 4) < 3) & (abs(column - 4) < 3)
+    filled = filled_over_mesh(np.where(hole[:, None], np.nan, values), ~hole, faces)
+    assert_allclose(filled, values, atol=1e-9)
+
+
+def test_a_part_without_any_value_gets_the_mean():
+    faces, values = np.arange(6).reshape(2, 3), np.array([1.0, 3, 9, 9, 9, 9])
+    filled = filled_over_mesh(values[:, None], values < 9, faces)
+    assert_allclose(filled.ravel(), [1, 3, 2, 2, 2, 2])
+    with pytest.raises(ValueError, match="no vertex is known"):
+        filled_over_mesh(values[:, None], values < 0, faces)

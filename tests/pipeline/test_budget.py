@@ -17,14 +17,19 @@ from scan2albedo.pipeline import outputs
 from scan2albedo.pipeline.clock import Clock
 from scan2albedo.pipeline.options import ProcessOptions
 
-UNLIT = (None, "face", "all")
-TILES = (0, 1, 10)
-MAPS = (None, "chart", "scan", "template")
-SIDES = (0, 2048, 8192)
-"""Of the scan's texture; 0 are colours of vertices."""
-TEXTURE_SIZES = (1024, 8192)
-SKIPPED = ((), ("eyes",))
-SEARCHES = ("register", "fit", "albedo")
+ASKED = tuple(
+    product(
+        (None, "face", "all"),
+        (0, 1, 10),
+        (None, "chart", "scan", "template"),
+        (0, 2048, 8192),
+        (1024, 8192),
+        ((), ("eyes",)),
+    )
+)
+"""Reaches of the unlit scan, tiles, maps, sides of the scan's texture (0 are colours of vertices), sides of
+made textures, what is skipped."""
+FIELDS = {"unlit": "unlit", "template_texture": "template", "maps": "maps_of_skin"}
 
 
 def squares(count):
@@ -36,9 +41,7 @@ class Run:
     """A run whose stages take the seconds that are expected of them, on a clock that nothing else moves."""
 
     def __init__(self, monkeypatch, pace=1.0):
-        self.now = 0.0
         self.pace = pace
-        self.lit = []
         monkeypatch.setattr(clocks, "time", SimpleNamespace(perf_counter=lambda: self.now))
         baked = SimpleNamespace(tiles=(SimpleNamespace(seen=np.ones(1)),), parts=())
         eyes = SimpleNamespace(reason="made up")
@@ -74,7 +77,7 @@ class Run:
         self.costs = outputs.Outputs(scan, model, options)
         clock = Clock(Budget(budget))
         clock.keep(self.costs.all_s())
-        for search in SEARCHES:
+        for search in ("register", "fit", "albedo"):
             with clock.timed(search):
                 self.now += min(clock.share(search).seconds or 5.0, 5.0)
         self.face_s = self.now
@@ -86,30 +89,23 @@ class Run:
         return made, steps
 
 
-FIELDS = {"unlit": "unlit", "template_texture": "template", "maps": "maps_of_skin"}
-
-
-BUDGETS = (0.01, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
-
-
 @pytest.mark.parametrize("pace", [0.7, 1.0, 1.05])
 def test_no_combination_of_outputs_overruns_a_budget(monkeypatch, pace):
     run = Run(monkeypatch, pace)
-    for case in product(BUDGETS, UNLIT, TILES, MAPS, SIDES, TEXTURE_SIZES, SKIPPED):
-        budget = case[0]
-        made, steps = run(*case)
-        assert run.now <= max(budget + max(2.0, budget / 10), run.face_s), case
+    for budget, asked in product((0.01, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0), ASKED):
+        made, steps = run(budget, *asked)
+        assert run.now <= max(budget + max(2.0, budget / 10), run.face_s), asked
         assert len(run.lit) == len(set(run.lit)), "the light is taken off twice"
         told = {step.stage: step for step in steps}
         for name in run.costs.reaches:
-            assert told[name].ran == (FIELDS[name] in made), case
+            assert told[name].ran == (FIELDS[name] in made), asked
             assert told[name].ran or "left out: the budget ended before it" in told[name].reason
 
 
 @pytest.mark.parametrize("budget", [None, 1e6])
 def test_with_enough_time_all_is_made(monkeypatch, budget):
     run = Run(monkeypatch)
-    for asked in product(UNLIT, TILES, MAPS, SIDES, TEXTURE_SIZES, SKIPPED):
+    for asked in ASKED:
         made, steps = run(budget, *asked)
         assert len(made) == len(run.costs.reaches)
         assert not [step for step in steps if step.level == "wrong"]

@@ -21,8 +21,7 @@ def file(tmp_path_factory):
     model = s2a.AnnotatedFaceModel.default()
     vertices, faces = model.surface(1)
     modes = [displacement(bump, vertices, model.landmarks) for bump in IDENTITY_BUMPS[:10]]
-    path = tmp_path_factory.mktemp("model") / "bumps.npz"
-    basis = np.moveaxis(np.array(modes), 0, -1)
+    path, basis = tmp_path_factory.mktemp("model") / "bumps.npz", np.stack(modes, -1)
     np.savez(path, mean=vertices / 10, basis=basis / 10, faces=faces, uv=model.refined_uv(1))
     return path
 
@@ -40,9 +39,8 @@ def test_files_place_the_model_on_the_scan(result, file):
     assert (len(record["shape"]), record["expression"], record["mm_per_unit"]) == (10, [], pytest.approx(10))
     assert record["scale"] == pytest.approx(1, abs=0.1)
     with np.load(result.out / "linear_model.npz") as arrays:
-        stored = {name: arrays[name] for name in arrays.files}
-    shape = model.at(np.array(record["shape"]))
-    placed = transform_points(np.array(record["scan_from_model"]), shape)
+        stored = dict(arrays)
+    placed = transform_points(record["scan_from_model"], model.at(np.array(record["shape"])))
     assert_allclose(placed, stored["vertices"], atol=1e-5)
     near = ~np.isnan(stored["residual_mm"])
     assert near.mean() > 0.5
@@ -54,7 +52,7 @@ def test_files_place_the_model_on_the_scan(result, file):
 def test_the_template_is_the_linear_model_with_its_texture(result, file):
     assert {"template.obj", "template.png", "template.glb"} <= files_in(result.out)
     own = read_json(result.out / "result.json")["template_from_model"]
-    back = transform_points(np.array(own), result.template.vertices)
+    back = transform_points(own, result.template.vertices)
     assert_allclose(back, LinearFaceModel.load(file).at(result.linear_model.coefficients), atol=1e-6)
     assert result.template.tiles[0].seen.mean() > 0.3
 

@@ -95,14 +95,6 @@ def test_files_of_the_contract_keep_to_their_schemas_and_none_else_is_there(resu
     assert_array_equal(poses["fitted_from_scan"], poses["model_from_scan"])
 
 
-def test_colours_go_on_beyond_the_rim_for_viewers_that_filter(result):
-    mesh = trimesh.load(result.out / "fitted.glb", force="mesh", process=False)
-    texture = np.asarray(mesh.visual.material.baseColorTexture.convert("RGB"))
-    inside = result.geometry_image.mask
-    assert not inside.all()
-    assert (texture[~inside] == 255).all(-1).mean() < 0.01  # nothing white, which the rim would mix in
-
-
 def test_landmarks_lie_on_the_scan_in_the_unit_of_its_file(result, tmp_path):
     table = np.genfromtxt(result.out / "landmarks.csv", delimiter=",", names=True, dtype=None)
     on_scan = np.stack([table[f"scan_{axis}"] for axis in "xyz"], 1)
@@ -152,13 +144,12 @@ def test_the_registration_has_the_pose_of_the_fit_and_the_distance_there(result,
     apart = np.abs(registration.model_from_scan - searched.model_from_scan)
     assert 1e-6 < apart[:3, :3].max() < 0.05
 
-    def refined(pose, scale):
-        return refined_registration(searched, coarse_scan[0], model, pose, scale)
-
     # The distance of the search's pose, measured as it is here, is that of `register`.
-    again = refined(searched.model_from_scan, searched.face_scale)
+    again, anew = (
+        refined_registration(searched, coarse_scan[0], model, at.model_from_scan, at.face_scale)
+        for at in (searched, registration)
+    )
     assert again.rmse_mm == pytest.approx(searched.rmse_mm, rel=1e-9)
-    anew = refined(result.fitted.model_from_scan, registration.face_scale)
     assert (anew.rmse_mm, anew.plan) == (registration.rmse_mm, registration.plan)
     (row,) = result.plan.of_stage("register.refined_pose")
     assert "degrees and" in row.evidence
@@ -171,9 +162,8 @@ def test_files_hold_what_the_result_holds(result):
     assert_array_equal(read_image_linear(result.out / "albedo.exr"), result.albedo.albedo_linear)
     with Image.open(result.out / "albedo.png") as preview:
         assert_array_equal(preview.getchannel("A"), 255 * image.seen)
-    rows = list(csv.DictReader((result.out / "trace.csv").read_text().splitlines()))
-    assert len(rows) == len(result.trace)
-    assert {row["stage"] for row in rows} == set(result.trace.stages)
+    rows = csv.DictReader((result.out / "trace.csv").read_text().splitlines())
+    assert [row["stage"] for row in rows] == [row.stage for row in result.trace.rows]
 
 
 def test_a_hole_where_the_nose_should_be_and_half_a_face_are_told(coarse_scan, result):
@@ -192,8 +182,7 @@ def test_a_hole_where_the_nose_should_be_and_half_a_face_are_told(coarse_scan, r
 
 
 def test_the_plan_tells_what_ran_and_why(result):
-    for stage in ("register", "fit", "geometry_image", "albedo"):
-        assert result.plan.ran(stage)
+    assert all(map(result.plan.ran, ("register", "fit", "geometry_image", "albedo")))
     assert all(step.reason for step in result.plan)
     assert any(not step.ran and step.evidence for step in result.plan)
 
@@ -250,7 +239,6 @@ def test_a_budget_gives_the_best_answer_so_far(coarse_scan):
     assert not hurried.albedo.converged
     assert "not converged: " in hurried.summary()
     assert np.isfinite(hurried.albedo.albedo_linear).all()
-    assert np.isfinite(hurried.fitted.vertices).all()
 
 
 def test_skipped_stages_cost_nothing_and_are_said(coarse_scan):
@@ -280,15 +268,6 @@ def ball():
     return s2a.RawScan(mesh.vertices, mesh.faces, vertex_color_linear=shade, name="ball")
 
 
-def test_an_object_without_a_face_goes_through_xatlas_charts(ball, tmp_path):
-    result = s2a.process(ball, tmp_path, model="none", size=96)
-    assert result.registration is None
-    assert result.fitted is None
-    assert result.albedo is not None
-    assert (result.out / "overview.png").is_file()
-    assert not result.plan.ran("register")
-
-
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
@@ -306,11 +285,14 @@ def test_an_object_without_a_face_goes_through_xatlas_charts(ball, tmp_path):
         ({"size": 2}, "from 8 to 16384"),
         ({"size": 64.5}, "size is 64.5"),
         ({"size": 10**9}, "from 8 to 16384"),
+        ({"texture_size": 9000}, "texture_size is 9000"),
+        ({"unlit": "head"}, "unlit is 'head'"),
+        ({"files": "few"}, "files is 'few'"),
     ],
 )
-def test_unknown_names_and_impossible_wishes_are_refused_before_any_work(coarse_scan, wrong, message):
+def test_unknown_names_and_impossible_wishes_are_refused_before_any_work(wrong, message):
     with pytest.raises(ValueError, match=message):
-        s2a.process(coarse_scan[0], **wrong)
+        s2a.process("nobody.obj", **wrong)
 
 
 @pytest.mark.parametrize(
@@ -330,12 +312,16 @@ def test_annealing_is_skipped_or_forced_as_asked(ball, monkeypatch, choice, eval
     assert [(o.annealing_evaluations, o.force_annealing) for o in given] == [(evaluations, forced)]
 
 
-def test_forced_steps_run_whatever_the_evidence(ball):
+def test_an_object_without_a_face_goes_through_xatlas_charts_and_forced_steps_run(ball, tmp_path):
     # Nothing is saturated, so there is nothing to inpaint; the parts of the light are always in the model.
     asked = {"model": "none", "size": 32, "lights": 1}
-    plan = s2a.process(ball, **asked).plan
-    assert not plan.ran(SHADOWS)
-    assert {step.stage for step in plan} > {name for name in STEPS if name.startswith("albedo.")}
+    result = s2a.process(ball, tmp_path, **asked)
+    assert result.registration is result.fitted is None
+    assert result.albedo is not None
+    assert (result.out / "overview.png").is_file()
+    assert not result.plan.ran("register")
+    assert not result.plan.ran(SHADOWS)
+    assert {step.stage for step in result.plan} > {name for name in STEPS if name.startswith("albedo.")}
     forced = s2a.process(ball, **asked, force=[SHADOWS])
     assert forced.plan.ran(SHADOWS)
     assert forced.options["force"] == [SHADOWS]
@@ -367,14 +353,12 @@ def test_the_input_is_hashed_as_it_was_read(tmp_path, monkeypatch):
     assert record["input"]["sha256"] == result.input_sha256 == before != input_sha256(scan)
 
 
-def test_missing_files_and_what_is_no_face_are_named(coarse_scan, tmp_path):
+def test_missing_files_and_what_is_no_face_are_named(coarse_scan, ball, tmp_path):
     (tmp_path / "file").touch()
-    box = trimesh.creation.box((150, 200, 150)).subdivide().subdivide().subdivide().subdivide()
-    box = s2a.RawScan(box.vertices, box.faces, name="box")
     for source, options, error, words in (
         ("nowhere.obj", {}, ScanError, r"nowhere\.obj"),
-        (box, {"model": "nowhere.json"}, ModelError, r"nowhere\.json"),
-        (box, {"model": "default", "out": tmp_path}, RegistrationError, "box"),
+        (ball, {"model": "nowhere.json"}, ModelError, r"nowhere\.json"),
+        (ball, {"model": "default", "out": tmp_path}, RegistrationError, "ball"),
         (coarse_scan[0], {"out": tmp_path / "file" / "out"}, OutputError, "file"),
     ):
         with pytest.raises(error, match=words):

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import pytest
+from helpers.meshes import ball
 
 import scan2albedo as s2a
 from scan2albedo.pipeline.options import PRESETS, ProcessOptions, Quality
@@ -35,10 +36,6 @@ def test_presets_take_their_own_steps_and_size_unless_a_size_is_asked_for(coarse
 
 
 def test_the_papers_search_is_chosen_by_name():
-    image = s2a.synthetic.face(0, size=32).image
-    sphere = s2a.RawScan(
-        *image.triangulated(), vertex_color_linear=image.texture_linear[image.mask], name="lit"
-    )
-    result = s2a.process(sphere, model="none", size=32, quality="paper", lights=1)
+    result = s2a.process(ball(), model="none", size=32, quality="paper", lights=1)
     (roughness,) = result.plan.of_stage("albedo.roughness")
     assert (result.options["quality"], roughness.reason) == ("paper", "part of the paper's model")

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bench.sequence import figures, followed
+from helpers.measures import rms, row_lengths
 from helpers.records import files_in
 from numpy.testing import assert_allclose
 from worlds.raw_like import raw_like
@@ -90,7 +91,7 @@ def test_the_smile_comes_and_goes(whole, model):
 
     def widths(faces):
         corners = np.array([model.landmarks_of(points)[[48, 54]] for points in faces])
-        return np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
+        return row_lengths(corners[:, 1] - corners[:, 0])
 
     width = widths(whole.control_points)
     true = widths(smiling(model, number) for number in range(COUNT))
@@ -107,22 +108,17 @@ def test_the_folder_is_a_result_s_with_the_take_in_it(whole):
     assert files_in(whole.out) == set(record.files)
 
 
-def rms_mm(one, other):
-    return np.sqrt(np.mean(np.sum((one - other) ** 2, axis=1)))
-
-
 def test_targets_and_weights_give_the_frames(whole):
     base, targets, curves = moving(whole.out / "sequence.glb")
     assert 0 < len(targets) < COUNT
     for number in range(COUNT):
         bent = base + np.tensordot(curves["weights"].reshape(COUNT, -1)[number], targets, 1)
-        assert np.linalg.norm(1000 * bent - whole.vertices(number), axis=1).max() < 0.05
+        assert row_lengths(1000 * bent - whole.vertices(number)).max() < 0.05
 
 
 def test_a_lost_frame_is_found_again_and_told(whole, damaged):
     frame = damaged.frames[LOST]
-    assert frame["used"]
-    assert frame["found_again"]
+    assert frame["used"] is frame["found_again"] is True
     assert "found again" in frame["notes"][0]
     apart = damaged.poses[LOST] @ invert_rigid(whole.poses[LOST])
     assert np.rad2deg(rotation_angle_rad(apart[:3, :3])) == pytest.approx(60, abs=2)
@@ -144,7 +140,7 @@ def test_a_broken_file_is_named_left_out_and_filled_in(whole, damaged):
     assert not frame["used"]
     assert "broken.obj" in frame["notes"][0]
     assert frame["residual_mm"] is None
-    assert rms_mm(damaged.control_points[BROKEN], whole.control_points[BROKEN]) < 1.5
+    assert rms(row_lengths(damaged.control_points[BROKEN] - whole.control_points[BROKEN])) < 1.5
     assert frame["deviation_mm"] > damaged.frames[1]["deviation_mm"]
 
 
@@ -153,7 +149,7 @@ def test_what_half_a_frame_does_not_show_follows_from_the_others(whole, damaged)
     assert frame["used"]
     assert frame["coverage"] < 0.7
     assert any("% of the face has scan near it" in note for note in frame["notes"])
-    assert rms_mm(damaged.control_points[HALF], whole.control_points[HALF]) < 1.0
+    assert rms(row_lengths(damaged.control_points[HALF] - whole.control_points[HALF])) < 1.0
 
 
 def test_files_are_read_in_the_unit_of_the_first(frames, whole, tmp_path):
@@ -199,7 +195,7 @@ def test_wrong_input_is_refused(frames, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("person", ["person1", "person4"])
-def test_measured_faces_keep_their_landmarks(shared_data: Path, person):
+def test_measured_faces_keep_their_landmarks(shared_data, person):
     """Sixty frames of `tools/bench/sequence.py`, each resampled, with expressions there and back."""
     if not (shared_data / "ict_expressions.npz").exists():
         pytest.skip("ict_expressions.npz is not among the real scans")

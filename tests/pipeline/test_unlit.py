@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 from bench.applications import LIMIT, exported_textures, rim_step
@@ -16,7 +15,7 @@ from scan2albedo.applications import light_removal, load_result, swap_texture, w
 from scan2albedo.applications.light_removal import UnlitScan, unlit_scan
 from scan2albedo.applications.template_baking import template_texture
 from scan2albedo.errors import ApplicationError
-from scan2albedo.geometry.rasterization import filled_smoothly
+from scan2albedo.geometry.rasterization import pixels_from_uv
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.io.color import is_deep
 from scan2albedo.io.images import encode_image, read_image_linear, read_image_values
@@ -76,10 +75,10 @@ def test_tiles_lie_where_they_belong(result, face_unlit, monkeypatch):
     assert np.percentile(apart, 99) < 0.01
 
 
-def test_a_scan_with_vertex_colours_gets_unlit_ones(result, coarse_scan):
+def test_a_scan_with_vertex_colours_gets_unlit_ones(result):
     scan, fitted = result.scan, result.fitted
-    color = np.full((len(scan.vertices), 3), 0.5, np.float32)
-    plain = replace(scan, uv=None, texture_linear=None, vertex_color_linear=color)
+    grey = np.full((len(scan.vertices), 3), 0.5, np.float32)
+    plain = replace(scan, uv=None, texture_linear=None, vertex_color_linear=grey)
     unlit = unlit_scan(plain, fitted, result.albedo)
     assert unlit.confidence.shape == (len(scan.vertices),)
     away = unlit.confidence == 0
@@ -94,10 +93,8 @@ def test_what_was_left_out_of_the_fit_keeps_its_colours(result):
     covered = np.linalg.norm(middles - result.fitted.landmarks[30], axis=1) < 12  # of the nose
     assert covered.any()
     unlit = unlit_scan(result.scan, replace(result.fitted, covered_faces=covered), result.albedo)
-    corners = unlit.scan.uv[covered].mean(1)
-    height, width = unlit.confidence.shape
-    at = ((1 - corners[:, 1]) * height).astype(int), (corners[:, 0] * width).astype(int)
-    assert np.median(unlit.confidence[at]) == 0
+    column, row = pixels_from_uv(unlit.scan.uv[covered].mean(1), unlit.confidence.shape).round().astype(int).T
+    assert np.median(unlit.confidence[row, column]) == 0
 
 
 def test_errors_name_what_is_missing(result):
@@ -116,9 +113,6 @@ def test_errors_name_what_is_missing(result):
     ):
         with pytest.raises((ApplicationError, ValueError), match=words):
             call(*given)
-    for option, wrong in (("texture_size", 9000), ("unlit", "head"), ("files", "few")):
-        with pytest.raises(ValueError, match=f"{option} is {wrong!r}"):
-            s2a.process(scan, **{option: wrong})
 
 
 def test_a_template_gets_the_colours_of_the_skin_below_it(result):
@@ -131,8 +125,7 @@ def test_a_template_gets_the_colours_of_the_skin_below_it(result):
     image = result.geometry_image
     both = tile.seen & image.seen
     assert both.sum() > 0.8 * image.seen.sum()
-    apart = np.abs(tile.color_linear - image.texture_linear)[both]
-    assert apart.mean() < 0.02
+    assert np.abs(tile.color_linear - image.texture_linear)[both].mean() < 0.02
     assert (tile.color_linear[~tile.seen].max(-1) > 0.01).all()  # nothing is left black
 
 
@@ -148,22 +141,19 @@ def test_each_tile_is_a_picture_of_its_own(result):
 
 
 def test_files_and_plan_tell_of_both(result):
-    expected = {"unlit.glb", "unlit.obj", "unlit.mtl", "unlit.png", "unlit_confidence.png"}
-    expected |= {"template.obj", "template.mtl", "template.glb", "template.1001.png", "template.1002.png"}
-    expected |= {"template_normal.1001.png", "template_normal.1002.png"}
     record = read_json(result.out / "result.json")
-    assert expected <= files_in(result.out) & set(record["files"])
+    assert files_in(result.out) & set(record["files"]) >= {
+        *("unlit.glb", "unlit.obj", "unlit.mtl", "unlit.png", "unlit_confidence.png"),
+        *("template.obj", "template.mtl", "template.glb", "template.1001.png", "template.1002.png"),
+        *("template_normal.1001.png", "template_normal.1002.png"),
+    }
     assert result.plan.ran("unlit")
     assert result.plan.ran("template_texture")
     assert record["options"]["unlit"] == "all"
     assert record["template_from_model"] is None  # the model was not made from a mesh
-    alpha = cv2.imread(str(result.out / "template.1001.png"), cv2.IMREAD_UNCHANGED)[..., 3]
-    tile = next(tile for tile in result.template.tiles if tile.number == 1001)
-    assert_array_equal(alpha > 0, tile.seen)
     again = s2a.load_scan(result.out / "unlit.obj", unit="mm")
     assert_allclose(again.vertices, result.scan.vertices, atol=1e-4)
-    stored = read_image_linear(result.out / "unlit.png")
-    assert np.abs(stored - np.clip(result.unlit.scan.texture_linear, 0, 1)).max() < 0.01
+    assert_allclose(again.texture_linear, np.clip(result.unlit.scan.texture_linear, 0, 1), atol=0.01)
     assert s2a.load_scan(result.out / "template.glb").texture_linear is not None
 
 
@@ -202,17 +192,15 @@ def test_minimal_files_leave_out_what_others_have_and_all_have_the_unlit_scan(co
 
 
 def test_several_pictures_come_back_as_they_came(tmp_path):
-    vertices, faces = grid(9, 9)
-    vertices *= 180
-    vertices[:, 2] = 0.002 * (vertices[:, 0] - 90) ** 2
-    right = vertices[faces].mean(1)[:, 0] > 90
+    flat, faces = grid(9, 9)
+    right = flat[faces].mean(1)[:, 0] > 0.5
     rng = np.random.default_rng(0)
     pictures = tuple(
         MeshPicture(name, encode_image(rng.uniform(0.2, 0.9, (*size, 3)), ".png"), chosen)
         for name, size, chosen in (("a.png", (40, 30), ~right), ("b.png", (20, 50), right))
     )
-    uv = np.clip((vertices[:, :2] / 180)[faces], 0.01, 0.99)
-    write_textured_obj(tmp_path / "two.obj", TexturedMesh(vertices, faces, uv, pictures))
+    uv = np.clip(flat[faces][..., :2], 0.01, 0.99)
+    write_textured_obj(tmp_path / "two.obj", TexturedMesh(180 * flat, faces, uv, pictures))
     scan = s2a.load_scan(tmp_path / "two.obj", unit="mm")
     assert [tile.name for tile in scan.texture_tiles] == ["a", "b"]
     write_unlit(tmp_path, UnlitScan(scan, np.ones(scan.texture_linear.shape[:2], np.float32)))
@@ -238,11 +226,12 @@ def test_pictures_keep_their_sixteen_bits(result, tmp_path):
         again = read_image_linear(tmp_path / "unlit.png")
         assert_allclose(again, np.clip(deep.texture_linear, 0, 1), atol=exact)
     assert_array_equal(read_image_linear(tmp_path / "unlit.exr"), deep.texture_linear)
+    write_template(tmp_path, result.template, np.uint16, exr=True)
     for tile in result.template.tiles:
-        write_template(tmp_path, result.template, np.uint16, exr=True)
-        picture = read_image_values(tmp_path / f"template.{tile.number}.png", alpha=True)
-        assert picture.dtype == np.uint16
-        assert_array_equal(picture[..., 3] > 0, tile.seen)
+        for folder, samples in ((result.out, np.uint8), (tmp_path, np.uint16)):
+            picture = read_image_values(folder / f"template.{tile.number}.png", alpha=True)
+            assert picture.dtype == samples
+            assert_array_equal(picture[..., 3] > 0, tile.seen)
         assert_array_equal(read_image_linear(tmp_path / f"template.{tile.number}.exr"), tile.color_linear)
 
 
@@ -254,23 +243,6 @@ def test_a_fold_gives_no_dark_spot_and_a_shadow_stays():
     assert found[50:53, 40:44].min() > -0.75
     assert_array_equal(found[:, 110:], light[:, 110:])
     assert_array_equal(found[100:, :90], light[100:, :90])
-
-
-def test_filling_goes_on_smoothly_and_keeps_what_is_known():
-    x = np.linspace(0, 1, 32, dtype=np.float32)
-    image = np.repeat((x[:, None] + x)[..., None], 3, axis=2)
-    known = np.zeros((32, 32), bool)
-    known[4:28, 4:28] = True
-    known[12:16, 12:16] = False
-    filled = filled_smoothly(np.where(known[..., None], image, 9).astype(np.float32), known)
-    assert_array_equal(filled[known], image[known])
-    assert np.abs(filled - image)[12:16, 12:16].max() < 0.1
-    assert np.abs(filled - image).max() < 0.4
-    # Bands of rows are no bands of columns.
-    tall = np.random.default_rng(0).random((600, 90, 3)).astype(np.float32)
-    some = np.random.default_rng(1).random((600, 90)) < 0.01
-    turned = filled_smoothly(tall.swapaxes(0, 1), some.T).swapaxes(0, 1)
-    assert_allclose(filled_smoothly(tall, some), turned, atol=1e-6)
 
 
 def test_no_exported_texture_has_a_fringe_at_the_rim_of_its_charts(result, tmp_path):

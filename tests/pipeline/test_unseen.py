@@ -1,61 +1,43 @@
 """A face that its pictures showed in part: the rest is filled and marked, and nothing follows from it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from PIL import Image, ImageDraw
 
 from scan2albedo import load_scan, process
+from scan2albedo.geometry.rasterization import rasterize_uv
 
 SIZE = 128
-HOLE_MM = 24.0
 
 
 @pytest.fixture(scope="module")
-def unpainted(shared_data, tmp_path_factory):
-    """Folder with james.obj, whole and with a cheek that is transparent, orange or black in its texture."""
-    folder = tmp_path_factory.mktemp("unpainted")
-    text = (shared_data / "james.obj").read_text().splitlines()
-    lines = [line for line in text if line[:2] in ("v ", "vt", "f ")]
-    scan = load_scan(shared_data / "james.obj", unit="mm")
+def scan(shared_data):
+    return load_scan(shared_data / "james.obj", unit="mm")
+
+
+@pytest.fixture(scope="module")
+def unpainted(scan, shared_data):
+    """Make the scan whose pictures showed no hole in a cheek, which has one linear colour."""
     picked = np.loadtxt(shared_data / "james_ibug68.csv", delimiter=",")
-    middle = 0.45 * picked[2] + 0.55 * picked[31]
-    image = Image.open(shared_data / "james.jpg").convert("RGB")
-    image.thumbnail((1024, 1024))
-    alpha = Image.new("L", image.size, 255)
-    draw = ImageDraw.Draw(alpha)
-    inside = (np.linalg.norm(scan.vertices[scan.faces] - middle, axis=-1) < HOLE_MM).all(1)
-    for place in scan.uv[inside]:
-        draw.polygon([(u * image.width, (1 - v) * image.height) for u, v in place], fill=0)
-    pixels, shown = np.asarray(image), np.asarray(alpha)
-    empty = shown[..., None] == 0
-    pictures = {
-        "plain": pixels,
-        "transparent": np.dstack([np.where(empty, 0, pixels), shown]).astype(np.uint8),
-        "orange": np.where(empty, np.uint8([255, 127, 39]), pixels),
-        "black": np.where(empty, np.uint8(0), pixels),
-    }
-    for name, picture in pictures.items():
-        Image.fromarray(picture).save(folder / f"{name}.png")
-        (folder / f"{name}.mtl").write_text(f"newmtl skin\nmap_Kd {name}.png\n")
-        (folder / f"{name}.obj").write_text("\n".join([f"mtllib {name}.mtl", "usemtl skin", *lines]))
-    return folder
+    away = np.linalg.norm(scan.vertices - 0.45 * picked[2] - 0.55 * picked[31], axis=1)
+    corners = scan.uv[(away < 24)[scan.faces].all(1)].reshape(-1, 2)
+    faces = np.arange(len(corners)).reshape(-1, 3)
+    hole = rasterize_uv(corners, faces, scan.texture_linear.shape[:2]).covered
+
+    def filled(color_linear):
+        texture = np.where(hole[..., None], np.float32(color_linear), scan.texture_linear)
+        return replace(scan, texture_linear=texture, color_seen=~hole)
+
+    return filled
 
 
-@pytest.fixture(scope="module")
-def plain(unpainted):
-    """The result of the whole texture."""
-    return process(unpainted / "plain.obj", size=SIZE, quality="draft", skip=("albedo",))
-
-
-def test_a_whole_texture_is_seen_everywhere(plain):
+def test_what_no_picture_showed_is_filled_and_marked(scan, unpainted):
+    scans = scan, unpainted((1, 0.2, 0))
+    plain, result = (process(given, size=SIZE, quality="draft", skip=("albedo",)) for given in scans)
     assert plain.scan.color_seen is None
     assert plain.geometry_image.filled is None
-    assert not any(step.stage == "geometry_image.filled" for step in plain.plan.steps)
-
-
-@pytest.mark.parametrize("name", ["transparent", "orange", "black"])
-def test_what_no_picture_showed_is_filled_and_marked(unpainted, plain, name):
-    result = process(unpainted / f"{name}.obj", size=SIZE, quality="draft", skip=("albedo",))
+    assert not plain.plan.of_stage("geometry_image.filled")
     image, filled = result.geometry_image, result.geometry_image.filled
     assert 100 < filled.sum() < 400
     assert not image.seen[filled].any()
@@ -67,9 +49,9 @@ def test_what_no_picture_showed_is_filled_and_marked(unpainted, plain, name):
 
 
 @pytest.mark.slow
-def test_light_and_albedo_do_not_see_what_fills_the_hole(unpainted):
-    names = "plain", "orange", "black"
-    whole, orange, black = (process(unpainted / f"{name}.obj", size=2 * SIZE) for name in names)
+def test_light_and_albedo_do_not_see_what_fills_the_hole(scan, unpainted):
+    scans = scan, unpainted((1, 0.2, 0)), unpainted((0, 0, 0))
+    whole, orange, black = (process(given, size=2 * SIZE) for given in scans)
     filled, seen = orange.geometry_image.filled, orange.geometry_image.seen
     assert orange.albedo.confidence[filled].max() == 0
     np.testing.assert_allclose(orange.albedo.albedo_linear[seen], black.albedo.albedo_linear[seen], atol=1e-4)

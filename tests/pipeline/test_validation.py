@@ -1,4 +1,4 @@
-from __future__ import annotations
+"""The paper's tables: what is measured, over which scenes, and how it is shown."""
 
 from dataclasses import replace
 

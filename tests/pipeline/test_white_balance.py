@@ -12,22 +12,20 @@ from scan2albedo.pipeline.options import ProcessOptions
 from scan2albedo.pipeline.white_balance import balanced
 
 RNG = np.random.default_rng(3)
-TRIANGLE = {"vertices": np.eye(3), "faces": [[0, 1, 2]]}
 
 
 def painted(skin=None):
     """A scan in vertex colours, and an image of 8 x 8 texels."""
     normal = np.tile([0.0, 0.0, 1.0], (8, 8, 1))
     texture = RNG.uniform(0.2, 0.6, (8, 8, 3)).astype(np.float32)
-    image = GeometryImage(
-        normal, normal, np.ones((8, 8), bool), texture, texture_valid=np.ones((8, 8), bool), skin=skin
-    )
-    return RawScan(**TRIANGLE, vertex_color_linear=np.full((3, 3), 0.25, np.float32)), image
+    everywhere = np.ones((8, 8), bool)
+    image = GeometryImage(normal, normal, everywhere, texture, texture_valid=everywhere, skin=skin)
+    colors = np.float32([[0.4, 0.5, 0.25]] * 3)
+    return RawScan(np.eye(3), [[0, 1, 2]], vertex_color_linear=colors), image
 
 
 def test_what_is_said_to_be_grey_becomes_grey():
     scan, image = painted()
-    scan = RawScan(**TRIANGLE, vertex_color_linear=np.float32([[0.4, 0.5, 0.25]] * 3))
     found, lit, step = balanced(scan, image, (0.4, 0.5, 0.25))
     assert_allclose(found.vertex_color_linear, 0.5, rtol=1e-6)
     assert_allclose(lit.texture_linear, image.texture_linear * [1.25, 1, 2], rtol=1e-6)

@@ -7,8 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from scan2albedo.synthetic import Scanner, raw_scan
-
 ROOT = Path(__file__).resolve().parents[2]
 BLENDER = os.environ.get("SCAN2ALBEDO_BLENDER_PYTHON", "")
 pytestmark = [
@@ -19,11 +17,10 @@ pytestmark = [
 ]
 
 
-def test_a_scan_becomes_an_object_with_its_material_and_lights(tmp_path):
+def test_a_scan_becomes_an_object_with_its_material_and_lights(coarse_scan, tmp_path):
     from worlds.files import write_obj
 
-    scan, _ = raw_scan(0, scanner=Scanner(size=128, picture_size=500, spacing_mm=3.0))
-    write_obj(scan, tmp_path / "person.obj")
+    write_obj(coarse_scan[0], tmp_path / "person.obj")
     command = Path(sys.executable).with_name("scan2albedo")
     check = ROOT / "tools" / "blender" / "check_addon.py"
     words = [BLENDER, check, "person.obj", tmp_path / "out", command]

@@ -5,8 +5,9 @@ import sys
 import make_gallery
 import numpy as np
 import pytest
-import trimesh
+from helpers.records import files_in
 from PIL import Image
+from worlds.files import write_obj
 
 from scan2albedo.face_model import default_model
 from scan2albedo.io.linear_model_files import LinearFaceModel
@@ -14,17 +15,11 @@ from scan2albedo.io.linear_model_files import LinearFaceModel
 
 @pytest.mark.slow
 def test_a_scan_is_shown_beside_itself_without_its_light(coarse_scan, tmp_path, monkeypatch):
-    scan = coarse_scan[0]
-    # One colour alone would count as none.
-    grain = np.random.default_rng(0).integers(-8, 9, (len(scan.vertices), 1))
-    color = (np.array([180, 150, 150]) + grain).astype(np.uint8)
-    mesh = trimesh.Trimesh(scan.vertices, scan.faces, vertex_colors=color, process=False)
-    mesh.export(tmp_path / "subject.ply")
-    monkeypatch.setattr(
-        sys, "argv", ["make_gallery", "--scan", str(tmp_path / "subject.ply"), "-o", str(tmp_path / "out")]
-    )
+    write_obj(coarse_scan[0], tmp_path / "subject.obj")
+    asked = ["make_gallery", "--scan", str(tmp_path / "subject.obj"), "-o", str(tmp_path / "out")]
+    monkeypatch.setattr(sys, "argv", asked)
     make_gallery.main()
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"scan.jpg", "unlit.jpg", "maps.jpg"}
+    assert files_in(tmp_path / "out") == {"scan.jpg", "unlit.jpg", "maps.jpg"}
     with Image.open(tmp_path / "out" / "unlit.jpg") as picture:
         pixels = np.asarray(picture.convert("RGB"), float)
     # Four panels, each with a face on white.

@@ -18,8 +18,7 @@ def test_scans_of_one_sitting_are_no_pair():
 def test_pairs_are_counted():
     people = list("aabbcc")
     same = np.array(people)[:, None] == people
-    right = {"albedo": np.where(same, 0.9, 0.5)}
-    judged = Judged(right, people, [str(k) for k in range(6)], ["1", "2"] * 3)
+    judged = Judged({"albedo": np.where(same, 0.9, 0.5)}, people, list("012345"), ["1", "2"] * 3)
     even = Calibration(("albedo",), (0.9,), (0.5,), ((0.01,),))
     assert verified(judged, ["albedo"], even) == (1.0, 0.0, 3, 12)
 
@@ -31,7 +30,7 @@ def test_a_calibration_comes_from_all_sets():
     def noisy(apart, level, kinds=KINDS):
         noise = 0.02 * random.standard_normal((len(kinds), 8, 8))
         found = dict(zip(kinds, level + apart * same + noise + noise.transpose(0, 2, 1), strict=True))
-        return Judged(found, people, [str(k) for k in range(8)], ["1", "2"] * 4)
+        return Judged(found, people, list("01234567"), ["1", "2"] * 4)
 
     without_shape = ("albedo", "texture", "shading")
     found = calibrated_on([noisy(0.4, 0.4, without_shape), noisy(0.2, 0.5), noisy(0.3, 0.45)])

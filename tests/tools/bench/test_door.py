@@ -15,6 +15,7 @@ from worlds.door import Case, relief
 from worlds.objects import random_body, random_relief, wrong_object, wrong_objects
 
 from scan2albedo import RawScan
+from scan2albedo.geometry.mesh import face_normals
 from scan2albedo.geometry.rigid import compose, rotation_from_vector
 
 SCAN = RawScan(*random_body(np.random.default_rng(0)))
@@ -25,29 +26,23 @@ def face(model):
     return Scene(Case(SCAN, ("plain",), compose(np.eye(3), [1.0, 2.0, 3.0]), model.landmarks))
 
 
-def turned(scene, vector, shift=(0, 0, 0), **answer):
-    pose = compose(rotation_from_vector(np.deg2rad(vector)), shift) @ scene.scan.model_from_scan
-    return Answer(pose, **{"sure": 0.9, **answer})
+def turned(scene, degrees, high_mm, sure=0.9, message=""):
+    turn = rotation_from_vector([0, np.deg2rad(degrees), 0])
+    return Answer(compose(turn, [0, high_mm, 0]) @ scene.scan.model_from_scan, sure, message)
 
 
 @pytest.mark.parametrize(
-    ("vector", "shift", "ended"),
-    [
-        ((0, 0, 0), (0, 0, 0), ""),
-        ((0, 9, 0), (0, 0, 0), ""),
-        ((0, 11, 0), (0, 0, 0), "wrong"),
-        ((0, 0, 0), (0, 16, 0), "wrong"),
-        ((0, 175, 0), (0, 0, 0), "wrong"),
-    ],
+    ("degrees", "high_mm", "right"),
+    [(9, 0, True), (11, 0, False), (0, 16, False), (175, 0, False)],
 )
-def test_a_pose_is_judged_by_its_turn_and_the_landmarks(face, vector, shift, ended):
-    row = judged_face(face, turned(face, vector, shift))
-    assert row["right %"] == row["pose right %"] == 100 * (not ended)
-    assert row["sure misses %"] == 100 * bool(ended)
-    if ended:
-        assert row["ended"].startswith(ended)
+def test_a_pose_is_judged_by_its_turn_and_the_landmarks(face, degrees, high_mm, right):
+    row = judged_face(face, turned(face, degrees, high_mm))
+    assert row["right %"] == row["pose right %"] == 100 * right
+    assert row["sure misses %"] == 100 * (not right)
+    if right:
+        assert row["deg"] == pytest.approx(degrees)
     else:
-        assert row["deg"] == pytest.approx(np.linalg.norm(vector))
+        assert row["ended"].startswith("wrong")
 
 
 @pytest.mark.parametrize(
@@ -67,7 +62,7 @@ def test_a_refusal_counts_with_the_confidence_and_the_pose_of_its_error(face):
     plain = judged_face(face, Answer(None, None, "no face found"))
     assert (plain["refused %"], plain["pose right %"]) == (100, 100)
     assert np.isnan(plain["confidence"])
-    wrong = judged_face(face, turned(face, (0, 90, 0), sure=0.3, message="no face found"))
+    wrong = judged_face(face, turned(face, 90, 0, 0.3, "no face found"))
     assert (wrong["refused %"], wrong["confidence"], wrong["pose right %"]) == (100, 0.3, 0)
 
 
@@ -76,8 +71,9 @@ def test_a_refusal_is_an_answer():
 
 
 def test_reliability_compares_each_bins_confidence_with_its_share():
-    pairs = [(0.85, k % 5 != 0) for k in range(40)] + [(1.0, True)] * 30 + [(0.15, True)] * 3
-    found = Reliability.of(*np.array(pairs, float).T)
+    right = np.arange(73) % 5 != 0
+    right[40:] = True
+    found = Reliability.of(np.repeat([0.85, 1.0, 0.15], [40, 30, 3]), right.astype(float))
     assert found.count.tolist() == [0, 3, 0, 0, 0, 0, 0, 0, 40, 30]
     assert found.confidence[8] == pytest.approx(0.85)
     assert found.share[8] == pytest.approx(0.8)
@@ -87,24 +83,18 @@ def test_reliability_compares_each_bins_confidence_with_its_share():
 
 
 def test_poses_are_compared_with_their_mean_at_the_face():
-    face = np.array([0.0, 0.0, 50.0])
-    poses = [
-        compose(rotation, face - rotation @ face + [shift, 0, 0])
-        for rotation, shift in ((rotation_from_vector([0, a, 0]), s) for a, s in ((-0.02, -3), (0.02, 3)))
-    ]
-    np.testing.assert_allclose(
-        about_their_mean(poses, face), [[np.degrees(0.02), 3], [np.degrees(0.02), 3]], rtol=1e-6
-    )
+    face, poses = np.array([0.0, 0.0, 50.0]), []
+    for sign in (-1, 1):
+        rotation = rotation_from_vector([0, sign * np.deg2rad(2), 0])
+        poses.append(compose(rotation, face - rotation @ face + [sign * 3, 0, 0]))
+    np.testing.assert_allclose(about_their_mean(poses, face), [[2, 3]] * 2, rtol=1e-6)
 
 
 def test_reliefs_differ_and_come_again(shared_data):
-    first, second = relief(0), relief(2)
-    assert not np.allclose(first.scan.vertices, second.scan.vertices)
-    assert np.array_equal(first.scan.vertices, relief(0).scan.vertices)
-    vertices, faces = random_relief(np.random.default_rng(1))
-    corner = vertices[faces]
-    upward = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])[:, 2]
-    assert (upward > 0).all()
+    first, again, other = (relief(seed).scan.vertices for seed in (0, 0, 2))
+    assert np.array_equal(first, again)
+    assert not np.allclose(first, other)
+    assert (face_normals(*random_relief(np.random.default_rng(1)))[:, 2] > 0).all()
 
 
 def test_there_are_forty_three_objects_of_a_hands_to_a_heads_size(shared_data):

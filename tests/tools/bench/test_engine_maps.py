@@ -1,17 +1,15 @@
 """PSNR after the best exposure; and maps on a board in Mitsuba, against closed forms."""
 
-import os
-
 import numpy as np
 import pytest
 from bench.engine_maps import PATH, Face, Studio, likeness, radiance_of
+from helpers.meshes import grid
+from helpers.mitsuba import needs_mitsuba
 from numpy.testing import assert_allclose
 
 from scan2albedo.applications.template_baking import TemplateTexture, TemplateTile
 from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.io.color import linear_to_srgb
-
-HALF_MM = 50.0
 
 
 def test_likeness_is_psnr_of_srgb_after_the_best_exposure():
@@ -44,16 +42,10 @@ def test_radiance_of_an_environment():
     assert_allclose(down, 1 - np.sqrt(3) * coefficients[1])
 
 
-def board(normal, high_mm=0.0, occlusion=1.0):
-    """A board that looks along +z, with the same normal and height all over."""
-    axis = np.linspace(-HALF_MM, HALF_MM, 5)
-    x, y = (each.ravel() for each in np.meshgrid(axis, axis))
-    corner = (np.arange(4)[:, None] * 5 + np.arange(4)).ravel()
-    faces = np.concatenate(
-        [np.stack([corner, corner + 1, corner + 6], 1), np.stack([corner, corner + 6, corner + 5], 1)]
-    )
-    uv = np.stack([x, y], 1) / (2 * HALF_MM) + 0.5
-    maps = {"displacement_mm": np.full((8, 8), high_mm), "occlusion": np.full((8, 8), occlusion)}
+def board(normal, high_mm):
+    """A board of 100 mm that looks along +z, with the same normal and height all over."""
+    flat, faces = grid(5, 5)
+    maps = {"displacement_mm": np.full((8, 8), high_mm), "occlusion": np.ones((8, 8))}
     tile = TemplateTile(
         1001,
         np.ones(len(faces), bool),
@@ -62,13 +54,11 @@ def board(normal, high_mm=0.0, occlusion=1.0):
         np.tile(normal, (8, 8, 1)),
         maps,
     )
-    return TemplateTexture(np.stack([x, y, 0 * x], 1), faces, uv[faces], (tile,))
+    return TemplateTexture(100 * (flat - [0.5, 0.5, 0]), faces, flat[faces][..., :2], (tile,))
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(
-    "DRJIT_LIBLLVM_PATH" not in os.environ, reason="DRJIT_LIBLLVM_PATH names no libLLVM for Mitsuba"
-)
+@needs_mitsuba
 def test_mitsuba_reads_maps_and_light_as_they_are_meant():
     # Green of a normal map leans toward +y, red toward +x.
     normal, lamp = np.array([0.36, 0.48, 0.8]), PointLight(0.5, 0.7, np.inf, 2.0, (1.2, 1.0, 0.8), 3.0)

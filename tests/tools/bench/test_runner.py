@@ -58,19 +58,8 @@ def test_numbers_that_are_not_finite_do_not_count():
     assert (figures["n"]["error"], figures["mean"]["error"]) == (2, 1.25)
 
 
-@pytest.mark.parametrize(
-    ("names", "quick", "expected"),
-    [
-        ((), False, ["default", "effort 4", "coarse", "absent"]),
-        ((), True, ["default"]),
-        (("slow",), True, ["slow"]),
-    ],
-)
-def test_slow_methods_run_only_by_name(names, quick, expected):
-    assert list(MADE_UP.chosen(names, quick)) == expected
-
-
-def test_an_unknown_method_is_named():
+def test_slow_methods_run_by_name_and_an_unknown_one_is_named():
+    assert list(MADE_UP.chosen(("slow",), True)) == ["slow"]
     with pytest.raises(ValueError, match="'hair' is none of the methods default, effort 4"):
         list(run(MADE_UP, methods=["hair"]))
 

@@ -1,31 +1,26 @@
 """The path tracer against closed forms: a matte ball under a dome, under a lamp, and what gloss adds."""
 
-import os
 from dataclasses import replace
 
 import numpy as np
 import pytest
-import trimesh
+from helpers.meshes import sphere
+from helpers.mitsuba import needs_mitsuba
 from worlds.lamps import Environment, Lamp
 from worlds.path_tracer import Part, Studio
 
 ALBEDO = np.array([0.6, 0.4, 0.2], np.float32)
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(
-        "DRJIT_LIBLLVM_PATH" not in os.environ, reason="DRJIT_LIBLLVM_PATH names no libLLVM for Mitsuba"
-    ),
-]
+pytestmark = [pytest.mark.slow, needs_mitsuba]
 
 
 @pytest.fixture(scope="module")
 def ball():
-    mesh = trimesh.creation.icosphere(subdivisions=5, radius=50.0)
-    vertices = np.asarray(mesh.vertices)
+    vertices, faces = sphere(5, 50.0)
     picture = np.tile(ALBEDO, (4, 4, 1))
-    uv = np.full((len(vertices), 2), 0.5)
-    return Part("face", vertices, vertices / 50, np.asarray(mesh.faces), uv, picture, None, "matte")
+    return Part(
+        "face", vertices, vertices / 50, faces, np.full((len(vertices), 2), 0.5), picture, None, "matte"
+    )
 
 
 def seen(part, emitter):

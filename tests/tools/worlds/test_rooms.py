@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import trimesh
+from helpers.meshes import sphere
 from numpy.testing import assert_allclose
 from worlds.rooms import Room, random_room, room_light_on
 
@@ -15,32 +15,31 @@ EVEN = Room(np.ones(3), np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3)))
 
 
 def lit(vertices, faces, normals, room, albedo=(0.5, 0.5, 0.5)):
-    def painted(face, _):
-        return np.tile(albedo, (len(face), 1))
-
-    shape = SimpleNamespace(vertices=vertices, faces=faces, normals=normals, albedo_at=painted)
+    shape = SimpleNamespace(vertices=vertices, faces=faces, normals=normals)
+    shape.albedo_at = lambda face, _: np.tile(albedo, (len(face), 1))
     return room_light_on(shape, RayScene(vertices, faces), np.random.default_rng(0), room)
 
 
 @pytest.fixture(scope="module")
 def ball():
-    return trimesh.creation.icosphere(4, 80.0)
+    return sphere(4, 80.0)
 
 
 def test_nothing_shadows_a_ball(ball):
-    assert_allclose(lit(ball.vertices, ball.faces, ball.vertices / 80, EVEN), 1.0, atol=0.01)
+    vertices, faces = ball
+    assert_allclose(lit(vertices, faces, vertices / 80, EVEN), 1.0, atol=0.01)
     # Half of the directions shine, of which those around the top see all and those around the bottom none.
     sky = Room(np.zeros(3), np.array([[0.0, 1, 0]]), np.array([2.0]), np.array([[1.0, 2, 3]]))
-    light = lit(ball.vertices, ball.faces, ball.vertices / 80, sky)
+    light = lit(vertices, faces, vertices / 80, sky)
     assert_allclose(light[:, 2], 3 * light[:, 0], rtol=1e-6)
     # At the top: 2 integral_0^1 exp(2 (t - 1)) t dt = (1 + exp(-2)) / 2.
     assert light[:, 0].max() == pytest.approx((1 + np.exp(-2)) / 2, rel=0.02)
 
 
 def test_a_bowl_hides_half_of_the_room_from_itself_and_throws_its_colour_back(ball):
-    faces = ball.faces[(ball.vertices[ball.faces][..., 1] <= 1e-6).all(1)][:, ::-1]
-    deep = ball.vertices[:, 1] < -20
-    light = lit(ball.vertices, faces, -ball.vertices / 80, EVEN, albedo=(0.8, 0.4, 0.0))[deep]
+    vertices, faces = ball
+    bowl = faces[(vertices[faces][..., 1] <= 1e-6).all(1)][:, ::-1]
+    light = lit(vertices, bowl, -vertices / 80, EVEN, albedo=(0.8, 0.4, 0.0))[vertices[:, 1] < -20]
     # All of the bowl sees half of the room, and the bowl in the other half.
     assert_allclose(light.mean(0), [0.5 + 0.2, 0.5 + 0.1, 0.5], rtol=0.02)
     assert light.std(0).max() < 0.03
@@ -48,11 +47,11 @@ def test_a_bowl_hides_half_of_the_room_from_itself_and_throws_its_colour_back(ba
 
 def test_rooms_shine_with_a_mean_of_one_in_colours_of_their_own():
     toward = distant_directions(2000)
-    rooms = [random_room(np.random.default_rng(seed), 0.3).radiance(toward) for seed in range(20)]
-    assert_allclose([radiance.mean() for radiance in rooms], 1.0, rtol=1e-3)
-    assert min(radiance.min() for radiance in rooms) > 0
-    red = [np.log(radiance[:, 0] / radiance[:, 1]) for radiance in rooms]
-    assert np.std([tint.mean() for tint in red]) > 0.05
-    assert np.mean([tint.std() for tint in red]) > 0.05
+    rooms = np.array([random_room(np.random.default_rng(k), 0.3).radiance(toward) for k in range(20)])
+    assert_allclose(rooms.mean((1, 2)), 1.0, rtol=1e-3)
+    assert rooms.min() > 0
+    red = np.log(rooms[..., 0] / rooms[..., 1])
+    assert red.mean(1).std() > 0.05
+    assert red.std(1).mean() > 0.05
     grey = random_room(np.random.default_rng(0), 0.0).radiance(toward)
     assert_allclose(grey, grey[:, :1].repeat(3, 1))

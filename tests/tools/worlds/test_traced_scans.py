@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.square import SQUARE_FACES
 from numpy.testing import assert_allclose, assert_array_equal
 from worlds.files import write_obj
 from worlds.path_tracer import exposure_of, stored
@@ -14,7 +15,7 @@ from scan2albedo.geometry.pinhole import project
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.synthetic.raw_scan import capture
 from scan2albedo.synthetic.renderer import toward
-from scan2albedo.synthetic.sitter import sit_down
+from scan2albedo.synthetic.sitter import join, sit_down
 
 
 @pytest.fixture(scope="module")
@@ -61,15 +62,11 @@ def test_the_truth_of_a_face_lies_where_a_camera_shows_it(sitter):
 
 def test_the_best_free_view_is_taken_and_hidden_points_have_none():
     # A floor under a small roof.
-    floor, roof = (
-        [[-9, 0, -9], [-9, 0, 9], [9, 0, 9], [9, 0, -9]],
-        [[-2, 1, -2], [-2, 1, 2], [2, 1, 2], [2, 1, -2]],
-    )
-    vertices = np.array(floor + roof, float)
-    faces = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]])
+    plate = np.array([[-1.0, 0, -1], [-1, 0, 1], [1, 0, 1], [1, 0, -1]])
+    shapes = RayCaster(*join([(9 * plate, SQUARE_FACES), (2 * plate + [0, 1, 0], SQUARE_FACES)]))
     cameras = np.array([1000.0 * toward(0.0, elevation) for elevation in (89.9, 30.0)])
     points, up = np.array([[8.0, 0, 0], [0, 0, 0], [0, 0, 1.5]]), np.tile([0.0, 1, 0], (3, 1))
-    camera, direction = best_views(points, up, RayCaster(vertices, faces), cameras)
+    camera, direction = best_views(points, up, shapes, cameras)
     assert camera.tolist() == [0, -1, 1]
     assert_allclose(np.linalg.norm(direction, axis=1), [1, 0, 1])
 
@@ -81,16 +78,14 @@ def test_exposure_leaves_two_in_a_hundred_texels_above_its_level():
 
 def test_the_camera_keeps_eight_bits_and_its_noise_follows_the_light():
     rng = np.random.default_rng(0)
-    dark, bright = stored(np.full((20000, 3), 0.04), rng), stored(np.full((20000, 3), 0.64), rng)
+    dark, bright = (stored(np.full((20000, 3), light), rng) for light in (0.04, 0.64))
     assert dark.std() == pytest.approx(0.008 * 0.2, rel=0.15)
     assert bright.std() == pytest.approx(0.008 * 0.8, rel=0.1)
     assert len(np.unique(bright)) < 30
 
 
 def test_scans_in_metres_keep_their_detail(tmp_path):
-    vertices = np.array([[0.1234567, 0, 0], [0, 0.1, 0], [0, 0, 0.1]])
-    scan = s2a.RawScan(
-        vertices, np.array([[0, 1, 2]]), uv=np.zeros((1, 3, 2)), texture_linear=np.ones((2, 2, 3), np.float32)
-    )
+    white = np.ones((2, 2, 3), np.float32)
+    scan = s2a.RawScan(0.1234567 * np.eye(3), [[0, 1, 2]], uv=np.zeros((1, 3, 2)), texture_linear=white)
     write_obj(scan, tmp_path / "small.obj", decimals=7)
     assert "v 0.1234567 " in (tmp_path / "small.obj").read_text()
