@@ -1,9 +1,20 @@
-"""Scans as files that name other files, written by hand."""
+"""Scans as files that name other files, written by hand, and files that are refused."""
 
 import json
 
+import pytest
+
 from helpers.gltf import Gltf
 from helpers.square import square_gltf
+from scan2albedo.errors import ScanError
+from scan2albedo.io import load_scan
+
+
+def assert_refused(path, words, error=ScanError):
+    """Check that loading a scan ends with an error whose text fits the pattern `words`."""
+    with pytest.raises(error, match=words):
+        load_scan(path)
+
 
 VERTEX = [f"property float {axis}" for axis in "xyz"]
 INDICES = "property list uchar int vertex_indices"

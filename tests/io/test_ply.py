@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-import trimesh
+from helpers.scan_files import assert_refused
 from helpers.square import (
     CORNER_COLORS,
     CORNER_LINEAR,
@@ -14,7 +14,6 @@ from helpers.square import (
 )
 from numpy.testing import assert_allclose, assert_array_equal
 
-from scan2albedo.errors import ScanError
 from scan2albedo.geometry.mesh import face_normals
 from scan2albedo.io import load_scan
 
@@ -122,20 +121,6 @@ def test_other_elements_and_long_headers_are_passed_over(tmp_path):
     assert_array_equal(load_scan(tmp_path / "a.PLY").faces, SQUARE_FACES)
 
 
-@pytest.mark.parametrize("layout", FORMATS)
-@pytest.mark.parametrize("part", [0.2, 0.62, 0.97])
-def test_truncated_files_are_refused_by_name(tmp_path, layout, part):
-    path = ply(tmp_path, layout)
-    data = path.read_bytes()
-    path.write_bytes(data[: int(len(data) * part)])
-    with pytest.raises(ScanError, match=r"a\.ply: .*(truncated|point cloud)"):
-        load_scan(path)
-    # A count beyond the file is refused without making room for it.
-    path.write_bytes(data.replace(b"element face 2", b"element face 2000000000000"))
-    with pytest.raises(ScanError, match=r"a\.ply: it declares 2000000000000 face rows"):
-        load_scan(path)
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -154,6 +139,7 @@ def test_truncated_files_are_refused_by_name(tmp_path, layout, part):
         ((b"property float y", b"property float x"), "its vertex has no properties, or one twice"),
         ((b"100.0 0.0 0.0", b"1e99 0.0 0.0"), "1 vertices used by faces are NaN or infinite.*vertex 1"),
         ((b"100.0 0.0 0.0", b"100.0 zero 0.0"), "vertex 1 is not made of numbers"),
+        ((b"element face 2", b"element face 2000000000000"), "it declares 2000000000000 face rows"),
         ((b"element face 2", b"element face 0"), "point cloud of 4 vertices"),
         ((b"element face 2", b"element strips 2"), "point cloud of 4 vertices"),
     ],
@@ -163,23 +149,13 @@ def test_damaged_files_are_refused_by_name(tmp_path, change, message):
     data = path.read_bytes()
     assert change[0] in data
     path.write_bytes(data.replace(*change))
-    with pytest.raises(ScanError, match=r"a\.ply: .*" + message):
-        load_scan(path)
+    assert_refused(path, rf"a\.ply: .*{message}")
 
 
 def test_coordinates_that_are_lists_are_no_coordinates(tmp_path):
     rows = [[("u1", [1]), *row] for row in POINTS]
-    with pytest.raises(ScanError, match=r"a\.ply: its vertices have no x"):
-        load_scan(ply(tmp_path, vertex=(["list uchar float x", *XYZ[1:]], rows)))
-
-
-def test_trimesh_reads_the_same(tmp_path):
-    mesh = trimesh.creation.icosphere(subdivisions=2, radius=80)
-    for encoding in ("ascii", "binary"):
-        mesh.export(tmp_path / "a.ply", encoding=encoding)
-        scan = load_scan(tmp_path / "a.ply")
-        assert_array_equal(scan.faces, mesh.faces)
-        assert_allclose(scan.vertices, mesh.vertices, rtol=1e-6, atol=1e-5)
+    path = ply(tmp_path, vertex=(["list uchar float x", *XYZ[1:]], rows))
+    assert_refused(path, r"a\.ply: its vertices have no x")
 
 
 @pytest.mark.parametrize("layout", FORMATS)
