@@ -22,12 +22,6 @@ def test_a_worker_that_dies_costs_at_most_its_own_scan(batched, tmp_path, quick_
 
 
 @pytest.mark.slow
-def test_one_job_has_a_process_of_its_own_that_may_die(batched, tmp_path, quick_stages):
-    batched("a", "kills-always", "b", jobs=1)
-    assert statuses(tmp_path / "out") == {"a": "done", "kills-always": "failed", "b": "done"}
-
-
-@pytest.mark.slow
 def test_a_scan_that_takes_too_long_is_given_up(batched, quick_stages):
     report = batched("sleeps", "a", "b", jobs=2, timeout_s=1.5)
     assert report.failures == {"sleeps": "took longer than 1.5 s (--timeout)"}

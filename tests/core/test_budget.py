@@ -17,16 +17,16 @@ def test_a_number_means_seconds_and_none_means_no_limit():
     assert Budget.of(budget) is budget
 
 
-@pytest.mark.parametrize("seconds", [0, -1, math.nan])
-def test_seconds_are_above_zero(seconds):
-    with pytest.raises(ValueError, match=f"Budget.seconds must be a number > 0, got {seconds}"):
-        Budget.of(seconds)
-
-
-@pytest.mark.parametrize("evaluations", [0, 2.5, math.nan])
-def test_evaluations_are_a_whole_number_above_zero(evaluations):
-    with pytest.raises(ValueError, match=f"whole number >= 1, got {evaluations}"):
-        Budget(evaluations=evaluations)
+@pytest.mark.parametrize(
+    ("name", "wrong", "expected"),
+    [
+        *(("seconds", wrong, "a number > 0") for wrong in (0, -1, math.nan)),
+        *(("evaluations", wrong, "a whole number >= 1") for wrong in (0, 2.5, math.nan)),
+    ],
+)
+def test_limits_are_above_zero(name, wrong, expected):
+    with pytest.raises(ValueError, match=f"Budget.{name} must be {expected}, got {wrong}"):
+        Budget(**{name: wrong})
 
 
 def test_meter_counts_and_is_exhausted_by_evaluations():

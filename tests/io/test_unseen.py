@@ -17,18 +17,18 @@ VERTICES, FACES = grid(41, 41)
 ORANGE = (255, 127, 39)
 
 
-def picture(seed=0):
+def picture():
     """A photograph of skin with noise, 240 x 240, and where it has a hole, 60 x 60."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     level = 120 + 60 * np.sin(np.arange(240) / 80)[:, None] + rng.normal(0, 3, (240, 240))
     hole = np.zeros((240, 240), bool)
     hole[60:120, 90:150] = True
     return np.clip(level[..., None] * [1, 0.8, 0.7], 0, 255).astype(np.uint8), hole
 
 
-def written(folder, pixels, **options):
+def written(folder, pixels):
     """Write the square with a texture as OBJ and return its path."""
-    Image.fromarray(pixels).save(folder / "skin.png", **options)
+    Image.fromarray(pixels).save(folder / "skin.png")
     text = obj_text(160 * VERTICES, FACES, VERTICES[:, :2])
     (folder / "skin.obj").write_text(f"mtllib skin.mtl\nusemtl skin\n{text}")
     (folder / "skin.mtl").write_text("newmtl skin\nmap_Kd skin.png\n")
