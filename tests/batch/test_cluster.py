@@ -27,12 +27,14 @@ def cluster():
 
 @pytest.mark.slow
 def test_scans_that_kill_their_workers_are_tried_again_and_fail_alone(batched, quick_stages, cluster):
-    names = ("a", "kills", "b", "kills-always", "c", "raises", "nofile", "d")
-    report = batched(*names, scheduler=cluster.scheduler_address)
-    assert report.failures.keys() == {"kills-always", "raises", "nofile"}
+    options = {"scheduler": cluster.scheduler_address, "resume": True}
+    report = batched("a", "kills", "b", "raises", "nofile", "c", **options)
+    assert report.failures.keys() == {"raises", "nofile"}
+    assert (quick_stages("kills"), report.jobs, report.progress.done) == (2, 2, 4)
+    report = batched("d", "kills-always", "e", "f", **options)
+    assert report.failures.keys() == {"kills-always"}
     assert "KilledWorker" in report.failures["kills-always"]
-    assert (quick_stages("kills"), quick_stages("kills-always")) == (2, 4)
-    assert (report.jobs, report.progress.done) == (2, 5)
+    assert (quick_stages("kills-always"), report.progress.done) == (4, 3)
 
 
 @pytest.mark.slow
