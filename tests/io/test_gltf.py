@@ -33,7 +33,7 @@ def test_a_file_written_by_hand_shows_its_corners(tmp_path):
     assert_allclose(scan.vertices, SQUARE_MM, atol=1e-4)
     assert_allclose(scan.uv, SQUARE_UV[SQUARE_FACES], atol=1e-7)
     assert_corner_colors(scan)
-    assert scan.notes[0].startswith("unit: m ")
+    assert scan.notes[0] == "unit: m (largest extent 120 mm), decided from the size"
 
 
 @pytest.mark.parametrize(

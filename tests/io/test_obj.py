@@ -279,13 +279,6 @@ def test_names_in_another_unicode_form_and_other_code_pages(tmp_path):
         assert_corner_colors(load_scan(path))
 
 
-def test_a_name_that_nothing_decodes_is_told_and_printable(tmp_path):
-    path = write_square_obj(tmp_path, mtl=b"newmtl skin\nmap_Kd lost\xff\xfe.png\n")
-    (tmp_path / "face.png").unlink()
-    (note,) = [note for note in load_scan(path).notes if "missing" in note]
-    assert note.isprintable()
-
-
 @pytest.mark.parametrize("kind", ["map_Ka", "map_Ke"])
 def test_a_picture_in_another_slot_is_the_colour_of_a_material_without(kind):
     assert parse_mtl(f"newmtl a\n{kind} glow.png\n")["a"].texture_file == "glow.png"

@@ -90,10 +90,9 @@ def test_the_file_is_what_the_standard_asks_for(weighted, tmp_path):
     assert shares.min() >= 0
     assert (np.diff(shares, axis=1) <= 0).all()
     assert (joints[shares == 0] == 0).all()
-    (mesh,) = (k for k, node in enumerate(tree["nodes"]) if "skin" in node)
-    assert tree["nodes"][mesh] == {"name": "frame", "mesh": 0, "skin": 0}
-    skeleton = tree["skins"][0]
-    assert {mesh, skeleton["skeleton"]} == set(tree["scenes"][0]["nodes"])
+    assert tree["nodes"][0] == {"name": "frame", "mesh": 0, "skin": 0}
+    (skeleton,) = tree["skins"]
+    assert {0, skeleton["skeleton"]} == set(tree["scenes"][0]["nodes"])
     assert [tree["nodes"][j]["name"] for j in skeleton["joints"]] == list(KEY_POINT_NAMES)
     # At rest every joint stands at its key point and moves nothing.
     assert_allclose(file.joints(), AXES, atol=1e-7)

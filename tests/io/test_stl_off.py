@@ -102,12 +102,8 @@ def test_coff_vertex_colours(tmp_path, top):
         ({"counts": "5 2 0"}, "declares 2 face rows, but ends before that"),
         ({"counts": "4 3 0"}, "declares 3 face rows, but ends before that"),
         ({"counts": "nan 3 0"}, "counts are not numbers"),
-        ({"faces": ["3 0 1 two"]}, "not made of numbers"),
-        ({"faces": ["3 0 1"]}, "a list vertex_indices of face is cut short.*no OFF"),
-        ({"faces": ["2 0 1"]}, "face 0 has 2 corners, expected at least 3"),
-        ({"faces": ["3 0 1 8"]}, "a face refers to vertex 8, but there are 4 vertices"),
         ({"faces": ["3 0 1 1e30"]}, "vertex_indices of face holds 1e.30"),
-        ({"faces": ["1e30 0 1 2"]}, "a list vertex_indices of face is cut short"),
+        ({"faces": ["1e30 0 1 2"]}, "a list vertex_indices of face is cut short.*no OFF"),
         ({"vertices": [(0, 0), (1, 0), (1, 1), (0, 1)]}, "vertex 0 is cut short"),
     ],
 )

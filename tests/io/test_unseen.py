@@ -26,20 +26,20 @@ def picture():
     return np.clip(level[..., None] * [1, 0.8, 0.7], 0, 255).astype(np.uint8), hole
 
 
-def written(folder, pixels):
-    """Write the square with a texture as OBJ and return its path."""
-    Image.fromarray(pixels).save(folder / "skin.png")
+def loaded(folder, image):
+    """Write the square with a texture as OBJ and return the scan that is read."""
+    image.save(folder / "skin.png")
     text = obj_text(160 * VERTICES, FACES, VERTICES[:, :2])
     (folder / "skin.obj").write_text(f"mtllib skin.mtl\nusemtl skin\n{text}")
     (folder / "skin.mtl").write_text("newmtl skin\nmap_Kd skin.png\n")
-    return folder / "skin.obj"
+    return load_scan(folder / "skin.obj", unit="mm")
 
 
 @pytest.mark.parametrize("fill", [ORANGE, (0, 0, 0), (128, 128, 128)])
 def test_a_colour_that_was_filled_in_was_not_seen(tmp_path, fill):
     pixels, hole = picture()
     pixels[hole] = fill
-    scan = load_scan(written(tmp_path, pixels), unit="mm")
+    scan = loaded(tmp_path, Image.fromarray(pixels))
     assert scan.color_seen is not None
     assert not scan.color_seen[hole].any()
     assert scan.color_seen[~hole].mean() > 0.999
@@ -56,16 +56,14 @@ def test_what_is_transparent_was_not_seen(tmp_path, kind):
         image.info["transparency"] = 0
     elif kind == "LA":
         image = image.convert("LA")
-    file = written(tmp_path, pixels)
-    image.save(tmp_path / "skin.png")
-    assert_array_equal(load_scan(file, unit="mm").color_seen, ~hole)
+    assert_array_equal(loaded(tmp_path, image).color_seen, ~hole)
 
 
 def test_an_alpha_that_is_alike_everywhere_says_nothing(tmp_path):
     pixels, _ = picture()
     for alpha in (0, 80, 255):
         rgba = np.dstack([pixels, np.full(pixels.shape[:2], alpha, np.uint8)])
-        assert load_scan(written(tmp_path, rgba), unit="mm").color_seen is None
+        assert loaded(tmp_path, Image.fromarray(rgba)).color_seen is None
 
 
 def test_photographs_and_clipped_white_were_seen():
@@ -78,7 +76,7 @@ def test_photographs_and_clipped_white_were_seen():
 
 
 def test_a_scan_of_one_colour_has_no_colour(tmp_path):
-    scan = load_scan(written(tmp_path, np.full((64, 64, 3), 180, np.uint8)), unit="mm")
+    scan = loaded(tmp_path, Image.new("RGB", (64, 64), "grey"))
     assert not scan.has_color
     assert any("say nothing" in note for note in scan.notes)
     assert scan.texture_linear.shape == (64, 64, 3)
