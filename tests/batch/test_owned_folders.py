@@ -4,11 +4,10 @@ import json
 import os
 
 import pytest
-from helpers.batches import TINY
 from helpers.folders import contents
 from helpers.records import files_in, read_json
 
-from scan2albedo.batch import load_albedos, load_catalogue, run_batch
+from scan2albedo.batch import load_albedos, load_catalogue
 from scan2albedo.batch.catalogue import write_catalogue
 from scan2albedo.batch.records import Layout
 from scan2albedo.errors import BatchError, OutputError
@@ -44,19 +43,6 @@ def test_a_hostile_journal_fails_its_scan_alone(batched, tmp_path):
     assert list(report.failures) == ["a"]
     assert "is not ours" in report.failures["a"]
     assert (contents(out / "a"), contents(out / "b")) == before
-
-
-def test_a_scan_that_fails_leaves_its_older_result(scans_in, tmp_path):
-    manifest, out = scans_in("a"), tmp_path / "out"
-    run_batch(manifest, out, options=TINY)
-    before = contents(out / "a")
-    (manifest.parent / "a.ply").write_text("ply\nno")
-    report = run_batch(manifest, out, options=TINY, resume=True)
-    assert list(report.failures) == ["a"]
-    assert contents(out / "a") == before
-    (row,) = load_catalogue(out).to_pylist()
-    assert (row["status"], row["folder"], row["path_albedo_exr"]) == ("failed", None, None)
-    assert "the result of an earlier run is still in its folder" in row["notes"]
 
 
 def test_an_edited_result_of_a_batch_is_made_again(batched, tmp_path):

@@ -68,10 +68,9 @@ TEXCOORD = [*INDICES, "list uchar float texcoord"]
 TEXTURED = joined(TRIANGLES, [[("u1", [6]), ("f4", SQUARE_UV[f].ravel().tolist())] for f in SQUARE_FACES])
 
 
-@pytest.mark.parametrize("layout", FORMATS)
-def test_coordinates_with_the_corners(tmp_path, layout):
+def test_coordinates_with_the_corners(tmp_path):
     write_image(tmp_path / "my face.png", quarters())
-    scan = load_scan(ply(tmp_path, layout, ["TextureFile my face.png"], face=(TEXCOORD, TEXTURED)))
+    scan = load_scan(ply(tmp_path, FORMATS[2], ["TextureFile my face.png"], face=(TEXCOORD, TEXTURED)))
     assert_array_equal(scan.uv, SQUARE_UV[SQUARE_FACES])
     assert_corner_colors(scan)
 
@@ -158,11 +157,10 @@ def test_coordinates_that_are_lists_are_no_coordinates(tmp_path):
     assert_refused(path, r"a\.ply: its vertices have no x")
 
 
-@pytest.mark.parametrize("layout", FORMATS)
 @pytest.mark.parametrize("rows", [[[0, 1, 2, -1, 2, 3, 0]], [[1, 2, 0, 3]], [[0, 1, 2], [2, 3, 0, -1]]])
-def test_triangle_strips(tmp_path, layout, rows):
+def test_triangle_strips(tmp_path, rows):
     strips = ["list int int vertex_indices"], [[("i4", [len(row)]), ("i4", row)] for row in rows]
-    scan = load_scan(ply(tmp_path, layout, face=((), ()), tristrips=strips))
+    scan = load_scan(ply(tmp_path, FORMATS[1], face=((), ()), tristrips=strips))
     assert_array_equal(scan.vertices, SQUARE_MM)
     assert_array_equal(np.sort(np.sort(scan.faces), axis=0), SQUARE_FACES)
     assert (face_normals(scan.vertices, scan.faces)[:, 2] > 0).all()
