@@ -98,7 +98,7 @@ def test_a_task_that_raises_in_its_worker_fails_alone(answering):
     assert report.progress.done == 2
 
 
-def test_a_scheduler_that_is_lost_ends_the_batch(answering, tmp_path):
+def test_a_scheduler_that_is_lost_ends_the_batch(answering, out):
     with pytest.raises(BatchError, match=r"tcp://127\.0\.0\.1:9 is gone; --resume"):
         answering(b=("cancelled", CancelledError("b")))
-    assert statuses(tmp_path / "out") == {"a": "done", "b": "not run", "c": "not run"}
+    assert statuses(out) == {"a": "done", "b": "not run", "c": "not run"}

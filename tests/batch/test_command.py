@@ -14,7 +14,6 @@ from helpers.commands import printed, succeeded
 from helpers.records import read_json
 from helpers.usage import COMMAND, run_process, usage_error
 
-from scan2albedo.batch.records import Layout
 from scan2albedo.cli.commands import app
 
 TINY = ("--model", "none", "--size", "32", "--unit", "mm", "--no-pictures", "--quality", "draft")
@@ -38,8 +37,8 @@ def test_exit_statuses_and_the_summary(scans_in, tmp_path, no_workers):
     assert "batch: kept 1 (hashes verified), 0 to do" in again.stderr
 
 
-def test_scans_without_their_textures_are_told_and_strict_is_1(scans_in, tmp_path, no_workers):
-    asked = (scans_in("a", "bare"), "-o", tmp_path / "out", *TINY)
+def test_scans_without_their_textures_are_told_and_strict_is_1(scans_in, tmp_path, no_workers, out):
+    asked = (scans_in("a", "bare"), "-o", out, *TINY)
     done = succeeded(invoke(*asked))
     assert "  bare: texture skin.jpg is missing: went on without it" in done.stderr.splitlines()
     assert invoke(*asked, "--resume", "--strict").exit_code == 1
@@ -55,9 +54,9 @@ def test_a_fault_of_the_manifest_is_one_line_and_leaves_nothing(tmp_path):
 
 
 @pytest.mark.parametrize("wrong", [("--timeout", "0"), ("--lights", "many"), ("--jobs", "-1")])
-def test_wrong_flags_are_2(wrong, tmp_path, scans_in):
-    usage_error(invoke(scans_in("a"), "-o", tmp_path / "out", *wrong))
-    assert not (tmp_path / "out").exists()
+def test_wrong_flags_are_2(wrong, scans_in, out):
+    usage_error(invoke(scans_in("a"), "-o", out, *wrong))
+    assert not out.exists()
 
 
 def test_it_has_the_flags_of_process():
@@ -69,13 +68,13 @@ def test_it_has_the_flags_of_process():
     assert flags <= {option for parameter in commands["batch"].params for option in parameter.opts}
 
 
-def started(manifest, out, rows):
+def started(manifest, layout, rows):
     """Begin a batch and return its process when it has that many rows; its lines go into a file."""
-    command = [*COMMAND, "batch", manifest, "-o", out, *TINY, "--jobs", "2"]
+    command = [*COMMAND, "batch", manifest, "-o", layout.out, *TINY, "--jobs", "2"]
     with (manifest.parent / "stderr").open("w") as said:
         process = subprocess.Popen(command, stderr=said, start_new_session=True)
     deadline = time.monotonic() + 200
-    while len(list(Layout(out).rows.glob("*.json"))) < rows and time.monotonic() < deadline:
+    while len(list(layout.rows.glob("*.json"))) < rows and time.monotonic() < deadline:
         assert process.poll() is None, (manifest.parent / "stderr").read_text()
         time.sleep(0.05)
     return process
@@ -90,7 +89,7 @@ def state(out, names):
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_signal_raises_only_while_scans_are_processed(tmp_path, monkeypatch, number, status):
     monkeypatch.setattr("scan2albedo.batch.run_batch", lambda *_, **__: signal.raise_signal(number))
-    assert invoke(tmp_path, "-o", tmp_path / "out").exit_code == status
+    assert invoke(tmp_path, "-o", tmp_path).exit_code == status
     for each in (signal.SIGINT, signal.SIGTERM):
         assert signal.getsignal(each).__qualname__ == "stop_cleanly_on_interrupt.<locals>.stop"
 
@@ -106,13 +105,13 @@ def test_a_signal_raises_only_while_scans_are_processed(tmp_path, monkeypatch, n
     ],
 )
 def test_a_batch_that_is_ended_leaves_no_workers_and_what_was_done_is_kept(
-    scans_in, tmp_path, send, number, status, word
+    scans_in, send, number, status, word, out, layout
 ):
     import psutil
 
     names = [f"ball{i}" for i in range(5)]
-    manifest, out = scans_in(*names), tmp_path / "out"
-    process = started(manifest, out, 2)
+    manifest = scans_in(*names)
+    process = started(manifest, layout, 2)
     children = psutil.Process(process.pid).children(recursive=True)
     send(process.pid, number)
     assert process.wait(timeout=60) == status
@@ -125,7 +124,7 @@ def test_a_batch_that_is_ended_leaves_no_workers_and_what_was_done_is_kept(
         assert not list(out.rglob("*.part*"))
         assert read_json(out / "batch.json")["status"] == "interrupted"
         assert set(statuses(out).values()) == {"done", "not run"}
-    finished = [path.stem for path in Layout(out).rows.glob("*.json")]
+    finished = [path.stem for path in layout.rows.glob("*.json")]
     assert 2 <= len(finished) < 5
     before = state(out, finished)
     done = invoke(manifest, "-o", out, *TINY, "--jobs", "1", "--resume", "--json")

@@ -7,7 +7,6 @@ import pytest
 from helpers.batches import TINY
 
 from scan2albedo.batch import load_catalogue, read_manifest, run_batch
-from scan2albedo.batch.records import Layout
 from scan2albedo.batch.run import _tasks
 from scan2albedo.batch.worker import process_task
 from scan2albedo.errors import BatchError
@@ -18,16 +17,16 @@ def stamps(folder):
     return {path: path.stat().st_mtime_ns for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
-def test_only_what_changed_is_done_again(scans_in, tmp_path, no_workers):
+def test_only_what_changed_is_done_again(scans_in, no_workers, out, layout):
     names = ("same", "input", "content", "missing", "row", "gone", "raises", "nofile")
-    manifest, out = scans_in(*names), tmp_path / "out"
+    manifest = scans_in(*names)
     run_batch(manifest, out, options=TINY)
     before = stamps(out / "same")
     with (manifest.parent / "input.ply").open("a") as file:
         file.write("\n")
     (out / "content" / "albedo.exr").write_text("Content")  # as long as before
     (out / "missing" / "albedo.exr").unlink()
-    Layout(out).row_file("row").write_text('{"cut": ')
+    layout.row_file("row").write_text('{"cut": ')
     (manifest.parent / "gone.ply").unlink()
     shown = []
     report = run_batch(manifest, out, options=TINY, resume=True, on_progress=shown.append)
@@ -82,7 +81,7 @@ def test_other_landmarks_do_their_scan_again(batched, tmp_path, no_workers):
             batched("a", "b", columns=columns, options=one, resume=True)
 
 
-def test_another_scan_of_a_person_does_all_of_them_again(batched, scans_in, tmp_path, no_workers):
+def test_another_scan_of_a_person_does_all_of_them_again(batched, scans_in, tmp_path, no_workers, out):
     options, ann = ProcessOptions(size=32), {"person": ["ann"] * 3}
     for count in (2, 2, 3):
         report = batched(*"abcd"[:count], columns=ann, options=options, resume=True)
@@ -91,22 +90,20 @@ def test_another_scan_of_a_person_does_all_of_them_again(batched, scans_in, tmp_
     manifest = scans_in(*"abc", **ann)
     scan = manifest.parent / "c.ply"
     scan.write_text(scan.read_text().replace("comment c", "comment other"))
-    run_batch(manifest, tmp_path / "out", options=options, resume=True)
+    run_batch(manifest, out, options=options, resume=True)
     assert no_workers("ann") == 3
-    (row,) = load_catalogue(tmp_path / "out").to_pylist()
+    (row,) = load_catalogue(out).to_pylist()
     assert (row["name"], row["person"], row["source"]) == ("ann", "ann", "a.ply, b.ply, c.ply")
     with pytest.raises(BatchError, match="line 2: a person needs the model of a face"):
         run_batch(manifest, tmp_path / "new", options=TINY)
 
 
-def test_two_batches_in_one_folder_are_refused(scans_in, tmp_path):
-    layout = Layout(tmp_path / "out")
+def test_two_batches_in_one_folder_are_refused(scans_in, layout):
     with layout.locked(), pytest.raises(BatchError, match="a batch works in"):
         run_batch(scans_in("a"), layout.out, options=TINY, resume=True)
 
 
-def test_a_worker_of_an_older_run_writes_nothing(scans_in, tmp_path, no_workers):
-    layout = Layout(tmp_path / "out")
+def test_a_worker_of_an_older_run_writes_nothing(scans_in, no_workers, layout):
     (task,) = _tasks(read_manifest(scans_in("raises")), layout, TINY, None)
     layout.begin_run("another")
     assert process_task(task).status == "failed"

@@ -61,7 +61,9 @@ def result(text):
     return dict.fromkeys(("a.txt", "b.txt", f"only_{text}.txt", f"page/line_{text}.txt"), text)
 
 
-def with_an_old_result(tmp_path):
+@pytest.fixture
+def folder(tmp_path):
+    """A folder with an old result and files of the user's."""
     folder = tmp_path / "out" / "scan"
     run(folder, "old")
     for name, text in MINE.items():
@@ -145,8 +147,7 @@ def assert_old_or_new(folder, new_run):
 
 
 @pytest.mark.parametrize("interruption", [ctrl_c, full_disk])
-def test_an_error_at_any_operation_leaves_the_old_or_the_new_result(tmp_path, interruption, monkeypatch):
-    folder = with_an_old_result(tmp_path)
+def test_an_error_at_any_operation_leaves_the_old_or_the_new_result(folder, interruption, monkeypatch):
 
     def new_run(step):
         with monkeypatch.context() as patch, suppress(OutputError, KeyboardInterrupt):
@@ -168,8 +169,7 @@ def in_a_child(work):
     return child
 
 
-def test_a_process_that_ends_at_any_operation_leaves_the_old_or_the_new_result(tmp_path, monkeypatch):
-    folder = with_an_old_result(tmp_path)
+def test_a_process_that_ends_at_any_operation_leaves_the_old_or_the_new_result(folder, monkeypatch):
 
     def new_run(step):
         def work():
@@ -184,8 +184,8 @@ def test_a_process_that_ends_at_any_operation_leaves_the_old_or_the_new_result(t
 
 # Slow, over all parameters: a thousand kills and a thousand pairs.
 @pytest.mark.parametrize("kills", [40, pytest.param(500, marks=pytest.mark.slow)])
-def test_signals_at_random_moments_leave_the_old_or_the_new_result(tmp_path, kills):
-    folder, moments = with_an_old_result(tmp_path), random.Random(kills)
+def test_signals_at_random_moments_leave_the_old_or_the_new_result(folder, kills):
+    moments = random.Random(kills)
     found = {"old": 0, "new": 0}
     begin = time.perf_counter()
     run(folder, "old")
@@ -266,8 +266,7 @@ def test_a_file_of_the_users_under_one_of_our_names_is_never_touched(tmp_path, n
     assert [path.as_posix() for path in tmp_path.rglob("*") if path.is_file()] == [str(tmp_path / name)]
 
 
-def test_an_edited_record_names_only_files_that_such_a_run_writes(tmp_path):
-    folder = with_an_old_result(tmp_path)
+def test_an_edited_record_names_only_files_that_such_a_run_writes(folder, tmp_path):
     (tmp_path / "out" / "only_1.txt").write_text("mine")
     record = json.loads((folder / "result.json").read_text())
     record["files"] += ["mine.txt", "../only_1.txt", "sub/mine.txt", "page/mine.txt", str(folder / "link")]
@@ -277,8 +276,7 @@ def test_an_edited_record_names_only_files_that_such_a_run_writes(tmp_path):
     assert which(folder) == "new"
 
 
-def test_the_folder_keeps_its_mode_and_what_is_added_meanwhile(tmp_path, monkeypatch):
-    folder = with_an_old_result(tmp_path)
+def test_the_folder_keeps_its_mode_and_what_is_added_meanwhile(folder, monkeypatch):
     (folder / "sub").chmod(0o751)
     folder.chmod(0o710)
     rename = os.rename
@@ -299,8 +297,7 @@ def test_the_folder_keeps_its_mode_and_what_is_added_meanwhile(tmp_path, monkeyp
 
 
 @pytest.mark.parametrize("where", ["current folder", "no space beside it", "a mount point"])
-def test_a_folder_keeps_its_place(tmp_path, monkeypatch, where):
-    folder = with_an_old_result(tmp_path)
+def test_a_folder_keeps_its_place(folder, monkeypatch, where):
     place = folder.stat().st_ino
     if where == "current folder":
         monkeypatch.chdir(folder / "sub")
@@ -359,8 +356,8 @@ HOSTILE = {
 
 @pytest.mark.usefixtures("no_endless_reading")
 @pytest.mark.parametrize("kind", HOSTILE)
-def test_a_hostile_journal_is_refused_and_moves_nothing(tmp_path, kind, monkeypatch):
-    folder, outside = with_an_old_result(tmp_path), tmp_path / "outside"
+def test_a_hostile_journal_is_refused_and_moves_nothing(folder, tmp_path, kind, monkeypatch):
+    outside = tmp_path / "outside"
     outside.mkdir()
     for name in ("page.json", "a.txt", "b.txt"):
         (outside / name).write_text("outside")

@@ -62,17 +62,23 @@ def weighted():
     return glasses, solve_weights(glasses.vertices, glasses.faces, glasses.keypoints, 3.0).weights
 
 
-def written(path, glasses, weights, keypoints=None, **options):
-    points = glasses.keypoints if keypoints is None else keypoints
-    told = write_skinned_glb(
-        path, glasses.vertices, glasses.faces, points, weights, KEY_POINT_NAMES, parents=PARENTS, **options
-    )
-    return File.read(path), told
-
-
-def test_the_file_is_what_the_standard_asks_for(weighted, tmp_path):
+@pytest.fixture
+def written(weighted, tmp_path):
+    """Write the glasses, or with changes, as a.glb; return the file and what the writer tells."""
     glasses, weights = weighted
-    file, told = written(tmp_path / "a.glb", glasses, weights)
+    mesh = {"vertices": glasses.vertices, "faces": glasses.faces, "names": KEY_POINT_NAMES}
+    mesh |= {"keypoints": glasses.keypoints, "weights": weights, "parents": PARENTS}
+
+    def write(**changes):
+        told = write_skinned_glb(tmp_path / "a.glb", **mesh | changes)
+        return File.read(tmp_path / "a.glb"), told
+
+    return write
+
+
+def test_the_file_is_what_the_standard_asks_for(weighted, written, tmp_path):
+    glasses, weights = weighted
+    file, told = written()
     tree, attributes = file.tree, file.attributes
     kinds = {name: tree["accessors"][number] for name, number in attributes.items()}
     assert {n: (a["componentType"], a["type"]) for n, a in kinds.items()} == {
@@ -104,19 +110,19 @@ def test_the_file_is_what_the_standard_asks_for(weighted, tmp_path):
     assert_array_equal(scan.faces, glasses.faces)
 
 
-def test_bones_of_the_file_are_bones_of_the_glasses(weighted, tmp_path):
-    file, _ = written(tmp_path / "a.glb", *weighted)
+def test_bones_of_the_file_are_bones_of_the_glasses(written):
+    file, _ = written()
     at, nodes = {name: k for k, name in enumerate(KEY_POINT_NAMES)}, file.tree["nodes"]
     bones = [{at[node["name"]], at[nodes[c]["name"]]} for node in nodes[2:] for c in node.get("children", [])]
     assert len(bones) == 19
     assert all(bone in [set(of_glasses) for of_glasses in SKELETON] for bone in bones)
 
 
-def test_moving_joints_in_the_file_moves_vertices_as_skinning_does(weighted, tmp_path):
+def test_moving_joints_in_the_file_moves_vertices_as_skinning_does(weighted, written):
     glasses, weights = weighted
     rng = np.random.default_rng(0)
     for influences in (4, None):
-        file, told = written(tmp_path / "a.glb", glasses, weights, influences=influences)
+        file, told = written(influences=influences)
         moved = {
             name: compose(rotation_from_vector(rng.normal(0, 0.1, 3)), rng.normal(0, 1e-2, 3))
             for name in ("bridge_top", "left_hinge", "right_ear_bend")
@@ -131,12 +137,12 @@ def test_moving_joints_in_the_file_moves_vertices_as_skinning_does(weighted, tmp
     assert len(file.attributes) > 4
 
 
-def test_the_cut_is_told_and_bounds_what_it_moves(weighted, tmp_path):
+def test_the_cut_is_told_and_bounds_what_it_moves(weighted, written):
     glasses, weights = weighted
     rng = np.random.default_rng(0)
     cuts = []
     for influences in (1, 2, 4, 8):
-        file, told = written(tmp_path / "a.glb", glasses, weights, influences=influences)
+        file, told = written(influences=influences)
         assert len(file.attributes) == 2 + 2 * -(-influences // 4)
         by_hand = 1 - np.sort(weights, axis=1)[:, -influences:].sum(1)
         assert told[1] == pytest.approx(by_hand.max(), abs=1e-6)
@@ -152,7 +158,7 @@ def test_the_cut_is_told_and_bounds_what_it_moves(weighted, tmp_path):
     assert 1e-4 < cuts[2] < 0.2
 
 
-def test_missing_key_points_get_no_node_and_others_hang_higher(weighted, tmp_path):
+def test_missing_key_points_get_no_node_and_others_hang_higher(weighted, written):
     glasses = weighted[0]
     points = glasses.keypoints.copy()
     gone = [KEY_POINT_NAMES.index(name) for name in ("bridge_top", "left_hinge", "left_rim_top")]
@@ -160,7 +166,7 @@ def test_missing_key_points_get_no_node_and_others_hang_higher(weighted, tmp_pat
     kept = np.setdiff1d(np.arange(20), gone)
     weights = np.zeros_like(weighted[1])
     weights[:, kept] = solve_weights(glasses.vertices, glasses.faces, points[kept], 3.0).weights
-    file, told = written(tmp_path / "a.glb", glasses, weights, points)
+    file, told = written(weights=weights, keypoints=points)
     nodes = file.tree["nodes"]
     assert {node["name"] for node in nodes[2:]} == {KEY_POINT_NAMES[k] for k in kept}
     named = {node["name"]: node for node in nodes}
