@@ -175,17 +175,6 @@ def test_what_cannot_be_read_is_refused_by_name(tmp_path, change, message):
     assert_refused(file.write(tmp_path / "a.glb"), rf"a\.glb: {message}")
 
 
-@pytest.mark.parametrize("dtype", ["u1", "<u2"])
-def test_texture_coordinates_of_few_bits_with_and_without_a_stride(tmp_path, dtype):
-    file, top = square_gltf(PNG), np.iinfo(dtype).max
-    stored = np.zeros((4, 8 // np.dtype(dtype).itemsize), dtype)
-    stored[:, :2] = UV_DOWN * top
-    file.attributes["TEXCOORD_0"] = file.add(stored[:, :2], normalized=True)
-    assert_corner_colors(file.load(tmp_path))
-    file.tree["accessors"][-1]["bufferView"] = file.view(stored.tobytes(), byteStride=8)
-    assert_corner_colors(file.load(tmp_path))
-
-
 def test_draco_is_decoded_and_without_its_decoder_what_to_install_is_named(tmp_path, monkeypatch):
     DracoPy = pytest.importorskip("DracoPy")
     file, corners = square_gltf(PNG), SQUARE_FACES.astype(np.uint32)

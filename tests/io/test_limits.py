@@ -4,12 +4,12 @@ import json
 import struct
 import time
 import zipfile
-import zlib
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from helpers.pictures import png_of
 from helpers.scan_files import VERTEX, assert_refused, ply_head, square_of_two_materials
 from helpers.square import quarters, square_gltf, write_image, write_square_obj
 
@@ -31,17 +31,6 @@ def _small_and_soon():
     yield
     assert _memory_bytes("VmHWM") - before < 1e9
     assert time.process_time() - start < 20
-
-
-def png_of(width, height):
-    """Return a PNG that declares a size and holds next to nothing."""
-
-    def chunk(kind, body):
-        return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
-
-    head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    parts = chunk(b"IHDR", head) + chunk(b"IDAT", zlib.compress(bytes(100))) + chunk(b"IEND", b"")
-    return b"\x89PNG\r\n\x1a\n" + parts
 
 
 def declaring(extension, side):
@@ -287,10 +276,3 @@ def test_errors_of_too_large_scans_name_the_scan(tmp_path, monkeypatch, error):
     monkeypatch.setattr("scan2albedo.io.repair.repair", fail)
     told = r"face\.obj: (needs more memory than there is|is too deep)"
     assert_refused(write_square_obj(tmp_path), told, TooLargeError)
-
-
-def test_a_texture_of_many_repeats_is_not_laid_out(tmp_path, monkeypatch):
-    monkeypatch.setattr(limits, "PIXELS", 64 * 4)
-    scan = load_scan(write_square_obj(tmp_path, change=("vt 1.0 1.0", "vt 9.0 9.0")))
-    assert scan.texture_linear.shape == (8, 8, 3)
-    assert any("clamped to one" in note for note in scan.notes)

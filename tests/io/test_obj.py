@@ -38,15 +38,6 @@ def test_positions_coordinates_and_colours_arrive(tmp_path):
     assert_corner_colors(scan)
 
 
-@pytest.mark.parametrize("bits", [np.uint8, np.uint16])
-def test_grey_and_rgba_and_deep_textures(tmp_path, bits):
-    color = quarters(dtype=bits)
-    rgba = np.dstack([color, np.full((8, 8), 3, bits)])
-    assert_corner_colors(load_scan(write_square_obj(tmp_path, name="rgba", image=rgba)))
-    scan = load_scan(write_square_obj(tmp_path, name="grey", image=color[..., 0]))
-    assert_allclose(color_near_corner(scan, SQUARE_MM[3]), CORNER_LINEAR[3], atol=1e-6)
-
-
 @pytest.mark.parametrize(
     "map_kd",
     [

@@ -121,33 +121,33 @@ def test_other_elements_and_long_headers_are_passed_over(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("old", "new", "message"),
     [
-        ((b"format ascii 1.0", b"format morse 1.0"), "its header holds 'format morse"),
-        ((b"element vertex 4", b"element vertex four"), "its header holds 'element vertex four"),
-        ((b"property float z", b"property quaternion z"), "its header holds 'property quaternion z"),
-        ((b"property float z", b"property float w"), "its vertices have no z"),
-        ((b"end_header", b"end_of_it"), "no complete PLY header"),
-        ((b"3 0 1 2", b"2 0 1"), "face 0 has 2 corners"),
-        ((b"3 0 1 2", b"3 0 1 9"), "a face refers to vertex 9, but there are 4"),
-        ((b"3 0 1 2", b"3 0 1 -2"), "a face refers to vertex -2, but there are 4"),
-        ((b"3 0 1 2", b"7 0 1 2"), "a list vertex_indices of face is cut short"),
-        ((b"100.0 0.0 0.0", b"100.0 nan 0.0"), "1 vertices used by faces are NaN.*vertex 1"),
-        ((b"3 0 1 2", b"3 0 1 nan"), "vertex_indices of face holds nan, which int32 cannot hold"),
-        ((b"3 0 1 2", b"nan 0 1 2"), "a list vertex_indices of face is cut short"),
-        ((b"property float y", b"property float x"), "its vertex has no properties, or one twice"),
-        ((b"100.0 0.0 0.0", b"1e99 0.0 0.0"), "1 vertices used by faces are NaN or infinite.*vertex 1"),
-        ((b"100.0 0.0 0.0", b"100.0 zero 0.0"), "vertex 1 is not made of numbers"),
-        ((b"element face 2", b"element face 2000000000000"), "it declares 2000000000000 face rows"),
-        ((b"element face 2", b"element face 0"), "point cloud of 4 vertices"),
-        ((b"element face 2", b"element strips 2"), "point cloud of 4 vertices"),
+        (b"format ascii 1.0", b"format morse 1.0", "its header holds 'format morse"),
+        (b"element vertex 4", b"element vertex four", "its header holds 'element vertex four"),
+        (b"property float z", b"property quaternion z", "its header holds 'property quaternion z"),
+        (b"property float z", b"property float w", "its vertices have no z"),
+        (b"end_header", b"end_of_it", "no complete PLY header"),
+        (b"3 0 1 2", b"2 0 1", "face 0 has 2 corners"),
+        (b"3 0 1 2", b"3 0 1 9", "a face refers to vertex 9, but there are 4"),
+        (b"3 0 1 2", b"3 0 1 -2", "a face refers to vertex -2, but there are 4"),
+        (b"3 0 1 2", b"7 0 1 2", "a list vertex_indices of face is cut short"),
+        (b"100.0 0.0 0.0", b"100.0 nan 0.0", "1 vertices used by faces are NaN.*vertex 1"),
+        (b"3 0 1 2", b"3 0 1 nan", "vertex_indices of face holds nan, which int32 cannot hold"),
+        (b"3 0 1 2", b"nan 0 1 2", "a list vertex_indices of face is cut short"),
+        (b"property float y", b"property float x", "its vertex has no properties, or one twice"),
+        (b"100.0 0.0 0.0", b"1e99 0.0 0.0", "1 vertices used by faces are NaN or infinite.*vertex 1"),
+        (b"100.0 0.0 0.0", b"100.0 zero 0.0", "vertex 1 is not made of numbers"),
+        (b"element face 2", b"element face 2000000000000", "it declares 2000000000000 face rows"),
+        (b"element face 2", b"element face 0", "point cloud of 4 vertices"),
+        (b"element face 2", b"element strips 2", "point cloud of 4 vertices"),
     ],
 )
-def test_damaged_files_are_refused_by_name(tmp_path, change, message):
+def test_damaged_files_are_refused_by_name(tmp_path, old, new, message):
     path = ply(tmp_path)
     data = path.read_bytes()
-    assert change[0] in data
-    path.write_bytes(data.replace(*change))
+    assert old in data
+    path.write_bytes(data.replace(old, new))
     assert_refused(path, rf"a\.ply: .*{message}")
 
 
