@@ -1,6 +1,5 @@
 """`scan2albedo batch` as a user runs it."""
 
-import hashlib
 import json
 import os
 import signal
@@ -8,7 +7,7 @@ import subprocess
 import time
 
 import pytest
-from helpers.batches import statuses
+from helpers.batches import stamps, statuses
 from helpers.cli import invoke as invoked
 from helpers.commands import printed, succeeded
 from helpers.records import read_json
@@ -80,12 +79,6 @@ def started(manifest, layout, rows):
     return process
 
 
-def state(out, names):
-    """Hash and time of every file of the given scans."""
-    files = [path for name in names for path in sorted((out / name).iterdir())]
-    return {p: (hashlib.sha256(p.read_bytes()).hexdigest(), p.stat().st_mtime_ns) for p in files}
-
-
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_signal_raises_only_while_scans_are_processed(tmp_path, monkeypatch, number, status):
     monkeypatch.setattr("scan2albedo.batch.run_batch", lambda *_, **__: signal.raise_signal(number))
@@ -126,10 +119,10 @@ def test_a_batch_that_is_ended_leaves_no_workers_and_what_was_done_is_kept(
         assert set(statuses(out).values()) == {"done", "not run"}
     finished = [path.stem for path in layout.rows.glob("*.json")]
     assert 2 <= len(finished) < 5
-    before = state(out, finished)
+    before = [stamps(out / name) for name in finished]
     done = invoke(manifest, "-o", out, *TINY, "--jobs", "1", "--resume", "--json")
     assert printed(done)["kept"] == len(finished)
     assert f"kept {len(finished)} (hashes verified), {5 - len(finished)} to do" in done.stderr
-    assert state(out, finished) == before
+    assert [stamps(out / name) for name in finished] == before
     assert statuses(out) == dict.fromkeys(names, "done")
     assert not list(out.rglob("*.part*"))

@@ -4,17 +4,13 @@ import json
 from dataclasses import replace
 
 import pytest
-from helpers.batches import TINY
+from helpers.batches import TINY, stamps
 
 from scan2albedo.batch import load_catalogue, read_manifest, run_batch
 from scan2albedo.batch.run import _tasks
 from scan2albedo.batch.worker import process_task
 from scan2albedo.errors import BatchError
 from scan2albedo.pipeline.options import ProcessOptions
-
-
-def stamps(folder):
-    return {path: path.stat().st_mtime_ns for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
 def test_only_what_changed_is_done_again(scans_in, no_workers, out, layout):

@@ -29,20 +29,14 @@ def test_limits_are_above_zero(name, wrong, expected):
         Budget(**{name: wrong})
 
 
-def test_meter_counts_and_is_exhausted_by_evaluations():
+def test_a_meter_is_exhausted_by_evaluations_and_runs_out_of_time_by_seconds():
     meter = Meter("fit", "mm", Budget(evaluations=5))
     meter.count(4)
     assert not meter.exhausted
     meter.count()
     assert meter.exhausted
+    assert not meter.out_of_time
     assert not Meter("fit", "mm").exhausted
-
-
-def test_only_seconds_run_out_of_time():
-    counted = Meter("fit", "mm", Budget(evaluations=1))
-    counted.count()
-    assert counted.exhausted
-    assert not counted.out_of_time
     assert Meter("fit", "mm", Budget(seconds=1e-9)).out_of_time
     assert not Meter("fit", "mm", Budget(seconds=1e9, evaluations=1)).out_of_time
 

@@ -14,7 +14,6 @@ from scan2albedo.io.atomic import (
     write_text,
 )
 from scan2albedo.io.images import write_exr, write_png
-from scan2albedo.io.leftovers import remove_unfinished
 from scan2albedo.io.publication import result_folder
 
 
@@ -120,15 +119,6 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path):
         with pytest.raises(OutputError, match=r"cannot create the folder .*file"):
             make(tmp_path / "file" / "a")
     assert contents(tmp_path) == {"file": b"I am a file"}
-
-
-def test_an_exit_that_unwinds_nothing_can_remove_the_hidden_folder(tmp_path):
-    with result_folder(tmp_path / "scan", staged_in=tmp_path) as folder:
-        (folder / "x.txt").write_text("1")
-        remove_unfinished()
-        assert list(tmp_path.iterdir()) == []
-        folder.mkdir()
-    assert not any(contents(tmp_path).values())
 
 
 def test_a_folder_made_for_nothing_goes_again(tmp_path):

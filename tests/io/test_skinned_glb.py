@@ -224,7 +224,6 @@ ONE_JOINT = {
     "names": ["a"],
     "parents": [-1],
 }
-TWO_JOINTS = {"keypoints": np.zeros((2, 3)), "weights": np.full((4, 2), 0.5), "names": ["a", "b"]}
 
 
 @pytest.mark.parametrize(
@@ -237,7 +236,6 @@ TWO_JOINTS = {"keypoints": np.zeros((2, 3)), "weights": np.full((4, 2), 0.5), "n
         ({"faces": SQUARE_FACES + 1}, "faces refer to vertices 1 to 4 of 4"),
         ({"vertices": SQUARE_MM * np.nan}, "4 of 4 vertices are NaN"),
         ({"influences": 0}, "influences must be 1"),
-        ({**TWO_JOINTS, "parents": [1, 0]}, "circle"),
     ],
 )
 def test_what_cannot_be_written_is_refused(tmp_path, change, message):

@@ -43,15 +43,12 @@ def test_an_unknown_unit_is_a_wrong_call():
         decide(150, "inch")
 
 
-def test_spikes_and_far_crumbs_do_not_change_the_unit():
+def test_spikes_far_crumbs_and_patches_that_hang_on_the_face_do_not_change_the_unit():
     spiky = HEAD * 90
     spiky[:2] *= 400
     assert extent_of(spiky) < 200
     assert extent_of(HEAD * 90, HEAD[:200] * 9 + 1e5) < 200
-
-
-def test_stray_patches_that_hang_on_the_face_do_not_change_the_unit():
-    """The near patch stands out only where the far one is left out before."""
+    # The near patch stands out only where the far one is left out before.
     near, far = HEAD[:80] * 9 + 250, HEAD[:200] * 9 + 900
     assert extent_of(np.concatenate([HEAD * 90, near, far])) < 200
 
