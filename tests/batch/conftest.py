@@ -8,6 +8,7 @@ import trimesh
 from helpers.batches import TINY
 
 from scan2albedo.batch import execution, run, run_batch, worker
+from scan2albedo.batch.records import Layout
 
 
 @pytest.fixture(scope="session")
@@ -41,11 +42,23 @@ def scans_in(tmp_path, ball_text):
 
 
 @pytest.fixture
-def batched(scans_in, tmp_path):
+def layout(tmp_path):
+    """Where the files of a batch are."""
+    return Layout(tmp_path / "out")
+
+
+@pytest.fixture
+def out(layout):
+    """The folder of a batch."""
+    return layout.out
+
+
+@pytest.fixture
+def batched(scans_in, out):
     """Run a batch of balls, with columns of their manifest, into out."""
 
     def ran(*names, columns=None, options=TINY, **more):
-        return run_batch(scans_in(*names, **(columns or {})), tmp_path / "out", options=options, **more)
+        return run_batch(scans_in(*names, **(columns or {})), out, options=options, **more)
 
     return ran
 

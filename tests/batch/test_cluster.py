@@ -1,18 +1,13 @@
 """The same batch on a dask cluster."""
 
-import json
 import sys
-import threading
-import time
 from concurrent.futures import CancelledError
 from contextlib import nullcontext
 from types import SimpleNamespace
 
 import pytest
-from helpers.batches import TINY, statuses
+from helpers.batches import statuses
 
-from scan2albedo.batch import run_batch
-from scan2albedo.batch.records import Layout
 from scan2albedo.errors import BatchError, MissingDependencyError
 
 
@@ -31,38 +26,15 @@ def cluster():
 
 
 @pytest.mark.slow
-def test_a_worker_process_is_killed_in_the_middle(scans_in, tmp_path, quick_stages, cluster):
-    import psutil
-
-    names = ("a", "b", "sleeps", "c", "raises", "nofile", "d")
-    layout = Layout(tmp_path / "out")
-    killed = []
-
-    def kill_once():
-        while not quick_stages("sleeps"):
-            time.sleep(0.05)
-        killed.append(json.loads((layout.running / "sleeps").read_text())["pid"])
-        psutil.Process(killed[0]).kill()
-
-    killer = threading.Thread(target=kill_once)
-    killer.start()
-    manifest = scans_in(*names)
-    report = run_batch(manifest, layout.out, options=TINY, scheduler=cluster.scheduler_address)
-    killer.join()
-    assert len(killed) == 1
-    assert quick_stages("sleeps") == 2
-    assert report.failures.keys() == {"raises", "nofile"}
-    assert report.jobs == 2
-    assert report.progress.done == 5
-
-
-@pytest.mark.slow
-def test_a_scan_that_kills_every_worker_fails_alone(batched, tmp_path, quick_stages, cluster):
-    report = batched("a", "kills-always", "b", "c", scheduler=cluster.scheduler_address)
+def test_scans_that_kill_their_workers_are_tried_again_and_fail_alone(batched, quick_stages, cluster):
+    options = {"scheduler": cluster.scheduler_address, "resume": True}
+    report = batched("a", "kills-always", "b", "c", **options)
     assert report.failures.keys() == {"kills-always"}
     assert "KilledWorker" in report.failures["kills-always"]
-    assert set(statuses(tmp_path / "out").values()) == {"done", "failed"}
-    assert quick_stages("kills-always") == 4
+    assert (quick_stages("kills-always"), report.jobs, report.progress.done) == (4, 2, 3)
+    report = batched("d", "kills", "e", "raises", "nofile", "f", **options)
+    assert report.failures.keys() == {"raises", "nofile"}
+    assert (quick_stages("kills"), report.progress.done) == (2, 4)
 
 
 @pytest.mark.slow
@@ -126,7 +98,7 @@ def test_a_task_that_raises_in_its_worker_fails_alone(answering):
     assert report.progress.done == 2
 
 
-def test_a_scheduler_that_is_lost_ends_the_batch(answering, tmp_path):
+def test_a_scheduler_that_is_lost_ends_the_batch(answering, out):
     with pytest.raises(BatchError, match=r"tcp://127\.0\.0\.1:9 is gone; --resume"):
         answering(b=("cancelled", CancelledError("b")))
-    assert statuses(tmp_path / "out") == {"a": "done", "b": "not run", "c": "not run"}
+    assert statuses(out) == {"a": "done", "b": "not run", "c": "not run"}

@@ -10,21 +10,15 @@ from scan2albedo.errors import BatchError, MissingDependencyError
 
 
 @pytest.mark.slow
-def test_a_worker_that_dies_costs_at_most_its_own_scan(batched, tmp_path, quick_stages):
+def test_a_worker_that_dies_costs_at_most_its_own_scan(batched, quick_stages, out):
     names = ("a", "kills", "kills-always", "waits", "b", "raises", "nofile")
     report = batched(*names, jobs=2)
     failed = dict.fromkeys(("kills-always", "raises", "nofile"), "failed")
-    assert statuses(tmp_path / "out") == dict.fromkeys(("a", "kills", "waits", "b"), "done") | failed
+    assert statuses(out) == dict.fromkeys(("a", "kills", "waits", "b"), "done") | failed
     assert "died twice (SIGKILL(-9))" in report.failures["kills-always"]
     assert report.failures["raises"] == "ZeroDivisionError: of a kind nobody thought of"
     assert "cannot be read" in report.failures["nofile"]
     assert (quick_stages("kills"), quick_stages("kills-always")) == (2, 2)
-
-
-@pytest.mark.slow
-def test_one_job_has_a_process_of_its_own_that_may_die(batched, tmp_path, quick_stages):
-    batched("a", "kills-always", "b", jobs=1)
-    assert statuses(tmp_path / "out") == {"a": "done", "kills-always": "failed", "b": "done"}
 
 
 @pytest.mark.slow
@@ -35,7 +29,7 @@ def test_a_scan_that_takes_too_long_is_given_up(batched, quick_stages):
 
 
 @pytest.mark.slow
-def test_processes_that_die_before_any_scan_end_the_batch(batched, tmp_path, monkeypatch):
+def test_processes_that_die_before_any_scan_end_the_batch(batched, monkeypatch, out):
     def die(task):
         import os
 
@@ -44,22 +38,22 @@ def test_processes_that_die_before_any_scan_end_the_batch(batched, tmp_path, mon
     monkeypatch.setattr("scan2albedo.batch.execution.worker.process_task", die)
     with pytest.raises(BatchError, match=r"die before they begin a scan \(EXIT\(3\)\)"):
         batched("a", jobs=1)
-    assert statuses(tmp_path / "out") == {"a": "not run"}
+    assert statuses(out) == {"a": "not run"}
 
 
-def test_what_no_posix_system_has_is_one_clear_error(batched, tmp_path, monkeypatch):
+def test_what_no_posix_system_has_is_one_clear_error(batched, monkeypatch, out):
     monkeypatch.setattr("scan2albedo.batch.run._POSIX", False)
     with pytest.raises(BatchError, match=r"need Linux or macOS; .* `scan2albedo process`"):
         batched("a")
-    assert not (tmp_path / "out").exists()
+    assert not out.exists()
 
 
 @pytest.mark.parametrize("library", ["loky", "psutil", "pyarrow"])
-def test_a_missing_library_is_named_with_its_extra_before_any_work(batched, library, tmp_path, monkeypatch):
+def test_a_missing_library_is_named_with_its_extra_before_any_work(batched, library, monkeypatch, out):
     monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(MissingDependencyError, match=rf"{library}.*pip install 'scan2albedo\[batch\]'"):
         batched("a")
-    assert not (tmp_path / "out").exists()
+    assert not out.exists()
 
 
 def test_a_task_that_raises_outside_of_the_stages_fails_alone(batched, monkeypatch):
@@ -74,7 +68,7 @@ def test_a_task_that_raises_outside_of_the_stages_fails_alone(batched, monkeypat
     assert report.progress.done == 2
 
 
-def test_what_a_worker_finished_just_before_an_interrupt_is_done(batched, tmp_path, monkeypatch):
+def test_what_a_worker_finished_just_before_an_interrupt_is_done(batched, monkeypatch, out):
     def interrupted(tasks, layout, jobs):
         layout.keep(tasks[0].record("done"))
         raise KeyboardInterrupt
@@ -83,4 +77,4 @@ def test_what_a_worker_finished_just_before_an_interrupt_is_done(batched, tmp_pa
     monkeypatch.setattr("scan2albedo.batch.run.run_in_processes", interrupted)
     with pytest.raises(KeyboardInterrupt):
         batched("a", "b", jobs=1)
-    assert statuses(tmp_path / "out") == {"a": "done", "b": "not run"}
+    assert statuses(out) == {"a": "done", "b": "not run"}

@@ -37,9 +37,9 @@ def rows_of(manifest, out):
         ("loop.ply", lambda file: file.symlink_to(file), "symbolic links"),
     ],
 )
-def test_a_file_that_cannot_be_read_fails_alone(scans, tmp_path, name, make, words):
+def test_a_file_that_cannot_be_read_fails_alone(scans, name, make, words, out):
     make(scans / name)
-    rows = rows_of(scans, tmp_path / "out")
+    rows = rows_of(scans, out)
     assert rows[name]["status"] == "failed"
     assert words in rows[name]["reason"]
     assert rows["~good.ply"]["status"] == "done"
@@ -53,30 +53,28 @@ def test_a_file_that_cannot_be_read_fails_alone(scans, tmp_path, name, make, wor
         (b"x" * 251 + b".ply", "x" * 251 + ".ply", "x" * 191 + "-90d738c3"),
     ],
 )
-def test_a_scan_of_a_strange_name_has_a_folder_of_a_plain_one(
-    scans, tmp_path, ball_text, name, source, folder
-):
+def test_a_scan_of_a_strange_name_has_a_folder_of_a_plain_one(scans, ball_text, name, source, folder, out):
     with open(os.path.join(os.fsencode(scans), name), "w") as file:
         file.write(ball_text)
-    rows = rows_of(scans, tmp_path / "out")
+    rows = rows_of(scans, out)
     assert rows[source]["status"] == "done"
     assert rows[source]["name"] == folder
-    assert (tmp_path / "out" / folder / "result.json").is_file()
+    assert (out / folder / "result.json").is_file()
     assert rows["~good.ply"]["status"] == "done"
 
 
-def test_names_that_no_file_can_have_fail_alone(scans, tmp_path):
+def test_names_that_no_file_can_have_fail_alone(scans, tmp_path, out):
     manifest = tmp_path / "list.txt"
     long, many = "y" * 300 + ".ply", "z/" * 3000 + "z.ply"
     manifest.write_text(f"{long}\n{many}\nscans/~good.ply\n")
-    rows = rows_of(manifest, tmp_path / "out")
+    rows = rows_of(manifest, out)
     for name in (long, many):
         assert rows[name]["status"] == "failed"
         assert "File name too long" in rows[name]["reason"]
     assert rows["scans/~good.ply"]["status"] == "done"
 
 
-def test_cells_of_a_table_are_in_the_catalogue_without_what_a_terminal_obeys(scans, tmp_path):
+def test_cells_of_a_table_are_in_the_catalogue_without_what_a_terminal_obeys(scans, tmp_path, out):
     (tmp_path / "t.csv").write_text('scan,"co\x1b[0mhort"\nscans/~good.ply,"\x1b[31mred\nline"\n')
-    (row,) = rows_of(tmp_path / "t.csv", tmp_path / "out").values()
+    (row,) = rows_of(tmp_path / "t.csv", out).values()
     assert row[r"co\x1b[0mhort"] == r"\x1b[31mred\x0aline"

@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+from helpers.pictures import png_of
 
 from scan2albedo.batch import execution
 from scan2albedo.batch.execution import available_mb, job_limit, worker_mb
@@ -62,8 +63,8 @@ def test_a_containers_limit_counts(monkeypatch, tmp_path):
 
 def test_pictures_that_are_refused_leave_the_jobs_alone(four_gb, tmp_path):
     """A header of four billion pixels, or one that is damaged, is a scan that fails, not fewer jobs."""
-    header = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + (60_000).to_bytes(4, "big") * 2 + b"\x08\x02\0\0\0"
-    for content in (header, header[:20], b"RIFF", b"\xff\xd8\xff", b"II*\0\xff\xff\xff\xff"):
+    large = png_of(60_000, 60_000)
+    for content in (large, large[:20], b"RIFF", b"\xff\xd8\xff", b"II*\0\xff\xff\xff\xff"):
         (tmp_path / "a.obj").write_text("mtllib a.mtl\n")
         (tmp_path / "a.mtl").write_text("newmtl skin\nmap_Kd a.png\n")
         (tmp_path / "a.png").write_bytes(content)

@@ -4,13 +4,11 @@ import json
 import os
 
 import pytest
-from helpers.batches import TINY
 from helpers.folders import contents
 from helpers.records import files_in, read_json
 
-from scan2albedo.batch import load_albedos, load_catalogue, run_batch
+from scan2albedo.batch import load_albedos, load_catalogue
 from scan2albedo.batch.catalogue import write_catalogue
-from scan2albedo.batch.records import Layout
 from scan2albedo.errors import BatchError, OutputError
 from scan2albedo.io.leftovers import JOURNAL
 from scan2albedo.report import write_report
@@ -18,8 +16,7 @@ from scan2albedo.report import write_report
 pytestmark = pytest.mark.usefixtures("stages_in_this_process")
 
 
-def test_a_folder_of_somebody_else_fails_its_scan_alone(batched, tmp_path):
-    out = tmp_path / "out"
+def test_a_folder_of_somebody_else_fails_its_scan_alone(batched, tmp_path, out):
     for name, file in (("a", "albedo.png"), ("b", "result.json"), ("nofile", "template.obj")):
         (out / name).mkdir(parents=True)
         (out / name / file).write_text("mine")
@@ -34,8 +31,7 @@ def test_a_folder_of_somebody_else_fails_its_scan_alone(batched, tmp_path):
     assert contents(tmp_path / "mine") == {}
 
 
-def test_a_hostile_journal_fails_its_scan_alone(batched, tmp_path):
-    out = tmp_path / "out"
+def test_a_hostile_journal_fails_its_scan_alone(batched, out):
     batched("a", "b")
     journal = {"holder": ".x-000000-1-00000000.part", "made": [], "dropped": ["../b/albedo.exr"]}
     (out / "a" / JOURNAL).write_text(json.dumps(journal))
@@ -46,21 +42,8 @@ def test_a_hostile_journal_fails_its_scan_alone(batched, tmp_path):
     assert (contents(out / "a"), contents(out / "b")) == before
 
 
-def test_a_scan_that_fails_leaves_its_older_result(scans_in, tmp_path):
-    manifest, out = scans_in("a"), tmp_path / "out"
-    run_batch(manifest, out, options=TINY)
-    before = contents(out / "a")
-    (manifest.parent / "a.ply").write_text("ply\nno")
-    report = run_batch(manifest, out, options=TINY, resume=True)
-    assert list(report.failures) == ["a"]
-    assert contents(out / "a") == before
-    (row,) = load_catalogue(out).to_pylist()
-    assert (row["status"], row["folder"], row["path_albedo_exr"]) == ("failed", None, None)
-    assert "the result of an earlier run is still in its folder" in row["notes"]
-
-
-def test_an_edited_result_of_a_batch_is_made_again(batched, tmp_path):
-    folder = tmp_path / "out" / "a"
+def test_an_edited_result_of_a_batch_is_made_again(batched, out):
+    folder = out / "a"
     batched("a")
     (folder / "result.json").write_text("{")
     (folder / "notes.txt").write_text("mine")
@@ -78,8 +61,7 @@ def test_an_edited_result_of_a_batch_is_made_again(batched, tmp_path):
         ("catalogue.parquet", "mine", "is no whole catalogue"),
     ],
 )
-def test_a_record_or_catalogue_of_somebody_else_is_refused(batched, tmp_path, file, text, words):
-    out = tmp_path / "out"
+def test_a_record_or_catalogue_of_somebody_else_is_refused(batched, file, text, words, out):
     out.mkdir()
     (out / file).write_text(text)
     for resume in (False, True):
@@ -89,8 +71,8 @@ def test_a_record_or_catalogue_of_somebody_else_is_refused(batched, tmp_path, fi
     assert not (out / "a").exists()
 
 
-def test_links_in_the_place_of_records_are_not_followed(batched, tmp_path):
-    records, mine = tmp_path / "out" / ".batch", tmp_path / "mine"
+def test_links_in_the_place_of_records_are_not_followed(batched, tmp_path, out):
+    records, mine = out / ".batch", tmp_path / "mine"
     mine.mkdir()
     (mine / "a.json").write_text("mine")
     records.parent.mkdir()
@@ -105,9 +87,9 @@ def test_links_in_the_place_of_records_are_not_followed(batched, tmp_path):
     assert contents(mine) == {"a.json": b"mine"}
 
 
-def test_files_that_an_edited_record_names_elsewhere_are_not_read(batched, tmp_path):
+def test_files_that_an_edited_record_names_elsewhere_are_not_read(batched, layout):
     batched("a")
-    row = Layout(tmp_path / "out").row_file("a")
+    row = layout.row_file("a")
     record = read_json(row)
     record["files"] = {"/dev/zero": "0" * 64, **record["files"]}
     row.write_text(json.dumps(record))
@@ -132,9 +114,9 @@ def pipe(file):
     ],
     ids=["pipe", "deep", "bytes", "huge", "cut", "folder"],
 )
-def test_a_scan_whose_record_was_edited_is_done_again_or_fails_alone(batched, tmp_path, change):
+def test_a_scan_whose_record_was_edited_is_done_again_or_fails_alone(batched, change, layout):
     batched("a", "b")
-    row = Layout(tmp_path / "out").row_file("a")
+    row = layout.row_file("a")
     change(row)
     if row.is_dir():
         with pytest.raises(OutputError, match=r"a\.json"):
@@ -144,8 +126,8 @@ def test_a_scan_whose_record_was_edited_is_done_again_or_fails_alone(batched, tm
     assert (report.progress.kept, report.progress.done, report.failures) == (1, 2, {})
 
 
-def test_marks_that_are_none_are_left_alone(batched, tmp_path):
-    running = Layout(tmp_path / "out").running
+def test_marks_that_are_none_are_left_alone(batched, layout):
+    running = layout.running
     running.mkdir(parents=True)
     os.mkfifo(running / "pipe")
     (running / "deep").write_text("[" * 100_000)
@@ -163,8 +145,7 @@ def edited(out, name, value):
 
 
 @pytest.mark.parametrize("path", ["../mine/albedo.exr", "/mine/albedo.exr", "albedo.exr", "link/albedo.exr"])
-def test_a_catalogue_that_names_files_elsewhere_is_refused(batched, tmp_path, path):
-    out = tmp_path / "out"
+def test_a_catalogue_that_names_files_elsewhere_is_refused(batched, path, out):
     batched("a")
     (out / "link").symlink_to(out / "a")
     table = edited(out, "path_albedo_exr", path)
@@ -175,8 +156,7 @@ def test_a_catalogue_that_names_files_elsewhere_is_refused(batched, tmp_path, pa
         load_albedos(out)
 
 
-def test_a_report_reads_no_folder_elsewhere(batched, tmp_path):
-    out = tmp_path / "out"
+def test_a_report_reads_no_folder_elsewhere(batched, out):
     batched("a")
     edited(out, "folder", "../out/a")
     assert write_report(out).sections == 0

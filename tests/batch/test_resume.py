@@ -4,30 +4,25 @@ import json
 from dataclasses import replace
 
 import pytest
-from helpers.batches import TINY
+from helpers.batches import TINY, stamps
 
 from scan2albedo.batch import load_catalogue, read_manifest, run_batch
-from scan2albedo.batch.records import Layout
 from scan2albedo.batch.run import _tasks
 from scan2albedo.batch.worker import process_task
 from scan2albedo.errors import BatchError
 from scan2albedo.pipeline.options import ProcessOptions
 
 
-def stamps(folder):
-    return {path: path.stat().st_mtime_ns for path in sorted(folder.rglob("*")) if path.is_file()}
-
-
-def test_only_what_changed_is_done_again(scans_in, tmp_path, no_workers):
+def test_only_what_changed_is_done_again(scans_in, no_workers, out, layout):
     names = ("same", "input", "content", "missing", "row", "gone", "raises", "nofile")
-    manifest, out = scans_in(*names), tmp_path / "out"
+    manifest = scans_in(*names)
     run_batch(manifest, out, options=TINY)
     before = stamps(out / "same")
     with (manifest.parent / "input.ply").open("a") as file:
         file.write("\n")
     (out / "content" / "albedo.exr").write_text("Content")  # as long as before
     (out / "missing" / "albedo.exr").unlink()
-    Layout(out).row_file("row").write_text('{"cut": ')
+    layout.row_file("row").write_text('{"cut": ')
     (manifest.parent / "gone.ply").unlink()
     shown = []
     report = run_batch(manifest, out, options=TINY, resume=True, on_progress=shown.append)
@@ -41,7 +36,7 @@ def test_only_what_changed_is_done_again(scans_in, tmp_path, no_workers):
     )
     rows = {row["name"]: row for row in load_catalogue(out).to_pylist()}
     assert rows["gone"]["status"] == "failed"
-    assert rows["gone"]["path_albedo_exr"] is None
+    assert (rows["gone"]["folder"], rows["gone"]["path_albedo_exr"]) == (None, None)
     assert "earlier run is still in its folder" in rows["gone"]["notes"]
     assert (out / "gone" / "albedo.exr").read_text() == "gone"
     assert (out / "content" / "albedo.exr").read_text() == "content"
@@ -82,7 +77,7 @@ def test_other_landmarks_do_their_scan_again(batched, tmp_path, no_workers):
             batched("a", "b", columns=columns, options=one, resume=True)
 
 
-def test_another_scan_of_a_person_does_all_of_them_again(batched, scans_in, tmp_path, no_workers):
+def test_another_scan_of_a_person_does_all_of_them_again(batched, scans_in, tmp_path, no_workers, out):
     options, ann = ProcessOptions(size=32), {"person": ["ann"] * 3}
     for count in (2, 2, 3):
         report = batched(*"abcd"[:count], columns=ann, options=options, resume=True)
@@ -91,29 +86,20 @@ def test_another_scan_of_a_person_does_all_of_them_again(batched, scans_in, tmp_
     manifest = scans_in(*"abc", **ann)
     scan = manifest.parent / "c.ply"
     scan.write_text(scan.read_text().replace("comment c", "comment other"))
-    run_batch(manifest, tmp_path / "out", options=options, resume=True)
+    run_batch(manifest, out, options=options, resume=True)
     assert no_workers("ann") == 3
-    (row,) = load_catalogue(tmp_path / "out").to_pylist()
+    (row,) = load_catalogue(out).to_pylist()
     assert (row["name"], row["person"], row["source"]) == ("ann", "ann", "a.ply, b.ply, c.ply")
     with pytest.raises(BatchError, match="line 2: a person needs the model of a face"):
         run_batch(manifest, tmp_path / "new", options=TINY)
 
 
-def test_a_batch_is_not_begun_over_another(batched, no_workers):
-    batched("a")
-    with pytest.raises(BatchError, match="holds a batch already; give --resume"):
-        batched("a")
-    assert no_workers("a") == 1
-
-
-def test_two_batches_in_one_folder_are_refused(scans_in, tmp_path):
-    layout = Layout(tmp_path / "out")
+def test_two_batches_in_one_folder_are_refused(scans_in, layout):
     with layout.locked(), pytest.raises(BatchError, match="a batch works in"):
         run_batch(scans_in("a"), layout.out, options=TINY, resume=True)
 
 
-def test_a_worker_of_an_older_run_writes_nothing(scans_in, tmp_path, no_workers):
-    layout = Layout(tmp_path / "out")
+def test_a_worker_of_an_older_run_writes_nothing(scans_in, no_workers, layout):
     (task,) = _tasks(read_manifest(scans_in("raises")), layout, TINY, None)
     layout.begin_run("another")
     assert process_task(task).status == "failed"

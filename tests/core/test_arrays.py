@@ -36,10 +36,17 @@ def test_what_does_not_fit_is_named(values, shape, kind, message):
         checked_array(values, shape, "x", TypeError, kind=kind, finite=finite)
 
 
-def test_faces_are_whole_numbers_of_vertices():
-    corners = np.eye(3)
-    assert checked_mesh(corners, [[0.0, 1.0, 2.0]], "it")[1].tolist() == [[0, 1, 2]]
-    with pytest.raises(ValueError, match="not whole"):
-        checked_mesh(corners, [[0.0, 1.0, 1.5]], "it")
-    with pytest.raises(ValueError, match="refer to vertices 0 to 3 of 3"):
-        checked_mesh(corners, [[0, 1, 3]], "it")
+@pytest.mark.parametrize(
+    ("vertices", "faces", "message"),
+    [
+        (np.eye(3), [[0.0, 1.0, 1.5]], "not whole"),
+        (np.eye(3), [[0, 1, 3]], "refer to vertices 0 to 3 of 3"),
+        (np.eye(3), [[0, 1, -1]], "refer to vertices -1 to 1 of 3"),
+        (np.full((3, 3), np.nan), [[0, 1, 2]], "3 of 3 vertices are NaN"),
+        (np.zeros((3, 2)), [[0, 1, 2]], r"its vertices have shape \(3, 2\)"),
+    ],
+)
+def test_faces_are_whole_numbers_of_finite_vertices(vertices, faces, message):
+    assert checked_mesh(np.eye(3), [[0.0, 1.0, 2.0]], "it")[1].tolist() == [[0, 1, 2]]
+    with pytest.raises(ValueError, match=message):
+        checked_mesh(vertices, faces, "it")

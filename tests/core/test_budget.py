@@ -17,32 +17,26 @@ def test_a_number_means_seconds_and_none_means_no_limit():
     assert Budget.of(budget) is budget
 
 
-@pytest.mark.parametrize("seconds", [0, -1, math.nan])
-def test_seconds_are_above_zero(seconds):
-    with pytest.raises(ValueError, match=f"Budget.seconds must be a number > 0, got {seconds}"):
-        Budget.of(seconds)
+@pytest.mark.parametrize(
+    ("name", "wrong", "expected"),
+    [
+        *(("seconds", wrong, "a number > 0") for wrong in (0, -1, math.nan)),
+        *(("evaluations", wrong, "a whole number >= 1") for wrong in (0, 2.5, math.nan)),
+    ],
+)
+def test_limits_are_above_zero(name, wrong, expected):
+    with pytest.raises(ValueError, match=f"Budget.{name} must be {expected}, got {wrong}"):
+        Budget(**{name: wrong})
 
 
-@pytest.mark.parametrize("evaluations", [0, 2.5, math.nan])
-def test_evaluations_are_a_whole_number_above_zero(evaluations):
-    with pytest.raises(ValueError, match=f"whole number >= 1, got {evaluations}"):
-        Budget(evaluations=evaluations)
-
-
-def test_meter_counts_and_is_exhausted_by_evaluations():
+def test_a_meter_is_exhausted_by_evaluations_and_runs_out_of_time_by_seconds():
     meter = Meter("fit", "mm", Budget(evaluations=5))
     meter.count(4)
     assert not meter.exhausted
     meter.count()
     assert meter.exhausted
+    assert not meter.out_of_time
     assert not Meter("fit", "mm").exhausted
-
-
-def test_only_seconds_run_out_of_time():
-    counted = Meter("fit", "mm", Budget(evaluations=1))
-    counted.count()
-    assert counted.exhausted
-    assert not counted.out_of_time
     assert Meter("fit", "mm", Budget(seconds=1e-9)).out_of_time
     assert not Meter("fit", "mm", Budget(seconds=1e9, evaluations=1)).out_of_time
 

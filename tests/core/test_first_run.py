@@ -22,13 +22,10 @@ def four_cores(monkeypatch):
     monkeypatch.setattr(os, "sched_getaffinity", lambda process: set(range(4)), raising=False)
 
 
-def test_there_is_a_helper_for_each_further_core(four_cores):
-    assert first_run._helper_count() == 3
-
-
-def test_no_more_than_three_help(four_cores, monkeypatch):
-    monkeypatch.setattr(os, "sched_getaffinity", lambda process: set(range(64)), raising=False)
-    assert first_run._helper_count() == first_run.MOST_HELPERS
+@pytest.mark.parametrize(("cores", "helpers"), [(3, 2), (4, 3), (64, 3)])
+def test_each_further_core_has_a_helper_up_to_three(four_cores, monkeypatch, cores, helpers):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: set(range(cores)), raising=False)
+    assert first_run._helper_count() == helpers
 
 
 FORBIDDEN = {

@@ -10,10 +10,10 @@ SHAPE = 3, 4
 MASK = np.arange(12).reshape(SHAPE) != 5
 
 
-def image(camera=None, positions=None):
+def image(**fields):
     position = np.random.default_rng(0).normal(0, 50, (*SHAPE, 3))
     normal = np.broadcast_to([0.0, 0.0, 1.0], (*SHAPE, 3))
-    return GeometryImage(position, normal, MASK, camera=camera, camera_positions=positions)
+    return GeometryImage(position, normal, MASK, **fields)
 
 
 def test_texels_look_toward_their_camera_and_others_along_the_view_direction():
@@ -21,7 +21,7 @@ def test_texels_look_toward_their_camera_and_others_along_the_view_direction():
     camera[0] = 0
     camera[1] = 1
     places = np.array([[0, 0, 900.0], [700, 0, 600]])
-    made = image(camera, places)
+    made = image(camera=camera, camera_positions=places)
     toward = np.zeros((*SHAPE, 3))
     toward[MASK] = made.toward_camera((0, 0, 1))
     for row, place in enumerate(places):
@@ -38,21 +38,25 @@ def test_without_cameras_one_direction_serves_all_texels():
 
 def test_a_texel_in_the_camera_itself_gives_no_nan():
     made = image()
-    at = image(np.zeros(SHAPE, int), made.position[:1, 0])
+    at = image(camera=np.zeros(SHAPE, int), camera_positions=made.position[:1, 0])
     assert np.isfinite(at.toward_camera((0, 0, 1))).all()
 
 
 @pytest.mark.parametrize(
-    ("camera", "positions", "message"),
+    ("fields", "message"),
     [
-        (np.zeros(SHAPE), None, "belong together"),
-        (None, np.zeros((1, 3)), "belong together"),
-        (np.zeros((2, 2)), np.zeros((1, 3)), "shape"),
-        (np.zeros(SHAPE), np.zeros(3), "expected \\(K, 3\\)"),
-        (np.zeros(SHAPE), np.full((1, 3), np.nan), "finite"),
-        (np.full(SHAPE, 2), np.zeros((2, 3)), "number 2 of 2"),
+        ({"camera": np.zeros(SHAPE)}, "belong together"),
+        ({"camera_positions": np.zeros((1, 3))}, "belong together"),
+        ({"camera": np.zeros((2, 2)), "camera_positions": np.zeros((1, 3))}, "shape"),
+        ({"camera": np.zeros(SHAPE), "camera_positions": np.zeros(3)}, r"expected \(K, 3\)"),
+        ({"camera": np.zeros(SHAPE), "camera_positions": np.full((1, 3), np.nan)}, "finite"),
+        ({"camera": np.full(SHAPE, 2), "camera_positions": np.zeros((2, 3))}, "number 2 of 2"),
+        ({"occluder": (np.zeros((3, 2)), [[0, 1, 2]])}, r"occluder: its vertices have shape \(3, 2\)"),
+        ({"skin": np.full(SHAPE, 1.1)}, "skin holds values beyond 0 to 1"),
+        ({"skin": np.full(SHAPE, -1)}, "skin holds values beyond 0 to 1"),
+        ({"specular_scale": np.full(SHAPE, np.nan)}, "specular_scale holds NaN"),
     ],
 )
-def test_what_does_not_fit_is_refused(camera, positions, message):
+def test_what_does_not_fit_is_refused(fields, message):
     with pytest.raises(GeometryImageError, match=message):
-        image(camera, positions)
+        image(**fields)

@@ -58,8 +58,3 @@ def test_what_is_no_landmark_is_named(given, message):
 def test_other_objects_are_a_type_error():
     with pytest.raises(TypeError, match=r"of type int, expected a file"):
         PlacedLandmarks.of(5)
-
-
-def test_a_deviation_must_be_above_0():
-    with pytest.raises(ScanError, match="above 0"):
-        PlacedLandmarks(some(3, (0, 0, 0)), np.zeros(68))

@@ -14,16 +14,19 @@ def test_a_lamp_is_a_white_point_unless_told_otherwise():
     assert not PointLight(0, 0, color_linear=(1.5, 1.0, 0.5)).white
 
 
-@pytest.mark.parametrize("color", [(2.0, 1.0, 1.0), (-0.5, 1.5, 2.0), (math.nan, 1.0, 1.0), (1.0, 1.0)])
-def test_colours_of_a_lamp_have_a_mean_of_1(color):
-    with pytest.raises(ValueError, match="whose mean is 1"):
-        PointLight(0, 0, color_linear=color)
+COLORS = ((2.0, 1.0, 1.0), (-0.5, 1.5, 2.0), (math.nan, 1.0, 1.0), (1.0, 1.0))
 
 
-@pytest.mark.parametrize("radius", [-1.0, 90.0, math.nan])
-def test_the_size_of_a_lamp_is_an_angle(radius):
-    with pytest.raises(ValueError, match="radius_deg"):
-        PointLight(0, 0, radius_deg=radius)
+@pytest.mark.parametrize(
+    ("wrong", "named"),
+    [
+        *(({"color_linear": color}, "color_linear must be .* whose mean is 1") for color in COLORS),
+        *(({"radius_deg": radius}, "radius_deg must be from 0") for radius in (-1.0, 90.0, math.nan)),
+    ],
+)
+def test_what_is_no_lamp_is_refused(wrong, named):
+    with pytest.raises(ValueError, match=named):
+        PointLight(0, 0, **wrong)
 
 
 def test_an_environment_keeps_its_own_coefficients():

@@ -1,9 +1,20 @@
-"""Scans as files that name other files, written by hand."""
+"""Scans as files that name other files, written by hand, and files that are refused."""
 
 import json
 
+import pytest
+
 from helpers.gltf import Gltf
-from helpers.square import square_gltf
+from helpers.square import square_gltf, write_square_obj
+from scan2albedo.errors import ScanError
+from scan2albedo.io import load_scan
+
+
+def assert_refused(path, words, error=ScanError):
+    """Check that loading a scan ends with an error whose text fits the pattern `words`."""
+    with pytest.raises(error, match=words):
+        load_scan(path)
+
 
 VERTEX = [f"property float {axis}" for axis in "xyz"]
 INDICES = "property list uchar int vertex_indices"
@@ -21,6 +32,12 @@ def textured_ply(folder, texture):
     head = ply_head(3, 1, comments=[f"TextureFile {texture}"], more="st")
     (folder / "face.ply").write_text(f"{head}0 0 0 0 0\n100 0 0 1 0\n0 100 0 0 1\n3 0 1 2\n")
     return folder / "face.ply"
+
+
+def square_of_two_materials(folder, first="face.png", second="other.png"):
+    """Write the square as OBJ, its faces of a material with a picture each; return its path."""
+    library = f"newmtl skin\nmap_Kd {first}\nnewmtl other\nmap_Kd {second}\n"
+    return write_square_obj(folder, mtl=library, change=("f 1/1 3/3", "usemtl other\nf 1/1 3/3"))
 
 
 def with_picture_file(file: Gltf, uri):

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 import trimesh
 from helpers.meshes import obj_text
-from helpers.square import png_bytes, quarters, square_gltf, write_square_obj
+from helpers.scan_files import assert_refused
+from helpers.square import png_bytes, quarters, square_gltf
 
 from scan2albedo.core import RawScan
 from scan2albedo.errors import ScanError
@@ -30,8 +31,7 @@ SPHERE = trimesh.creation.icosphere(subdivisions=1, radius=80.0)
 def test_what_is_no_file_of_its_kind_is_named(tmp_path, make, message, extension):
     path = tmp_path / f"a{extension}"
     make(path)
-    with pytest.raises(ScanError, match=rf"a\{extension}: {message}"):
-        load_scan(path)
+    assert_refused(path, rf"a\{extension}: {message}")
 
 
 @pytest.mark.parametrize("name", ["a.obj", "a.ply", "a.glb", "a.stl", "a.off", "a.zip", "a"])
@@ -47,23 +47,13 @@ def test_what_is_no_file_of_its_kind_is_named(tmp_path, make, message, extension
 )
 def test_what_is_no_scan_is_named_by_its_beginning(tmp_path, name, data, message):
     (tmp_path / name).write_bytes(data)
-    with pytest.raises(ScanError, match=rf"{name}: is {message}"):
-        load_scan(tmp_path / name)
-
-
-def test_a_texture_that_is_a_pointer_is_named(tmp_path):
-    path = write_square_obj(tmp_path)
-    (tmp_path / "face.png").write_bytes(b"version https://git-lfs.github.com/spec/v1\n")
-    assert any("face.png: is a Git LFS pointer" in note for note in load_scan(path).notes)
+    assert_refused(tmp_path / name, rf"{name}: is {message}")
 
 
 @pytest.mark.parametrize("name", ["a.fbx", "a", "a.obj.txt"])
 def test_unsupported_kinds_list_the_supported_ones(tmp_path, name):
     (tmp_path / name).write_text("v 0 0 0")
-    with pytest.raises(
-        ScanError, match=rf"{name}: .* not supported; .*\.obj, \.ply, \.glb, \.gltf, \.stl, \.off"
-    ):
-        load_scan(tmp_path / name)
+    assert_refused(tmp_path / name, rf"{name}: .* not supported; .*\.obj, \.ply, \.glb, \.gltf, \.stl, \.off")
 
 
 WHOLE = {
@@ -97,31 +87,30 @@ def test_damaged_bytes_give_a_scan_or_a_clear_error(tmp_path, name):
             assert not re.search(r"\w+Error:", said)
 
 
+@pytest.mark.parametrize("name", sorted(WHOLE.keys() - {"a.obj"}))
+@pytest.mark.parametrize("part", [0.001, 0.1, 0.3, 0.62, 0.97])
+def test_truncated_files_are_refused_by_name(tmp_path, name, part):
+    data = WHOLE[name]
+    (tmp_path / name).write_bytes(data[: int(len(data) * part)])
+    assert_refused(tmp_path / name, rf"{name}: .*(truncated|point cloud|empty)")
+
+
 CLOUD = trimesh.PointCloud(SPHERE.vertices)
 
 
 @pytest.mark.parametrize(
-    ("name", "data"),
+    ("name", "data", "holds"),
     [
-        ("a.obj", obj_text(SPHERE.vertices).encode()),
-        ("a.ply", CLOUD.export(file_type="ply")),
-        ("b.ply", CLOUD.export(file_type="ply", encoding="ascii")),
-        ("a.off", b"OFF\n2 0 0\n0 0 0\n1 1 1\n"),
+        ("a.obj", obj_text(SPHERE.vertices).encode(), "a point cloud of 42 vertices"),
+        ("a.ply", CLOUD.export(file_type="ply"), "a point cloud of 42 vertices"),
+        ("b.ply", CLOUD.export(file_type="ply", encoding="ascii"), "a point cloud of 42 vertices"),
+        ("a.off", b"OFF\n2 0 0\n0 0 0\n1 1 1\n", "a point cloud of 2 vertices"),
+        ("a.obj", b"this is a letter, not a mesh\n", "no vertices and no faces"),
     ],
 )
-def test_a_point_cloud_and_a_text_without_any_geometry(tmp_path, name, data):
+def test_a_point_cloud_and_a_text_without_any_geometry(tmp_path, name, data, holds):
     (tmp_path / name).write_bytes(data)
-    with pytest.raises(ScanError, match=rf"{name}: holds a point cloud of \d+ vertices; a surface is needed"):
-        load_scan(tmp_path / name)
-    (tmp_path / "a.obj").write_text("this is a letter, not a mesh\n")
-    with pytest.raises(ScanError, match=r"a\.obj: holds no vertices and no faces"):
-        load_scan(tmp_path / "a.obj")
-
-
-def test_five_vertices_are_a_scan_here(tmp_path):
-    rows = ["v 0 0 0", "v 100 0 0", "v 100 100 0", "v 0 100 0", "v 50 50 80"]
-    (tmp_path / "a.obj").write_text("\n".join([*rows, "f 1 2 5", "f 2 3 5", "f 3 4 5", "f 4 1 5"]))
-    assert load_scan(tmp_path / "a.obj").vertices.shape == (5, 3)
+    assert_refused(tmp_path / name, f"{name}: holds {holds}; a surface is needed")
 
 
 def test_names_with_spaces_and_letters_of_other_scripts(tmp_path):
@@ -132,19 +121,14 @@ def test_names_with_spaces_and_letters_of_other_scripts(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("vertices", "faces", "message"),
+    ("change", "message"),
     [
-        (np.eye(3), [[0, 1, -1]], "a face refers to vertex -1, but there are 3"),
-        (np.eye(3)[:, :2], [[0, 1, 2]], r"vertices has shape \(3, 2\), expected \(any, 3\)"),
-        (np.eye(3), np.zeros((0, 3)), r"no faces \(3 vertices\)"),
+        ({"faces": [[0, 1, -1]]}, "scan: a face refers to vertex -1, but there are 3"),
+        ({"vertices": np.eye(3)[:, :2]}, r"scan: vertices has shape \(3, 2\), expected \(any, 3\)"),
+        ({"faces": np.zeros((0, 3))}, r"scan: no faces \(3 vertices\)"),
+        *(({"name": name}, "a scan cannot be named") for name in ("", ".", "..", "a/b", "..\\up")),
     ],
 )
-def test_raw_scans_from_memory_are_checked(vertices, faces, message):
-    with pytest.raises(ScanError, match=f"me: {message}"):
-        RawScan(vertices, faces, name="me")
-
-
-@pytest.mark.parametrize("name", ["", ".", "..", "a/b", "..\\up"])
-def test_a_name_that_names_no_folder_is_refused(name):
-    with pytest.raises(ScanError, match="a scan cannot be named"):
-        RawScan(np.eye(3), [[0, 1, 2]], name=name)
+def test_raw_scans_from_memory_are_checked(change, message):
+    with pytest.raises(ScanError, match=message):
+        RawScan(**{"vertices": np.eye(3), "faces": [[0, 1, 2]]} | change)

@@ -6,22 +6,15 @@ from hypothesis import strategies as st
 from scan2albedo.io.color import decode_srgb_integers, encode_srgb_bytes, linear_to_srgb, srgb_to_linear
 
 
-@pytest.mark.parametrize(
-    ("srgb", "linear"),
-    [(0, 0), (1, 1), (0.5, 0.214041140482232), (0.04045, 0.04045 / 12.92), (0.02, 0.02 / 12.92)],
-)
-def test_curve_at_known_values(srgb, linear):
-    assert srgb_to_linear(srgb) == pytest.approx(linear, abs=1e-12)
+def test_curve_at_known_values():
+    linear = srgb_to_linear([0, 1, 0.5, 0.04045, 0.02])
+    assert linear == pytest.approx([0, 1, 0.214041140482232, 0.04045 / 12.92, 0.02 / 12.92], abs=1e-12)
 
 
 @given(st.floats(-2, 8))
 def test_encoding_inverts_decoding(value):
     # The standard's two branches meet within 3e-8 only.
     assert linear_to_srgb(srgb_to_linear(value)) == pytest.approx(value, abs=1e-6)
-
-
-def test_the_curve_rises_everywhere():
-    assert (np.diff(srgb_to_linear(np.linspace(-1, 2, 10001))) > 0).all()
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
@@ -33,10 +26,7 @@ def test_tables_equal_the_curve(dtype):
     np.testing.assert_allclose(decoded, expected, rtol=1e-6)
 
 
-def test_every_byte_survives_a_round_trip():
-    samples = np.arange(256, dtype=np.uint8).reshape(64, 4)
+def test_every_byte_survives_a_round_trip_and_what_is_beyond_is_clipped():
+    samples = np.arange(256, dtype=np.uint8)
     assert (encode_srgb_bytes(decode_srgb_integers(samples)) == samples).all()
-
-
-def test_encoding_clips():
-    assert encode_srgb_bytes([[-1.0, 7.0]]).tolist() == [[0, 255]]
+    assert encode_srgb_bytes([-1.0, 7.0]).tolist() == [0, 255]

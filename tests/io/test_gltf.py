@@ -3,7 +3,7 @@ import copy
 import numpy as np
 import pytest
 from helpers.gltf import Gltf
-from helpers.scan_files import textured_gltf
+from helpers.scan_files import assert_refused, textured_gltf
 from helpers.square import (
     SQUARE_FACES,
     SQUARE_MM,
@@ -16,7 +16,7 @@ from helpers.square import (
 )
 from numpy.testing import assert_allclose, assert_array_equal
 
-from scan2albedo.errors import MissingDependencyError, ScanError
+from scan2albedo.errors import MissingDependencyError
 from scan2albedo.geometry.mesh import face_normals
 from scan2albedo.io import load_scan
 from scan2albedo.io.glb import write_glb
@@ -33,7 +33,7 @@ def test_a_file_written_by_hand_shows_its_corners(tmp_path):
     assert_allclose(scan.vertices, SQUARE_MM, atol=1e-4)
     assert_allclose(scan.uv, SQUARE_UV[SQUARE_FACES], atol=1e-7)
     assert_corner_colors(scan)
-    assert scan.notes[0].startswith("unit: m ")
+    assert scan.notes[0] == "unit: m (largest extent 120 mm), decided from the size"
 
 
 @pytest.mark.parametrize(
@@ -72,8 +72,7 @@ def test_gltf_with_files_beside_it_and_a_damaged_texture(tmp_path):
         assert scan.texture_linear is None
         assert LOST in scan.notes
     (tmp_path / "data.bin").unlink()
-    with pytest.raises(ScanError, match=r"a\.GLTF: cannot be read as GLTF.*missing file"):
-        load_scan(path)
+    assert_refused(path, r"a\.GLTF: cannot be read as GLTF.*missing file")
 
 
 PICTURE = {"index": 0}
@@ -96,10 +95,7 @@ WHITE = [1.0] * 4
 BASE_COLOURS = {
     "no material": (None, WHITE, False),
     "all defaults": ({}, WHITE, False),
-    "no factor": (of({}), WHITE, False),
-    "a factor": (of(FACTOR), TINT, False),
     "a factor beyond its range": (of({"baseColorFactor": [-1, 2, 0.5, 1]}), [0, 1, 0.5, 1], False),
-    "a picture": (of(TEXTURE), WHITE, True),
     "a tinted picture": (of(TEXTURE | FACTOR), TINT, True),
     "a glow of no strength": (of(FACTOR, **GLOW), TINT, False),
     "a glow of strength zero": ({"emissiveFactor": [0, 0, 0], **GLOW}, WHITE, False),
@@ -153,14 +149,6 @@ def test_strips_and_interleaved_arrays_and_lines(tmp_path):
 LOST = "the texture of skin is missing, damaged or of an unknown kind: went on without it"
 
 
-@pytest.mark.parametrize("part", [0.01, 0.1, 0.5, 0.95])
-def test_truncated_files_are_refused_by_name(tmp_path, part):
-    path = square_gltf().write(tmp_path / "a.glb")
-    path.write_bytes(path.read_bytes()[: int(path.stat().st_size * part)])
-    with pytest.raises(ScanError, match=r"a\.glb: "):
-        load_scan(path)
-
-
 def compressed_nowhere(file):
     file.tree["extensionsUsed"] = file.tree["extensionsRequired"] = [DRACO]
     for accessor in file.tree["accessors"]:
@@ -184,26 +172,10 @@ def compressed_nowhere(file):
 def test_what_cannot_be_read_is_refused_by_name(tmp_path, change, message):
     file = square_gltf()
     change(file)
-    with pytest.raises(ScanError, match=r"a\.glb: " + message):
-        file.load(tmp_path)
+    assert_refused(file.write(tmp_path / "a.glb"), rf"a\.glb: {message}")
 
 
-@pytest.mark.parametrize("dtype", ["u1", "<u2"])
-@pytest.mark.parametrize("stride", [None, 8])
-def test_texture_coordinates_of_few_bits(tmp_path, dtype, stride):
-    file, kind = square_gltf(PNG), np.dtype(dtype)
-    stored = np.zeros((4, (stride or 2 * kind.itemsize) // kind.itemsize), kind)
-    stored[:, :2] = UV_DOWN * np.iinfo(kind).max
-    number = file.add(stored[:, :2], normalized=True)
-    if stride:
-        place = file.view(stored.tobytes(), byteStride=stride)
-        file.tree["accessors"][number]["bufferView"] = place
-    file.attributes["TEXCOORD_0"] = number
-    assert_corner_colors(file.load(tmp_path))
-
-
-def draco_square():
-    """Return the square as Draco holds it, and its picture."""
+def test_draco_is_decoded_and_without_its_decoder_what_to_install_is_named(tmp_path, monkeypatch):
     DracoPy = pytest.importorskip("DracoPy")
     file, corners = square_gltf(PNG), SQUARE_FACES.astype(np.uint32)
     options = {"tex_coord": UV_DOWN, "preserve_order": True, "quantization_bits": 14}
@@ -213,24 +185,15 @@ def draco_square():
     kinds = DracoPy.AttributeType
     names = {"POSITION": numbers[kinds.POSITION], "TEXCOORD_0": numbers[kinds.TEX_COORD]}
     file.primitive["extensions"][DRACO] = {"bufferView": file.view(blob), "attributes": names}
-    return file
-
-
-def test_draco_is_decoded(tmp_path):
-    file = draco_square()
     scan = file.load(tmp_path, "mm")
     assert_allclose(scan.vertices, SQUARE_MM, atol=0.01)
     assert_corner_colors(scan, scan.vertices)
     moved = {"KHR_texture_transform": {"scale": [0.5, 0.5], "offset": [0.25, 0.25]}}
     file.material["pbrMetallicRoughness"]["baseColorTexture"]["extensions"] = moved
     assert_allclose(file.load(tmp_path, "mm").uv, scan.uv / 2 + 0.25, atol=1e-6)
-
-
-def test_draco_without_its_decoder_names_what_to_install(tmp_path, monkeypatch):
-    file, words = draco_square(), r"a\.glb: .* pip install 'scan2albedo\[draco\]', or export"
     monkeypatch.setattr("scan2albedo.io.gltf.find_spec", lambda name: None)
-    with pytest.raises(MissingDependencyError, match=words):
-        file.load(tmp_path)
+    words = r"a\.glb: .* pip install 'scan2albedo\[draco\]', or export"
+    assert_refused(tmp_path / "a.glb", words, MissingDependencyError)
 
 
 def test_a_picture_that_nothing_decodes_is_named(tmp_path):
@@ -253,8 +216,6 @@ def test_what_we_write_follows_the_standard(tmp_path):
     for name, values in expected.items():
         assert_allclose(file.array(file.attributes[name]), values, atol=1e-7)
     assert_corner_colors(load_scan(tmp_path / "a.glb"))
-    write_glb(tmp_path / "bare.glb", SQUARE_MM, SQUARE_FACES, SQUARE_UV)
-    assert_allclose(load_scan(tmp_path / "bare.glb").vertices, SQUARE_MM, atol=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,12 @@
 import struct
 import sys
 import tracemalloc
-import zlib
 
 import cv2
 import numpy as np
 import OpenEXR
 import pytest
+from helpers.pictures import png_chunk
 from helpers.square import quarters, write_image
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image, ImageCms
@@ -72,8 +72,7 @@ def test_exif_turns_photographs_alone(tmp_path):
     assert_array_equal(upright, linear[::-1, ::-1])
     pixels, deep = RNG.integers(0, 65536, (5, 7, 3)).astype(np.uint16), tmp_path / "deep.png"
     write_png(deep, pixels)
-    data, text = deep.read_bytes(), b"eXIf" + exif.tobytes().removeprefix(b"Exif\0\0")
-    chunk = struct.pack(">I", len(text) - 4) + text + struct.pack(">I", zlib.crc32(text))
+    data, chunk = deep.read_bytes(), png_chunk(b"eXIf", exif.tobytes().removeprefix(b"Exif\0\0"))
     deep.write_bytes(data[:33] + chunk + data[33:])
     assert_array_equal(read_image_values(deep, upright=True), pixels[::-1, ::-1])
 
@@ -123,48 +122,36 @@ def test_float_images_are_linear_already(tmp_path, shape):
     assert_array_equal(read_image_linear(tmp_path / "a.tiff"), color)
 
 
-def test_exr_without_colour_names_its_channels(tmp_path):
-    write_exr_channels(tmp_path / "a.exr", {"depth.Z": np.ones((3, 3), np.float32)})
-    with pytest.raises(ScanError, match=r"a\.exr has the channels depth\.Z"):
-        read_image_linear(tmp_path / "a.exr")
-
-
 @pytest.mark.parametrize("extension", [".png", ".jpg", ".tiff", ".exr"])
 @pytest.mark.parametrize("part", [0.0, 0.3, 0.97])
 def test_truncated_images_are_refused_by_name(tmp_path, extension, part):
-    whole = tmp_path / f"whole{extension}"
-    write_by_extension(whole, RNG.integers(0, 256, (90, 90, 3)) / 255.0)
-    cut = tmp_path / f"cut{extension}"
-    data = whole.read_bytes()
-    cut.write_bytes(data[: int(len(data) * part)])
+    file = tmp_path / f"cut{extension}"
+    write_by_extension(file, RNG.random((90, 90, 3)))
+    data = file.read_bytes()
+    file.write_bytes(data[: int(len(data) * part)])
     with pytest.raises(ScanError, match=rf"cut\{extension}"):
-        read_image_linear(cut)
+        read_image_linear(file)
 
 
-def test_garbage_and_missing_images_are_refused_by_name(tmp_path):
+def test_pictures_that_show_no_colours_are_refused_by_name(tmp_path):
     (tmp_path / "noise.png").write_bytes(RNG.bytes(5000))
-    with pytest.raises(ScanError, match=r"noise\.png.*re-export"):
-        read_image_linear(tmp_path / "noise.png")
-    with pytest.raises(ScanError, match=r"nothing\.png.*No such file"):
-        read_image_linear(tmp_path / "nothing.png")
-
-
-def test_nan_in_a_float_image_is_refused(tmp_path):
+    write_exr_channels(tmp_path / "depth.exr", {"depth.Z": np.ones((3, 3), np.float32)})
     values = np.ones((3, 3, 3), np.float32)
     values[1, 1] = np.nan
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    OpenEXR.File(header, {"RGB": values}).write(str(tmp_path / "a.exr"))
-    with pytest.raises(ScanError, match=r"a\.exr holds NaN"):
-        read_image_linear(tmp_path / "a.exr")
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, {"RGB": values}).write(str(tmp_path / "nan.exr"))
+    for said in (
+        "noise.png .*re-export",
+        "nothing.png .*No such file",
+        r"depth.exr has the channels depth\.Z",
+        "nan.exr holds NaN",
+    ):
+        with pytest.raises(ScanError, match=said):
+            read_image_linear(tmp_path / said.split()[0])
 
 
-def test_png_holds_srgb_of_linear_floats(tmp_path):
+def test_png_holds_srgb_of_linear_floats_and_keeps_integers_and_masks(tmp_path):
     write_png(tmp_path / "a.png", np.full((2, 2, 3), [0.2158605, 1.5, -1]))
     assert cv2.imread(str(tmp_path / "a.png"), -1)[0, 0].tolist() == [0, 255, 128]  # BGR
-    assert [p.name for p in tmp_path.iterdir()] == ["a.png"]
-
-
-def test_png_keeps_integers_and_masks(tmp_path):
     deep = RNG.integers(0, 65536, (5, 7, 4)).astype(np.uint16)
     grey = quarters()[..., 0]
     rgba = np.dstack([quarters(), np.full((8, 8), 7, np.uint8)])
@@ -174,28 +161,23 @@ def test_png_keeps_integers_and_masks(tmp_path):
         order = stored if stored.ndim == 2 else stored[..., [2, 1, 0, 3][: stored.shape[2]]]
         expected = image.astype(np.uint8) * 255 if image.dtype == bool else image
         assert_array_equal(order, expected, strict=True)
-        if image.dtype == np.uint16:
-            color = image[..., :3] if image.ndim == 3 else np.dstack([image] * 3)
-            assert_array_equal(read_image_values(tmp_path / "a.png"), color)
 
 
 @pytest.mark.parametrize(
-    ("write", "name", "image", "message"),
+    ("name", "image", "message"),
     [
-        (write_png, "a.png", np.zeros(3), r"shape \(3,\), expected"),
-        (write_png, "a.png", np.full((2, 2), np.nan), "NaN"),
-        (write_png, "a.png", np.zeros((2, 2), np.int64), "samples of int64, expected uint8"),
-        (write_png, "a.png", np.zeros((2, 2), np.complex64), "samples of complex64, expected uint8"),
-        (write_exr, "a.exr", np.zeros((2, 2, 5)), "expected"),
-        (write_exr, "a.exr", [[0, np.nan]], r"a\.exr: channel Y holds NaN or infinite"),
-        (write_exr, "a.exr", [[0, np.inf]], r"a\.exr: channel Y holds NaN or infinite"),
-        (write_exr, "a.exr", [[0, 1e300]], r"a\.exr: channel Y holds NaN or infinite"),
-        (write_by_extension, "a.xyz", np.zeros((2, 2)), r"a\.xyz: images end with"),
+        ("a.png", np.zeros(3), r"shape \(3,\), expected"),
+        ("a.png", np.full((2, 2), np.nan), "NaN"),
+        ("a.png", np.zeros((2, 2), np.int64), "samples of int64, expected uint8"),
+        ("a.exr", np.zeros((2, 2, 5)), "expected"),
+        ("a.exr", [[0, np.nan]], r"a\.exr: channel Y holds NaN or infinite"),
+        ("a.exr", [[0, 1e300]], r"a\.exr: channel Y holds NaN or infinite"),
+        ("a.xyz", np.zeros((2, 2)), r"a\.xyz: images end with"),
     ],
 )
-def test_wrong_images_are_refused(tmp_path, write, name, image, message):
+def test_wrong_images_are_refused(tmp_path, name, image, message):
     with pytest.raises((ValueError, OutputError), match=message), np.errstate(over="ignore"):
-        write(tmp_path / name, image)
+        write_by_extension(tmp_path / name, image)
     assert list(tmp_path.iterdir()) == []
 
 

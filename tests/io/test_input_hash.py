@@ -3,7 +3,7 @@ import sys
 
 import numpy as np
 import pytest
-from helpers.scan_files import textured_gltf, textured_ply, with_picture_file, write_gltf
+from helpers.scan_files import assert_refused, textured_gltf, textured_ply, with_picture_file, write_gltf
 from helpers.square import png_bytes, quarters, square_gltf, write_image, write_square_obj
 
 from scan2albedo.core import RawScan
@@ -39,16 +39,6 @@ def glb_with_files(folder):
     return file.write(folder / "face.glb")
 
 
-def with_skin(write):
-    """Return what writes a scan and the picture that it names."""
-
-    def made(folder):
-        write_image(folder / "skin.png", quarters())
-        return write(folder)
-
-    return made
-
-
 def obj_of_several_libraries(folder):
     """Its libraries are named in a line that goes on; one of them names a picture that is missing."""
     path = write_square_obj(folder, change=("mtllib face.mtl", "mtllib other.mtl \\\n  face.mtl"))
@@ -78,19 +68,26 @@ def outcome(path):
 MADE = [
     write_square_obj,
     obj_of_several_libraries,
-    with_skin(obj_whose_own_texture_is_missing),
-    with_skin(lambda folder: textured_ply(folder, "skin.png")),
-    with_skin(lambda folder: textured_gltf(folder, "skin.png")),
-    with_skin(glb_with_files),
+    obj_whose_own_texture_is_missing,
+    lambda folder: textured_ply(folder, "skin.png"),
+    lambda folder: textured_gltf(folder, "skin.png"),
+    glb_with_files,
     gltf_with_picture_inside,
 ]
+"""What writes a scan into a folder that holds skin.png."""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    write_image(tmp_path / "skin.png", quarters())
+    return tmp_path
 
 
 @pytest.mark.parametrize("made", MADE)
-def test_no_file_that_changes_what_is_read_is_left_out_of_the_hash(tmp_path, made):
-    path = made(tmp_path)
+def test_no_file_that_changes_what_is_read_is_left_out_of_the_hash(folder, made):
+    path = made(folder)
     before, read, counted = input_sha256(path), outcome(path), set()
-    for file in sorted(tmp_path.iterdir()):
+    for file in sorted(folder.iterdir()):
         content = file.read_bytes()
         file.write_bytes(b"")
         if outcome(path) != read:
@@ -101,13 +98,12 @@ def test_no_file_that_changes_what_is_read_is_left_out_of_the_hash(tmp_path, mad
     assert counted <= set(files_of_scan(path))
 
 
-def test_a_file_that_is_not_hashed_is_not_read(tmp_path, monkeypatch):
+def test_a_file_that_is_not_hashed_is_not_read(folder, monkeypatch):
     module = sys.modules["scan2albedo.io.load_scan"]
     monkeypatch.setattr(module, "files_of_scan", lambda path, textures: (path,))
-    with pytest.raises(ScanError, match=r"refers to a missing file"):
-        load_scan(gltf_with_picture_inside(tmp_path))
+    assert_refused(gltf_with_picture_inside(folder), "refers to a missing file")
     for made in (MADE[0], MADE[3], MADE[5]):
-        assert load_scan(made(tmp_path), "mm").texture_linear is None
+        assert load_scan(made(folder), "mm").texture_linear is None
 
 
 def test_scans_in_memory_are_hashed_by_value():

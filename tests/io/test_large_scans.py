@@ -3,26 +3,13 @@ import resource
 import numpy as np
 import pytest
 from helpers.meshes import grid
+from helpers.scan_files import ply_head
 
 from scan2albedo.io import load_scan
 
-SIDE = 1000
-
-
-def relief():
-    """Vertices and faces of a head-sized relief of a million vertices."""
-    places, faces = grid(SIDE, SIDE)
-    u, v, _ = places.T
-    depth = 40 * np.cos(3 * u - 1.5) * np.cos(2 * v - 1)
-    return np.stack([u * 180, v * 220, depth], axis=-1).astype(np.float32), faces
-
 
 def write_ply(path, vertices, faces):
-    head = (
-        "ply\nformat binary_little_endian 1.0\n"
-        f"element vertex {len(vertices)}\nproperty float x\nproperty float y\nproperty float z\n"
-        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
+    head = ply_head(len(vertices), len(faces), "binary_little_endian")
     rows = np.zeros(len(faces), [("n", "u1"), ("i", "<i4", 3)])
     rows["n"] = 3
     rows["i"] = faces
@@ -38,7 +25,10 @@ def write_obj(path, vertices, faces):
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "write"), [("a.ply", write_ply), ("a.obj", write_obj)])
 def test_a_million_vertices_load_exactly_within_memory(tmp_path, name, write):
-    vertices, faces = relief()
+    places, faces = grid(1000, 1000)
+    u, v, _ = places.T
+    depth = 40 * np.cos(3 * u - 1.5) * np.cos(2 * v - 1)
+    vertices = np.stack([u * 180, v * 220, depth], axis=-1).astype(np.float32)
     write(tmp_path / name, vertices, faces)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     scan = load_scan(tmp_path / name)

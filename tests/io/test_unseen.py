@@ -17,68 +17,60 @@ VERTICES, FACES = grid(41, 41)
 ORANGE = (255, 127, 39)
 
 
-def picture(seed=0):
-    """A photograph of skin with noise, 240 x 240, and where it has a hole, 60 x 60."""
-    rng = np.random.default_rng(seed)
-    level = 120 + 60 * np.sin(np.arange(240) / 80)[:, None] + rng.normal(0, 3, (240, 240))
-    hole = np.zeros((240, 240), bool)
-    hole[60:120, 90:150] = True
-    return np.clip(level[..., None] * [1, 0.8, 0.7], 0, 255).astype(np.uint8), hole
+LEVEL = 120 + 60 * np.sin(np.arange(240) / 80)[:, None] + np.random.default_rng(0).normal(0, 3, (240, 240))
+PIXELS = np.clip(LEVEL[..., None] * [1, 0.8, 0.7], 0, 255).astype(np.uint8)
+"""A photograph of skin with noise."""
+HOLE = np.zeros((240, 240), bool)
+HOLE[60:120, 90:150] = True
 
 
-def written(folder, pixels, **options):
-    """Write the square with a texture as OBJ and return its path."""
-    Image.fromarray(pixels).save(folder / "skin.png", **options)
+def loaded(folder, image):
+    """Write the square with a texture as OBJ and return the scan that is read."""
+    image.save(folder / "skin.png")
     text = obj_text(160 * VERTICES, FACES, VERTICES[:, :2])
     (folder / "skin.obj").write_text(f"mtllib skin.mtl\nusemtl skin\n{text}")
     (folder / "skin.mtl").write_text("newmtl skin\nmap_Kd skin.png\n")
-    return folder / "skin.obj"
+    return load_scan(folder / "skin.obj", unit="mm")
 
 
 @pytest.mark.parametrize("fill", [ORANGE, (0, 0, 0), (128, 128, 128)])
 def test_a_colour_that_was_filled_in_was_not_seen(tmp_path, fill):
-    pixels, hole = picture()
-    pixels[hole] = fill
-    scan = load_scan(written(tmp_path, pixels), unit="mm")
+    pixels = np.where(HOLE[..., None], np.uint8(fill), PIXELS)
+    scan = loaded(tmp_path, Image.fromarray(pixels))
     assert scan.color_seen is not None
-    assert not scan.color_seen[hole].any()
-    assert scan.color_seen[~hole].mean() > 0.999
+    assert not scan.color_seen[HOLE].any()
+    assert scan.color_seen[~HOLE].mean() > 0.999
     assert scan.has_color
 
 
 @pytest.mark.parametrize("kind", ["RGBA", "LA", "P"])
 def test_what_is_transparent_was_not_seen(tmp_path, kind):
-    pixels, hole = picture()
-    image = Image.fromarray(np.dstack([pixels, np.where(hole, 0, 255).astype(np.uint8)]))
+    image = Image.fromarray(np.dstack([PIXELS, np.where(HOLE, 0, 255).astype(np.uint8)]))
     if kind == "P":
-        index = np.where(hole, 0, np.clip(pixels[..., 0], 1, 255)).astype(np.uint8)
+        index = np.where(HOLE, 0, np.clip(PIXELS[..., 0], 1, 255)).astype(np.uint8)
         image = Image.fromarray(index, "L").convert("P")
         image.info["transparency"] = 0
     elif kind == "LA":
         image = image.convert("LA")
-    file = written(tmp_path, pixels)
-    image.save(tmp_path / "skin.png")
-    assert_array_equal(load_scan(file, unit="mm").color_seen, ~hole)
+    assert_array_equal(loaded(tmp_path, image).color_seen, ~HOLE)
 
 
 def test_an_alpha_that_is_alike_everywhere_says_nothing(tmp_path):
-    pixels, _ = picture()
     for alpha in (0, 80, 255):
-        rgba = np.dstack([pixels, np.full(pixels.shape[:2], alpha, np.uint8)])
-        assert load_scan(written(tmp_path, rgba), unit="mm").color_seen is None
+        rgba = np.dstack([PIXELS, np.full(PIXELS.shape[:2], alpha, np.uint8)])
+        assert loaded(tmp_path, Image.fromarray(rgba)).color_seen is None
 
 
 def test_photographs_and_clipped_white_were_seen():
-    pixels, hole = picture()
-    clipped = np.where(hole[..., None], np.uint8(255), pixels)
+    clipped = np.where(HOLE[..., None], np.uint8(255), PIXELS)
     # The last one is so coarse that most faces lie in one pixel.
-    for shown in (pixels, clipped, clipped[::40, ::40]):
+    for shown in (PIXELS, clipped, clipped[::40, ::40]):
         linear = srgb_to_linear(shown / 255).astype(np.float32)
         assert seen_colors(linear, FACES, VERTICES[FACES][..., :2])[1] is None
 
 
 def test_a_scan_of_one_colour_has_no_colour(tmp_path):
-    scan = load_scan(written(tmp_path, np.full((64, 64, 3), 180, np.uint8)), unit="mm")
+    scan = loaded(tmp_path, Image.new("RGB", (64, 64), "grey"))
     assert not scan.has_color
     assert any("say nothing" in note for note in scan.notes)
     assert scan.texture_linear.shape == (64, 64, 3)
