@@ -41,18 +41,6 @@ def test_inside_a_sphere_every_patch_sees_all_others_alike_and_bounced_light_is_
     assert bounced[1].std() < 0.03
 
 
-def test_faces_of_a_cube_have_form_factors_of_a_fifth():
-    """0.1998 to the opposite one, 0.2000 to each beside it."""
-    mesh = trimesh.creation.box([100, 100, 100])
-    for _ in range(3):
-        mesh = mesh.subdivide()
-    caster, center, normal = _inside_of(mesh)
-    factors = Patches.of(caster, center, normal, OFFSET_MM).factors
-    side = 3 * (normal.min(1) < -0.5) + np.abs(normal).argmax(1)
-    between = np.array([[factors[side == a][:, side == b].sum(1).mean() for b in range(6)] for a in range(6)])
-    assert between == pytest.approx((1 - np.eye(6)) / 5, abs=0.012)
-
-
 def test_a_convex_surface_throws_no_light_onto_itself():
     mesh = trimesh.creation.icosphere(3, 50.0)
     caster, center, inner = _inside_of(mesh)

@@ -1,11 +1,10 @@
 """The model against a plain SVD, with gaps, without lobes, of few samples, and on disk."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.npz import assert_comes_back, cut, rewritten
+from helpers.npz import assert_comes_back, rewritten
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import ReflectanceError
@@ -60,12 +59,6 @@ def test_samples_come_back_with_their_weights_and_coefficients_of_unit_variance(
         assert_allclose(found.reflectance.diffuse_linear, sample.diffuse_linear, atol=1e-12)
         assert_allclose(found.reflectance.weights, sample.weights, atol=1e-12)
         assert found.clipped_share == 0
-
-
-def test_noise_free_samples_of_a_low_rank_need_no_more_directions():
-    model = learned(faces(12, rank=3))
-    assert model.components == 3
-    assert albedo_off(model, faces(12, rank=3)[5]) < 1e-10
 
 
 def test_fewer_components_are_the_first_ones():
@@ -158,22 +151,19 @@ def test_a_model_comes_back_from_its_file(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("spoil", "message"),
+    ("changes", "message"),
     [
         ({"header": np.array('{"format": "something"}')}, "format"),
-        ({"header": None}, "cannot be read"),
         ({"diffuse_mean": np.full((60, 3), np.nan)}, "NaN"),
         ({"sum_mean": np.zeros(59)}, "model.npz: all the input array dimensions"),
         ({"known": np.ones(60)}, "known holds float64"),
         ({"deviation": np.ones(7)}, "deviation is"),
-        (cut, r"model\.npz cannot be read"),
-        (Path.unlink, r"model\.npz cannot be read"),
     ],
 )
-def test_files_that_are_no_model_are_refused(tmp_path, spoil, message):
+def test_files_that_are_no_model_are_refused(tmp_path, changes, message):
     path = tmp_path / "model.npz"
     learned(faces(4)).save(path)
-    spoil(path) if callable(spoil) else rewritten(path, **spoil)
+    rewritten(path, **changes)
     with pytest.raises(ReflectanceError, match=message):
         MorphableReflectanceModel.load(path)
 

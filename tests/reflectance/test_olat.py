@@ -130,16 +130,15 @@ def test_values_beyond_white_need_a_saturation():
 @pytest.mark.parametrize(
     ("flash", "room", "error"),
     [
-        (np.zeros((0, 4, 4, 3)), np.zeros((4, 4, 3)), ReflectanceError),
-        (np.zeros((1, 4, 4, 3)), np.zeros((4, 5, 3)), ValueError),
-        (np.zeros((3, 4, 4, 3)), np.zeros((2, 4, 4, 3)), ValueError),
-        (np.zeros((1, 4, 4)), np.zeros((4, 4)), ValueError),
-        (np.zeros((1, 4, 4, 3), int), np.zeros((4, 4, 3), int), ReflectanceError),
+        ((0, 4, 4, 3), (4, 4, 3), ReflectanceError),
+        ((1, 4, 4, 3), (4, 5, 3), ValueError),
+        ((3, 4, 4, 3), (2, 4, 4, 3), ValueError),
+        ((1, 4, 4), (4, 4), ValueError),
     ],
 )
-def test_pictures_that_do_not_fit_are_refused(flash, room, error):
+def test_pictures_of_shapes_that_do_not_fit_are_refused(flash, room, error):
     with pytest.raises(error):
-        extract_olat(flash, room)
+        extract_olat(np.zeros(flash), np.zeros(room))
 
 
 @pytest.mark.parametrize(
