@@ -16,31 +16,24 @@ from scan2albedo.lighting.environment import (
 UP = [[0, 0, 1]]
 
 
-def solid_angles(rows, columns):
-    edges = np.cos(np.linspace(0, np.pi, rows + 1))
-    return np.repeat((edges[:-1] - edges[1:])[:, None] * 2 * np.pi / columns, columns, 1)
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (5, 9), (32, 64), (300, 20)])
-@pytest.mark.parametrize("count", [1, 7, 64])
-def test_weights_sum_to_the_integral_of_the_map(shape, count):
-    image = np.random.default_rng(0).random((*shape, 3))
-    weights = environment_weights(image, distant_directions(count))
-    integral = (solid_angles(*shape)[..., None] * image).sum((0, 1))
-    assert_allclose(weights.sum(0), integral, rtol=1e-12)
-    assert (weights >= 0).all()
-
-
-def test_weights_are_the_integrals_over_the_nearest_directions():
+@pytest.mark.parametrize("shape", [(1, 1), (32, 64), (256, 512), (300, 20)])
+@pytest.mark.parametrize("count", [1, 20])
+def test_weights_are_the_integrals_over_the_nearest_directions(shape, count):
     rng = np.random.default_rng(1)
-    directions, image = rng.normal(size=(20, 3)), rng.random((256, 512, 3))
-    polar = (np.arange(256) + 0.5) / 256 * np.pi
-    azimuth = ((np.arange(512) + 0.5) / 512 - 0.5) * 2 * np.pi
+    directions, image = rng.normal(size=(count, 3)), rng.random((*shape, 3))
+    # Texels of coarse maps are parts of several cells.
+    cut = -(-256 // shape[0])
+    fine = image.repeat(cut, 0).repeat(cut, 1)
+    rows, columns = fine.shape[:2]
+    edges = np.cos(np.linspace(0, np.pi, rows + 1))
+    size = (edges[:-1] - edges[1:]) * 2 * np.pi / columns
+    polar = (np.arange(rows) + 0.5) / rows * np.pi
+    azimuth = ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * np.pi
     sine, cosine = np.sin(polar)[:, None], np.cos(polar)[:, None]
     sphere = np.stack(np.broadcast_arrays(sine * np.sin(azimuth), cosine, sine * np.cos(azimuth)), -1)
     nearest = (sphere.reshape(-1, 3) @ normalized(directions).T).argmax(1)
-    light = (solid_angles(256, 512)[..., None] * image).reshape(-1, 3)
-    expected = np.stack([np.bincount(nearest, light[:, c], minlength=20) for c in range(3)], 1)
+    light = (size[:, None, None] * fine).reshape(-1, 3)
+    expected = np.stack([np.bincount(nearest, light[:, c], minlength=count) for c in range(3)], 1)
     assert_allclose(environment_weights(image, directions), expected, rtol=1e-9)
 
 

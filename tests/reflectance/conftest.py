@@ -5,6 +5,7 @@ from functools import partial
 
 import pytest
 from helpers import json_files
+from worlds.two_balls import build_scene
 
 from scan2albedo.reflectance.lighting_model import LightingModel
 
@@ -12,6 +13,12 @@ from scan2albedo.reflectance.lighting_model import LightingModel
 @pytest.fixture(scope="session")
 def lighting():
     return LightingModel.default()
+
+
+@pytest.fixture(scope="session")
+def scene():
+    """A ball before a larger one, photographed."""
+    return build_scene()
 
 
 @pytest.fixture

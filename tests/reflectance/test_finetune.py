@@ -80,9 +80,7 @@ def test_a_change_that_harms_is_not_taken(model, lighting, monkeypatch):
 def test_the_closed_form_is_ridge_regression_over_all_unknowns(model, lighting):
     shots = pictures(3, 1, BEARD)
     fits = [fit_image(shot, model, lighting) for shot in shots]
-    m = 0.1
-    n = 0.3
-    change = best_change(model, shots, fits, mean_change=m, basis_change=n)
+    change = best_change(model, shots, fits, mean_change=0.1, basis_change=0.3)
     response = BALL.response
     for vertex in np.flatnonzero(SEEN)[[3, 50]]:
         rows, off, noise = [], [], []
@@ -93,18 +91,15 @@ def test_the_closed_form_is_ridge_regression_over_all_unknowns(model, lighting):
             gloss = np.einsum("vk,vkj->vj", share, lobes)
             residual = shot.observed_linear - albedo * diffuse - total * gloss
             spread = 1.4826 * np.median(np.abs(residual[SEEN]))
-            x = np.concatenate([[1.0], b])
-            for j in range(3):
-                row = np.zeros((4, 9))
-                row[j] = diffuse[vertex, j] * x
-                row[3] = gloss[vertex, j] * x
-                rows.append(row.ravel())
-                off.append(residual[vertex, j])
-                noise.append(spread * max(abs(residual[vertex, j]), spread))
-        scale = m * np.array([model.diffuse.mean.mean()] * 3 + [model.mean[:, 3].mean()])
-        prior = np.outer(scale, np.append(1.0, np.full(8, n))).ravel()
-        a, weight = np.array(rows), 1 / np.array(noise)
-        expected = np.linalg.solve(a.T @ (weight[:, None] * a) + np.diag(prior**-2), a.T @ (weight * off))
+            by_channel = np.column_stack([np.diag(diffuse[vertex]), gloss[vertex]])
+            rows.append(np.kron(by_channel, np.append(1.0, b)))
+            off.append(residual[vertex])
+            noise.append(spread * np.maximum(np.abs(residual[vertex]), spread))
+        scale = 0.1 * np.array([model.diffuse.mean.mean()] * 3 + [model.mean[:, 3].mean()])
+        prior = np.kron(scale, np.append(1.0, np.full(8, 0.3)))
+        a, weight = np.concatenate(rows), 1 / np.ravel(noise)
+        normal = a.T @ (weight[:, None] * a) + np.diag(prior**-2)
+        expected = np.linalg.solve(normal, a.T @ (weight * np.ravel(off)))
         assert_allclose(change[:, vertex].T, expected.reshape(4, 9), rtol=1e-6, atol=1e-12)
     assert (change[:, ~SEEN] == 0).all()
 

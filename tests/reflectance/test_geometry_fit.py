@@ -54,15 +54,13 @@ def model():
     return MorphableShapeModel.from_samples(neutral, offsets, FACES, nearest)
 
 
-def skin():
-    """Patchy skin with highlights."""
-    rng = np.random.default_rng(0)
-    waves = np.sin(REST @ rng.normal(size=(3, 3)) * 0.06 + rng.uniform(0, 6, 3))
-    weights = np.array([0.05, 0.12, 0.08]) * (1 + 0.3 * waves)
-    return reflectance_from_albedo(np.array([0.5, 0.35, 0.28]) * (1 + 0.15 * waves), weights=weights)
-
-
-SKIN = skin()
+RNG = np.random.default_rng(0)
+WAVES = np.sin(REST @ RNG.normal(size=(3, 3)) * 0.06 + RNG.uniform(0, 6, 3))
+SKIN = reflectance_from_albedo(
+    np.array([0.5, 0.35, 0.28]) * (1 + 0.15 * WAVES),
+    weights=np.array([0.05, 0.12, 0.08]) * (1 + 0.3 * WAVES),
+)
+"""Patchy, with highlights."""
 LIT = {"reflectance": SKIN, "light": LIGHT}
 
 
@@ -204,7 +202,6 @@ def test_landmarks_alone_descend(refine):
     assert not fit.plan.ran("reflectance.geometry.photometry")
 
 
-@pytest.mark.slow
 def test_exposure_does_not_matter(face, lit, refine):
     other = refine(image_linear=1000 * face.image, reflectance=SKIN, light=1000 * LIGHT)
     assert_allclose(other.vertices, lit.vertices, atol=1e-4)

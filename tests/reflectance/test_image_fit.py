@@ -2,7 +2,6 @@
 
 import itertools
 import sys
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -54,17 +53,7 @@ def albedo_error(fit, face=FACE):
     return BALL.albedo_error(fit.face.reflectance.diffuse_linear, face)
 
 
-def quiet_fit(*arguments, **options):
-    """Fit without the warning that it did not converge; all that comes of it is finite."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="the image fit stopped", category=RuntimeWarning)
-        fit = fit_image(*arguments, **options)
-    face = fit.face
-    for numbers in (face.coefficients, fit.light, fit.scale_rgb, fit.light_coefficients, fit.objective):
-        assert np.isfinite(numbers).all()
-    assert np.isfinite(fit.radiance_linear[arguments[0].seen]).all()
-    assert np.isfinite([face.reflectance.diffuse_linear, face.reflectance.weights]).all()
-    return fit
+MAY_STOP = pytest.mark.filterwarnings("ignore:the image fit stopped")
 
 
 def descends(fit):
@@ -90,7 +79,6 @@ def test_the_prediction_is_the_shading_of_the_model(terms, model, lighting):
     assert_allclose(terms.predict(p).color, expected[terms.used], rtol=1e-10)
 
 
-@pytest.mark.slow
 def test_faces_not_seen_before_are_found_whatever_the_exposure(model):
     errors, of_mean = [], []
     for seed, face in enumerate(BALL.people(5, 99)):
@@ -119,7 +107,6 @@ def test_exposure_moves_the_scale_and_nothing_else(fit, model, lighting):
     assert_allclose(ten.face.coefficients, fit.face.coefficients, atol=1e-6)
 
 
-@pytest.mark.slow
 def test_specks_hardly_move_the_face(fit, model, lighting, monkeypatch):
     specks = np.random.default_rng(0).random(len(SEEN)) < 0.05
     color = np.where(specks[:, None], 5 * IMAGE.observed_linear.max(), IMAGE.observed_linear)
@@ -139,19 +126,21 @@ def test_a_budget_that_ends_gives_the_best_so_far(model, lighting):
     assert short.objective < next(iter(short.trace)).error
 
 
+@MAY_STOP
 def test_a_black_channel_does_not_break_the_fit(model, lighting):
     black = replace(IMAGE, observed_linear=IMAGE.observed_linear * [1, 1, 0])
-    fit = quiet_fit(black, model, lighting)
+    fit = fit_image(black, model, lighting)
     assert fit.scale_rgb[2] < 0.05 * fit.scale_rgb[0]
 
 
+@MAY_STOP
 @pytest.mark.parametrize("lights", [0, 30])
 @pytest.mark.parametrize("samples", [1, 2])
 def test_models_of_few_samples_fit_light_alone(samples, lights):
     faces = BALL.people(2, 1)
     small = MorphableReflectanceModel.from_samples(faces[:samples])
     lighting = generated_lighting(count=200, components=lights)
-    fit = quiet_fit(BALL.picture(faces[0], 11, noise=0), small, lighting)
+    fit = fit_image(BALL.picture(faces[0], 11, noise=0), small, lighting)
     assert fit.face.coefficients.shape == (samples - 1,)
     assert fit.light_coefficients.shape == (lights,)
     assert fit.relative_rmse < (0.03 if lights else 1)
@@ -164,6 +153,7 @@ def test_numbers_that_are_not_seen_do_not_matter(fit, model, lighting):
     assert_array_equal(other.face.coefficients, fit.face.coefficients)
 
 
+@MAY_STOP
 def test_the_transfer_keeps_shadows_out_of_the_albedo(model, lighting):
     # A valley between two walls lets less light through from the sides, more or less by place.
     dark = 0.4 + 0.6 * np.abs(np.sin(3 * BALL.normals[:, :1]))
@@ -172,8 +162,10 @@ def test_the_transfer_keeps_shadows_out_of_the_albedo(model, lighting):
     with_it, without = [], []
     for seed, face in enumerate(BALL.people(3, 77)):
         image = BALL.picture(face, 70 + seed, transfer=folded)
-        with_it.append(albedo_error(fit_image(image, model, lighting), face))
-        without.append(albedo_error(quiet_fit(replace(image, transfer=None), model, lighting), face))
+        fit = fit_image(image, model, lighting)
+        assert fit.converged
+        with_it.append(albedo_error(fit, face))
+        without.append(albedo_error(fit_image(replace(image, transfer=None), model, lighting), face))
     assert np.mean(with_it) < 0.05
     assert np.mean(with_it) < 0.6 * np.mean(without)
 
@@ -217,12 +209,13 @@ def test_the_size_of_the_perceptual_term_counts(fit, model, lighting):
     assert_array_equal(found[0].face.coefficients, fit.face.coefficients)
 
 
+@MAY_STOP
 def test_a_gradient_that_is_wrong_never_raises_the_objective(model, lighting):
     def backwards(predicted, observed):
         off = predicted - observed
         return np.nansum(off**2), -2 * off
 
-    assert descends(quiet_fit(IMAGE, model, lighting, perceptual=backwards))
+    assert descends(fit_image(IMAGE, model, lighting, perceptual=backwards))
 
 
 @pytest.mark.parametrize(

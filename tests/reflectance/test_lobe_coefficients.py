@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.integrate import quad
 from scipy.special import eval_legendre
 
+from scan2albedo.lighting.shadow_map import cone_directions
 from scan2albedo.reflectance.environment_shading import lambert_coefficients, lobe_coefficients, tilted_lobe
 
 
@@ -51,14 +52,10 @@ def test_tilted_lobes_have_no_light_to_their_side(exponent):
     coefficients, tilt = tilted_lobe(np.radians([0, 20, 60]), exponent)
     assert_allclose(coefficients[0], integrals(exponent, 0), atol=1e-10)
     assert tilt[0] == 0
-    nodes, weights = np.polynomial.legendre.leggauss(200)
-    t, turn = ((nodes + 1) / 2)[:, None], (np.arange(600) + 0.5) * 2 * np.pi / 600
-    side = np.sqrt(1 - t**2)
-    light = np.stack(np.broadcast_arrays(side * np.cos(turn), side * np.sin(turn), t), -1)
+    light = cone_directions(400_000, (0, 0, 1), np.pi / 2)
     half = light + [np.sin(np.radians(60)), 0, np.cos(np.radians(60))]
-    lobe = (exponent + 2) / (8 * np.pi) * (half[..., 2] / np.linalg.norm(half, axis=-1)) ** exponent
-    mass = lobe * (weights / 2)[:, None] * 2 * np.pi / 600
-    mean = np.einsum("tp,tpi->i", mass, light)
+    mass = (exponent + 2) / 4 * (half[:, 2] / np.linalg.norm(half, axis=1)) ** exponent / len(light)
+    mean = mass @ light
     assert tilt[2] == pytest.approx(np.arctan2(-mean[0], mean[2]), abs=1e-5)
     assert coefficients[2, 0] == pytest.approx(mass.sum(), abs=1e-5)
     assert coefficients[2, 1] == pytest.approx(np.linalg.norm(mean), abs=1e-5)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from worlds.two_balls import BALL, BALL_RADIUS, ROOM, SHAPE, build_scene, first_hit, radiance_at, unit
+from worlds.two_balls import BALL, BALL_RADIUS, ROOM, SHAPE, first_hit, radiance_at, unit
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.pinhole import look_at, project
@@ -11,11 +11,6 @@ from scan2albedo.reflectance import light_transfer, observe_photograph
 
 FRONT = 9
 """The picture of the scene whose flash stands at its camera before the face."""
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return build_scene()
 
 
 @pytest.fixture(scope="module")

@@ -40,15 +40,6 @@ def test_expressions_have_the_covariance_of_offsets_around_the_neutral_face():
     assert_allclose(flat.T @ flat, 2 * offsets.T @ offsets / 11, atol=1e-10)
 
 
-def test_a_single_expression_is_kept():
-    offset = (people(1, 3) - 50)[0]
-    model = MorphableShapeModel.from_samples(people(5), [offset], FACES, MARKS)
-    assert model.expression_components == 1
-    direction = model.basis[model.identity_components]
-    cosine = np.sum(direction * offset) / (np.linalg.norm(direction) * np.linalg.norm(offset))
-    assert abs(cosine) == pytest.approx(1)
-
-
 def test_components_are_cut_at_what_there_is():
     assert learned(count=3, expressions=2).basis.shape == (2 + 2, 90, 3)
     assert learned(count=1, expressions=0).basis.shape == (0, 90, 3)

@@ -68,7 +68,6 @@ def test_intervals_are_those_of_the_posterior_before_the_bounds(capture):
     samples = pictures(matt, np.arange(0, 99, 9))
     fit = fit_reflectance(samples, options=EXACT)
     steepest = np.where(samples.valid.any(-1), np.pi * samples.lobes[..., 0], 0).max(0)
-    bounded = 0
     mean, precision = fit.level * np.array(PRIOR_MEAN), (fit.level * np.array(PRIOR_STD)) ** -2.0
     for v in np.flatnonzero(fit.pair_count > 3)[::50]:
         rows, right = design(samples, v)
@@ -80,8 +79,6 @@ def test_intervals_are_those_of_the_posterior_before_the_bounds(capture):
         low = np.clip(center - 1.96 * std, 0, fit.parameters[v])
         high = np.maximum(center + 1.96 * std, fit.parameters[v])
         assert_allclose([fit.low[v], fit.high[v]], [low, high], atol=1e-3 * std.max())
-        bounded += (center < -0.1 * std).sum()
-    assert bounded > 5
 
 
 def test_without_noise_what_is_identified_is_exact(capture):

@@ -10,7 +10,6 @@ from worlds.two_balls import (
     BALL,
     BALL_RADIUS,
     RADIUS,
-    build_scene,
     first_hit,
     radiance_at,
     unit,
@@ -28,11 +27,6 @@ from scan2albedo.reflectance import (
 from scan2albedo.reflectance.vertex_visibility import VertexVisibility
 
 NOISELESS = OlatOptions(noise=1e-5, saturation=np.inf)
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return build_scene()
 
 
 @pytest.fixture(scope="module")
@@ -159,24 +153,6 @@ def test_vertices_outside_the_picture_are_not_seen(scene, look_up):
     cameras = scene.rig.cameras.copy()
     cameras[:, 0] += 1e4 * cameras[:, 2]  # the same view, aimed far to the side
     assert not look_up(rig=replace(scene.rig, cameras=cameras)).valid.any()
-
-
-def test_normals_of_the_mesh_are_used_when_none_are_given(look_up, samples):
-    found = look_up(normals=None)
-    both = found.valid.all(-1) & samples.valid.all(-1)
-    assert both.sum() > 0.9 * samples.valid.all(-1).sum()
-    assert_allclose(found.lobes[both], samples.lobes[both], atol=0.2)
-
-
-def test_a_vertex_without_a_normal_is_not_seen(scene, look_up):
-    normals = scene.normals.copy()
-    normals[500] = 0
-    assert not look_up(normals=normals).valid[:, 500].any()
-
-
-def test_pictures_of_the_flash_at_the_head_itself_leave_no_nan(scene, look_up):
-    found = look_up(rig=replace(scene.rig, light_positions=np.zeros((20, 3))))
-    assert not found.valid[:, scene.head].any()
 
 
 @pytest.mark.parametrize(
