@@ -69,7 +69,6 @@ def test_bounced_light_agrees_with_a_sum_over_areas(dug):
     assert found[:, inner].sum((0, 1)) == pytest.approx(sent[:, inner].sum((0, 1)), rel=0.05)
 
 
-@pytest.mark.slow
 def test_light_of_the_other_side_is_not_taken_for_albedo(dug):
     samples, _, inner = dug
     without = replace(samples, form_factors=None)

@@ -173,7 +173,6 @@ def test_models_without_directions_have_their_mean_tuned(lighting, monkeypatch):
         (0, 1, FACES, POINTS, "0 images"),
         (1, 1, [[0, 1, len(POINTS)]], POINTS, "refer to vertices"),
         (1, 1, FACES, POINTS.repeat(2, 0), "one topology"),
-        (1, 1, FACES, np.full_like(POINTS, np.nan), "vertices are NaN"),
     ],
 )
 def test_what_cannot_be_tuned_with_is_refused(model, shots, held_out, faces, vertices, words):

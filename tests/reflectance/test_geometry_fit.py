@@ -287,7 +287,6 @@ def test_a_budget_that_ends_gives_the_best_so_far(evaluations, refine):
     with pytest.warns(RuntimeWarning, match="without having converged"):
         fit = refine(budget=budget, **LIT)
     assert not fit.converged
-    assert np.isfinite(fit.vertices).all()
     assert len(fit.trace) <= evaluations
 
 

@@ -64,7 +64,6 @@ def test_fewer_components_are_the_first_ones():
     samples = faces(8)
     full, cut = (learned(samples, components=n) for n in (None, 3))
     assert_allclose(cut.diffuse.basis, full.diffuse.basis[:3], rtol=0, atol=1e-14)
-    assert cut.explained.sum() < full.explained.sum()
 
 
 def test_one_sample_or_its_copies_are_a_mean_and_two_have_one_direction():

@@ -115,13 +115,6 @@ def test_a_patch_brighter_in_the_room_is_told_and_kept(shown):
     assert (olat.linear[0, :4] < 0).all()
 
 
-def test_integers_are_parts_of_their_largest():
-    for value in (np.uint8(51), np.uint16(13107)):
-        pictures = np.full((1, 2, 2, 3), value)
-        olat = extract_olat(pictures, np.zeros_like(pictures[0]))
-        assert_allclose(olat.linear, 0.2**1.2, rtol=1e-6)
-
-
 def test_values_beyond_white_need_a_saturation():
     beyond = extract_olat(255 * FLASH, ROOM, options=OlatOptions(gamma=1, saturation=np.inf))
     assert beyond.valid.all()

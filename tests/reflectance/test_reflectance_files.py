@@ -76,10 +76,7 @@ def test_damaged_and_other_files_are_refused_by_name(mesh, tmp_path):
     ("vertices", "faces", "told"),
     [
         (np.zeros((3, 3)), [[0, 1, 2]], "the mesh has 3 vertices, its reflectance 4"),
-        (np.full((4, 3), np.nan), [[0, 1, 2]], "4 of 4 vertices are NaN"),
-        (np.zeros((4, 3)), [[0, 1, 4]], "vertices 0 to 4 of 4"),
         (np.zeros((4, 3)), [[0.0, 1.0, 1.5]], "not whole"),
-        (np.zeros((4, 3)), [0, 1, 2], "its faces have shape"),
     ],
 )
 def test_meshes_that_do_not_fit_are_refused(mesh, vertices, faces, told):

@@ -181,7 +181,6 @@ def test_least_pairs_leaves_out_the_little_seen(noisy):
 def test_all_flashes_at_their_cameras(capture):
     """n.h = n.l: the first lobe cannot be told from the albedo, and that is said."""
     same = np.flatnonzero(np.isclose(capture.cameras, capture.lights).all(1))
-    assert len(same) == 9
     fit = sound(pictures(capture, same))
     known = fit.reflectance.known
     assert np.isinf(fit.condition[known]).all()
