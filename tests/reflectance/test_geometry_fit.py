@@ -262,6 +262,14 @@ def test_colours_that_explain_nothing_change_nothing(alone, more, refine):
         assert lit.photometric_rmse_after is None
 
 
+def test_light_of_another_place_is_not_believed_though_it_leads_far(model, refine):
+    face = portrait(model, 2)
+    other = project_environment(generated_environment(72))
+    lit = refine(face, reflectance=SKIN, light=other * LIGHT[0] / other[0])
+    assert_array_equal(lit.vertices, refine(face).vertices)
+    assert lit.iterations > 50
+
+
 def test_vertices_without_known_reflectance_are_left_out(refine):
     known = REST[:, 1] > 0
     half = replace(SKIN, known=known)
