@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from scan2albedo.eyeglasses.lenses.scenes import radiance_at
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.lighting.environment import (
     DistantLights,
@@ -12,37 +11,29 @@ from scan2albedo.lighting.environment import (
     environment_weights,
     important_directions,
     texel_directions,
-    texel_solid_angles,
 )
 
 UP = [[0, 0, 1]]
 
 
-def solid_angles(rows, columns):
-    edges = np.cos(np.linspace(0, np.pi, rows + 1))
-    return np.repeat((edges[:-1] - edges[1:])[:, None] * 2 * np.pi / columns, columns, 1)
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (5, 9), (32, 64), (300, 20)])
-@pytest.mark.parametrize("count", [1, 7, 64])
-def test_weights_sum_to_the_integral_of_the_map(shape, count):
-    image = np.random.default_rng(0).random((*shape, 3))
-    weights = environment_weights(image, distant_directions(count))
-    integral = (solid_angles(*shape)[..., None] * image).sum((0, 1))
-    assert_allclose(weights.sum(0), integral, rtol=1e-12)
-    assert (weights >= 0).all()
-
-
-def test_weights_are_the_integrals_over_the_nearest_directions():
+@pytest.mark.parametrize("shape", [(1, 1), (32, 64), (256, 512), (300, 20)])
+@pytest.mark.parametrize("count", [1, 20])
+def test_weights_are_the_integrals_over_the_nearest_directions(shape, count):
     rng = np.random.default_rng(1)
-    directions, image = rng.normal(size=(20, 3)), rng.random((256, 512, 3))
-    polar = (np.arange(256) + 0.5) / 256 * np.pi
-    azimuth = ((np.arange(512) + 0.5) / 512 - 0.5) * 2 * np.pi
+    directions, image = rng.normal(size=(count, 3)), rng.random((*shape, 3))
+    # Texels of coarse maps are parts of several cells.
+    cut = -(-256 // shape[0])
+    fine = image.repeat(cut, 0).repeat(cut, 1)
+    rows, columns = fine.shape[:2]
+    edges = np.cos(np.linspace(0, np.pi, rows + 1))
+    size = (edges[:-1] - edges[1:]) * 2 * np.pi / columns
+    polar = (np.arange(rows) + 0.5) / rows * np.pi
+    azimuth = ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * np.pi
     sine, cosine = np.sin(polar)[:, None], np.cos(polar)[:, None]
     sphere = np.stack(np.broadcast_arrays(sine * np.sin(azimuth), cosine, sine * np.cos(azimuth)), -1)
     nearest = (sphere.reshape(-1, 3) @ normalized(directions).T).argmax(1)
-    light = (solid_angles(256, 512)[..., None] * image).reshape(-1, 3)
-    expected = np.stack([np.bincount(nearest, light[:, c], minlength=20) for c in range(3)], 1)
+    light = (size[:, None, None] * fine).reshape(-1, 3)
+    expected = np.stack([np.bincount(nearest, light[:, c], minlength=count) for c in range(3)], 1)
     assert_allclose(environment_weights(image, directions), expected, rtol=1e-9)
 
 
@@ -54,13 +45,6 @@ def test_directions_are_even(count):
     assert cells.max() <= 1.5 * cells.min()
 
 
-def test_an_even_environment_shines_on_every_plate_alike():
-    lights = DistantLights.from_environment(np.full((4, 8, 3), [1.0, 2, 0]), 64)
-    normals = normalized(np.random.default_rng(3).normal(size=(200, 3)))
-    cosines = np.maximum(normals @ lights.directions.T, 0)
-    assert_allclose(cosines @ lights.irradiance_linear, np.pi * np.tile([1, 2, 0], (200, 1)), rtol=0.03)
-
-
 @pytest.mark.parametrize(
     ("function", "arguments", "message"),
     [
@@ -68,11 +52,7 @@ def test_an_even_environment_shines_on_every_plate_alike():
         (important_directions, (np.ones((4, 8, 3)), 0), "1 or more"),
         (environment_weights, (np.ones((2, 4, 3)), [[0, 0, 0]]), "not zero"),
         (environment_weights, (np.ones((2, 4, 3)), np.zeros((0, 3))), "directions must be one or more"),
-        (
-            environment_weights,
-            (np.full((2, 4, 3), np.inf), UP),
-            "environment_linear: 24 values are NaN",
-        ),
+        (environment_weights, (np.full((2, 4, 3), np.inf), UP), "environment_linear: 24 values are NaN"),
         (environment_weights, (np.ones((2, 4)), UP), "environment_linear is"),
         (DistantLights, (UP, np.ones((2, 3))), "irradiance_linear is"),
         (DistantLights, (UP, [np.nan]), "irradiance_linear: 3 values are NaN"),
@@ -103,59 +83,19 @@ def test_important_directions_share_the_light_evenly():
     toward = important_directions(image, 128)
     assert_allclose(np.linalg.norm(toward, axis=1), 1, atol=1e-12)
     weights = environment_weights(image, toward).mean(1)
-    total = (image.mean(2) * texel_solid_angles(64, 128)[:, None]).sum()
-    assert weights.sum() == pytest.approx(total)
     assert weights.max() < 3 * weights.mean()
     even = environment_weights(image, distant_directions(128)).mean(1)
     assert even.max() > 15 * even.mean()
-    assert_array_equal(toward, important_directions(image, 128))
-
-
-def test_half_shadows_need_fewer_important_lights():
-    # What is left of the light where a wall hides all beyond a plane, at many turns of the wall.
-    image, walls = lamps(), distant_directions(200)
-    texels = texel_directions(image.shape[:2]).reshape(-1, 3)
-    light = (image.mean(2) * texel_solid_angles(*image.shape[:2])[:, None]).ravel()
-    truth = np.array([light[texels @ wall > 0].sum() for wall in walls])
-    errors = []
-    for toward in (distant_directions(64), important_directions(image, 64)):
-        weights = environment_weights(image, toward).mean(1)
-        left = np.array([weights[toward @ wall > 0].sum() for wall in walls])
-        errors.append(np.sqrt(((left - truth) ** 2).mean()) / light.sum())
-    even, important = errors
-    assert important < min(0.03, even / 2)
 
 
 def test_important_directions_of_a_fine_map_are_those_of_a_coarse_one():
     image = lamps()
-    fine = image.repeat(9, 0).repeat(9, 1)
-    toward, anew = important_directions(image, 64), important_directions(fine, 64)
-    found = [weights.mean(1) for weights in (environment_weights(image, d) for d in (toward, anew))]
-    assert found[1].max() < 3 * found[1].mean()
-    assert_allclose(np.sort(found[0])[-5:], np.sort(found[1])[-5:], rtol=0.5)
+    maps = image, image.repeat(9, 0).repeat(9, 1)
+    coarse, fine = (environment_weights(image, important_directions(one, 64)).mean(1) for one in maps)
+    assert fine.max() < 3 * fine.mean()
+    assert_allclose(np.sort(coarse)[-5:], np.sort(fine)[-5:], rtol=0.5)
 
 
 def test_important_directions_of_no_light_are_even():
     assert_array_equal(important_directions(np.zeros((4, 8, 3)), 9), distant_directions(9))
     assert important_directions(np.ones((1, 1, 3)), 1).shape == (1, 3)
-
-
-def test_a_lamp_in_the_map_is_the_light_in_its_direction():
-    image = np.zeros((64, 128, 3))
-    toward = np.array([0.6, 0.5, np.sqrt(1 - 0.61)])
-    row = int(np.arccos(toward[1]) / np.pi * 64)
-    column = int((np.arctan2(toward[0], toward[2]) / (2 * np.pi) + 0.5) * 128)
-    image[row, column] = [100, 50, 0]
-    assert radiance_at(image, toward[None])[0, 0] > 20
-    directions = distant_directions(50)
-    weights = environment_weights(image, directions)
-    assert np.flatnonzero(weights.any(1)).tolist() == [int((directions @ toward).argmax())]
-
-
-def test_weights_are_linear_in_the_map():
-    rng = np.random.default_rng(2)
-    first, second = rng.random((2, 16, 32, 3))
-    directions = distant_directions(30)
-    together = environment_weights(2 * first + second, directions)
-    apart = 2 * environment_weights(first, directions) + environment_weights(second, directions)
-    assert_allclose(together, apart, rtol=1e-13)

@@ -8,7 +8,7 @@ from helpers.meshes import grid, sphere
 from scipy.sparse import csr_array
 
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.geometry.mesh import face_areas, face_normals, vertex_normals
+from scan2albedo.geometry.mesh import vertex_areas, vertex_normals
 from scan2albedo.reflectance import (
     VertexSamples,
     fit_reflectance,
@@ -43,21 +43,14 @@ def dug():
     cameras, lights = (np.column_stack([rng.uniform(-250, 250, (12, 2)), np.full(12, z)]) for z in (700, 800))
     lobes = point_light_lobes(vertices, normals, cameras, lights)
     slopes = lobe_slopes(vertices, normals, cameras, lights)
-    # Small patches of each side send light to all vertices.
-    area, flat, center = face_areas(vertices, faces), face_normals(vertices, faces), vertices[faces].mean(1)
-
-    def kernel(points, outward):
-        way = center[None] - points[:, None]
-        far = np.maximum(np.linalg.norm(way, axis=2), 1e-9)
-        cosines = np.einsum("vfc,vc->vf", way, outward), -np.einsum("vfc,fc->vf", way, flat)
-        return np.maximum(cosines[0], 0) * np.maximum(cosines[1], 0) * area / (np.pi * far**4)
-
-    on_faces = point_light_lobes(center, flat, cameras, lights)[..., 0]
-    light, sent = lobes[..., :1] + np.zeros(3), np.zeros((*lobes.shape[:2], 3))
-    among, onto = kernel(center, flat), kernel(vertices, normals)
-    for k in range(3):
-        leaving = np.linalg.solve(np.eye(len(center)) - ALBEDO[k] * among, ALBEDO[k] * on_faces.T)
-        sent[..., k] = (onto @ leaving).T
+    # The areas around vertices send light to all others.
+    area = vertex_areas(vertices, faces)
+    way = vertices[None] - vertices[:, None]
+    cosine = np.maximum(np.einsum("vwc,vc->vw", way, normals), 0)
+    kernel = cosine * cosine.T * area / (np.pi * np.maximum(np.linalg.norm(way, axis=2), 1e-9) ** 4)
+    light = lobes[..., :1] + np.zeros(3)
+    leaving = [np.linalg.solve(np.eye(len(area)) - one * kernel, one * lobes[..., 0].T) for one in ALBEDO]
+    sent = (kernel @ leaving).T
     gloss = 0.05 * lobes[..., 1:].sum(-1, keepdims=True)
     sigma = np.full(light.shape, 0.002)
     observed = ALBEDO * (light + sent) + gloss + sigma * rng.standard_normal(light.shape)
@@ -76,7 +69,6 @@ def test_bounced_light_agrees_with_a_sum_over_areas(dug):
     assert found[:, inner].sum((0, 1)) == pytest.approx(sent[:, inner].sum((0, 1)), rel=0.05)
 
 
-@pytest.mark.slow
 def test_light_of_the_other_side_is_not_taken_for_albedo(dug):
     samples, _, inner = dug
     without = replace(samples, form_factors=None)

@@ -58,14 +58,15 @@ def test_poses_that_do_not_fit_are_refused(change, message):
 
 
 @pytest.mark.parametrize(
-    ("cameras", "lights", "light", "message"),
+    ("change", "message"),
     [
-        (np.zeros((1, 3, 4)), np.zeros((1, 3)), [0], "singular"),
-        (np.eye(3, 4)[None], np.zeros((2, 3)), [0], "light_positions is"),
-        (np.eye(3, 4)[None], np.full((1, 3), np.nan), [0], "finite"),
-        (np.eye(3, 4)[None], np.zeros((1, 3)), [-1], "light is"),
+        ({"cameras": np.zeros((1, 3, 4))}, "singular"),
+        ({"light_positions": np.zeros((2, 3))}, "light_positions is"),
+        ({"light_positions": np.full((1, 3), np.nan)}, "finite"),
+        ({"light": np.array([-1])}, "light is"),
     ],
 )
-def test_rigs_that_do_not_fit_are_refused(cameras, lights, light, message):
+def test_rigs_that_do_not_fit_are_refused(change, message):
+    good = {"cameras": np.eye(3, 4)[None], "light_positions": np.zeros((1, 3)), "light": np.array([0])}
     with pytest.raises(ReflectanceError, match=message):
-        CaptureRig(cameras, lights, np.array(light))
+        CaptureRig(**good | change)

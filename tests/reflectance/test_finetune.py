@@ -80,9 +80,7 @@ def test_a_change_that_harms_is_not_taken(model, lighting, monkeypatch):
 def test_the_closed_form_is_ridge_regression_over_all_unknowns(model, lighting):
     shots = pictures(3, 1, BEARD)
     fits = [fit_image(shot, model, lighting) for shot in shots]
-    m = 0.1
-    n = 0.3
-    change = best_change(model, shots, fits, mean_change=m, basis_change=n)
+    change = best_change(model, shots, fits, mean_change=0.1, basis_change=0.3)
     response = BALL.response
     for vertex in np.flatnonzero(SEEN)[[3, 50]]:
         rows, off, noise = [], [], []
@@ -93,18 +91,15 @@ def test_the_closed_form_is_ridge_regression_over_all_unknowns(model, lighting):
             gloss = np.einsum("vk,vkj->vj", share, lobes)
             residual = shot.observed_linear - albedo * diffuse - total * gloss
             spread = 1.4826 * np.median(np.abs(residual[SEEN]))
-            x = np.concatenate([[1.0], b])
-            for j in range(3):
-                row = np.zeros((4, 9))
-                row[j] = diffuse[vertex, j] * x
-                row[3] = gloss[vertex, j] * x
-                rows.append(row.ravel())
-                off.append(residual[vertex, j])
-                noise.append(spread * max(abs(residual[vertex, j]), spread))
-        scale = m * np.array([model.diffuse.mean.mean()] * 3 + [model.mean[:, 3].mean()])
-        prior = np.outer(scale, np.append(1.0, np.full(8, n))).ravel()
-        a, weight = np.array(rows), 1 / np.array(noise)
-        expected = np.linalg.solve(a.T @ (weight[:, None] * a) + np.diag(prior**-2), a.T @ (weight * off))
+            by_channel = np.column_stack([np.diag(diffuse[vertex]), gloss[vertex]])
+            rows.append(np.kron(by_channel, np.append(1.0, b)))
+            off.append(residual[vertex])
+            noise.append(spread * np.maximum(np.abs(residual[vertex]), spread))
+        scale = 0.1 * np.array([model.diffuse.mean.mean()] * 3 + [model.mean[:, 3].mean()])
+        prior = np.kron(scale, np.append(1.0, np.full(8, 0.3)))
+        a, weight = np.concatenate(rows), 1 / np.ravel(noise)
+        normal = a.T @ (weight[:, None] * a) + np.diag(prior**-2)
+        expected = np.linalg.solve(normal, a.T @ (weight * np.ravel(off)))
         assert_allclose(change[:, vertex].T, expected.reshape(4, 9), rtol=1e-6, atol=1e-12)
     assert (change[:, ~SEEN] == 0).all()
 
@@ -151,22 +146,6 @@ def test_a_gain_counts_that_images_share(monkeypatch):
     assert is_improvement(before, one_alone)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("pattern", [BEARD, 1.0], ids=["off", "right"])
-def test_images_that_no_step_saw_are_explained_better_or_as_well(lighting, seed, pattern, monkeypatch):
-    monkeypatch.setattr(finetune_module, "ROUNDS", 2)
-    model = MorphableReflectanceModel.from_samples(BALL.people(20, 100 * seed), components=8)
-    first = 10 * (seed + 1)
-    shots, held_out, third = (pictures(n, first + k, pattern) for k, n in ((1, 10), (2, 8), (3, 20)))
-    tuned = tuned_with(model, shots, held_out, lighting=lighting)
-    before, after = (
-        np.mean([fit_image(shot, m, lighting).relative_rmse for shot in third]) for m in (model, tuned.model)
-    )
-    # A model of twenty people is tuned too: over 14 sets of pictures to .92 to 1.01 of the error.
-    assert after <= (0.97 if pattern is BEARD else 1.02) * before
-
-
 @pytest.mark.parametrize("budget", [1e-6, Budget(evaluations=2)])
 def test_a_budget_that_ends_keeps_what_was_accepted(model, lighting, budget):
     shots, held_out = pictures(4, 1, BEARD), pictures(2, 2, BEARD)
@@ -194,7 +173,6 @@ def test_models_without_directions_have_their_mean_tuned(lighting, monkeypatch):
         (0, 1, FACES, POINTS, "0 images"),
         (1, 1, [[0, 1, len(POINTS)]], POINTS, "refer to vertices"),
         (1, 1, FACES, POINTS.repeat(2, 0), "one topology"),
-        (1, 1, FACES, np.full_like(POINTS, np.nan), "vertices are NaN"),
     ],
 )
 def test_what_cannot_be_tuned_with_is_refused(model, shots, held_out, faces, vertices, words):

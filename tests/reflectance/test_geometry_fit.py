@@ -1,7 +1,7 @@
 """Geometry from one image: derivatives, truth found again, every extreme, bad input."""
 
-import dataclasses
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import get_args
 
 import numpy as np
@@ -54,24 +54,14 @@ def model():
     return MorphableShapeModel.from_samples(neutral, offsets, FACES, nearest)
 
 
-def skin():
-    """Patchy skin with highlights."""
-    rng = np.random.default_rng(0)
-    waves = np.sin(REST @ rng.normal(size=(3, 3)) * 0.06 + rng.uniform(0, 6, 3))
-    weights = np.array([0.05, 0.12, 0.08]) * (1 + 0.3 * waves)
-    return reflectance_from_albedo(np.array([0.5, 0.35, 0.28]) * (1 + 0.15 * waves), weights=weights)
-
-
-SKIN = skin()
+RNG = np.random.default_rng(0)
+WAVES = np.sin(REST @ RNG.normal(size=(3, 3)) * 0.06 + RNG.uniform(0, 6, 3))
+SKIN = reflectance_from_albedo(
+    np.array([0.5, 0.35, 0.28]) * (1 + 0.15 * WAVES),
+    weights=np.array([0.05, 0.12, 0.08]) * (1 + 0.3 * WAVES),
+)
+"""Patchy, with highlights."""
 LIT = {"reflectance": SKIN, "light": LIGHT}
-
-
-@dataclasses.dataclass(frozen=True)
-class Portrait:
-    vertices: np.ndarray
-    image: np.ndarray
-    landmarks: np.ndarray
-    pose: np.ndarray
 
 
 def portrait(model, seed):
@@ -88,7 +78,7 @@ def portrait(model, seed):
     image = interpolate(rasterize(pixels, 1 / depth, FACES, SHAPE), FACES, color)
     image = image + 0.01 * np.median(color) * rng.normal(size=image.shape)
     marks = pixels[model.landmark_vertices] + rng.normal(size=(68, 2))
-    return Portrait(vertices, image, marks, pose)
+    return SimpleNamespace(vertices=vertices, image=image, landmarks=marks, pose=pose)
 
 
 @pytest.fixture(scope="module")
@@ -97,15 +87,25 @@ def face(model):
 
 
 @pytest.fixture(scope="module")
-def alone(model, face):
-    """By landmarks alone."""
-    return refine(face, model)
+def refine(model, face):
+    """`refine_geometry` of a portrait by its landmarks alone, but for what is given."""
+
+    def call(face=face, **changes):
+        given = {"image_linear": face.image, "camera": CAMERA, "landmarks_px": face.landmarks}
+        return refine_geometry(**given | {"shape_model": model} | changes)
+
+    return call
 
 
 @pytest.fixture(scope="module")
-def lit(model, face):
+def alone(refine):
+    return refine()
+
+
+@pytest.fixture(scope="module")
+def lit(refine):
     """By colours too."""
-    return refine(face, model, **LIT)
+    return refine(**LIT)
 
 
 def vertex_error(vertices, truth):
@@ -120,11 +120,6 @@ def no_smoothing():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("scan2albedo.reflectance.geometry_fit.BLUR_EDGES", 0.0)
         yield
-
-
-def refine(face, model, **changes):
-    given = {"image_linear": face.image, "camera": CAMERA, "landmarks_px": face.landmarks}
-    return refine_geometry(shape_model=model, **{**given, **changes})
 
 
 @pytest.fixture(scope="module")
@@ -164,12 +159,12 @@ def test_the_gradient_is_that_of_the_objective_by_pose_and_coefficients(model, p
 
 
 @pytest.mark.slow
-def test_photometry_brings_faces_nearer_than_landmarks_alone(model):
+def test_photometry_brings_faces_nearer_than_landmarks_alone(model, refine):
     errors = []
     for seed in range(3):
         face = portrait(model, seed)
-        landmarks = refine(face, model)
-        both = refine(face, model, **LIT)
+        landmarks = refine(face)
+        both = refine(face, **LIT)
         assert both.converged
         assert both.plan.ran("reflectance.geometry.photometry")
         assert both.photometric_rmse_after < 0.6 * both.photometric_rmse_before
@@ -182,7 +177,7 @@ def test_photometry_brings_faces_nearer_than_landmarks_alone(model):
     assert both < 0.35
 
 
-def test_the_result_holds_together(model, face, lit):
+def test_the_result_holds_together(model, face, lit, refine):
     fit = lit
     made = transform_points(fit.scene_from_model, model.at(np.concatenate([fit.identity, fit.expression])))
     assert_allclose(fit.vertices, made, atol=1e-9)
@@ -193,13 +188,13 @@ def test_the_result_holds_together(model, face, lit):
     assert_allclose(fit.landmark_error_px, row_lengths(pixels - face.landmarks))
     assert fit.landmark_rmse_px == pytest.approx(rms(fit.landmark_error_px))
     assert fit.trace.stages == ("reflectance.geometry.landmarks", "reflectance.geometry.photometry")
-    again = refine(face, model, **LIT)
+    again = refine(**LIT)
     assert_array_equal(again.vertices, fit.vertices)
 
 
-def test_landmarks_alone_descend(model, face):
+def test_landmarks_alone_descend(refine):
     rows = []
-    fit = refine(face, model, on_progress=rows.append)
+    fit = refine(on_progress=rows.append)
     assert tuple(rows) == fit.trace.rows
     assert (np.diff([row.error for row in fit.trace]) <= 0).all()
     assert fit.landmark_rmse_px < 1.6
@@ -207,19 +202,18 @@ def test_landmarks_alone_descend(model, face):
     assert not fit.plan.ran("reflectance.geometry.photometry")
 
 
-@pytest.mark.slow
-def test_exposure_does_not_matter(model, face, lit):
-    other = refine(face, model, image_linear=1000 * face.image, reflectance=SKIN, light=1000 * LIGHT)
+def test_exposure_does_not_matter(face, lit, refine):
+    other = refine(image_linear=1000 * face.image, reflectance=SKIN, light=1000 * LIGHT)
     assert_allclose(other.vertices, lit.vertices, atol=1e-4)
 
 
-def test_neither_the_cameras_scale_nor_its_sign_matters(model, face, alone):
-    assert_allclose(refine(face, model, camera=-7 * CAMERA).vertices, alone.vertices, atol=1e-8)
+def test_neither_the_cameras_scale_nor_its_sign_matters(alone, refine):
+    assert_allclose(refine(camera=-7 * CAMERA).vertices, alone.vertices, atol=1e-8)
 
 
-def test_without_landmarks_photometry_goes_on_from_the_pose_given(model, face):
+def test_without_landmarks_photometry_goes_on_from_the_pose_given(model, face, refine):
     off = compose(rotation_from_vector([0.01, -0.01, 0.005]), [1.0, -1.0, 0]) @ face.pose
-    fit = refine(face, model, landmarks_px=NO_MARKS, **LIT, initial_scene_from_model=off)
+    fit = refine(landmarks_px=NO_MARKS, **LIT, initial_scene_from_model=off)
     assert fit.plan.ran("reflectance.geometry.photometry")
     assert not fit.plan.ran("reflectance.geometry.landmarks")
     assert np.isnan(fit.landmark_error_px).all()
@@ -227,19 +221,19 @@ def test_without_landmarks_photometry_goes_on_from_the_pose_given(model, face):
     assert vertex_error(fit.vertices, face.vertices) < 0.8 * vertex_error(model.mean, face.vertices)
 
 
-def test_a_few_landmarks_are_enough_beside_a_pose(model, face):
+def test_a_few_landmarks_are_enough_beside_a_pose(face, refine):
     few = NO_MARKS.copy()
     few[[30, 36]] = face.landmarks[[30, 36]]
     few[8, 0] = 5.0
-    fit = refine(face, model, landmarks_px=few, initial_scene_from_model=face.pose)
+    fit = refine(landmarks_px=few, initial_scene_from_model=face.pose)
     assert np.flatnonzero(np.isfinite(fit.landmark_error_px)).tolist() == [30, 36]
     assert fit.landmark_rmse_px < 1
 
 
-def test_a_face_that_looks_away_shows_nothing_and_keeps_its_landmarks_fit(model, face):
+def test_a_face_that_looks_away_shows_nothing_and_keeps_its_landmarks_fit(model, face, refine):
     away = face.pose @ compose(rotation_from_vector([0, np.pi, 0]), np.zeros(3))
     pixels, _ = project(CAMERA, transform_points(away, REST)[model.landmark_vertices])
-    fit = refine(face, model, landmarks_px=pixels, initial_scene_from_model=away, **LIT)
+    fit = refine(landmarks_px=pixels, initial_scene_from_model=away, **LIT)
     assert not fit.plan.ran("reflectance.geometry.photometry")
     assert np.isfinite(fit.vertices).all()
 
@@ -258,8 +252,8 @@ CORNER = np.indices(SHAPE).max(0) < 5
     ],
     ids=["masked", "black", "no light", "negative light", "strong light"],
 )
-def test_colours_that_explain_nothing_change_nothing(model, face, alone, more):
-    lit = refine(face, model, **(LIT | more))
+def test_colours_that_explain_nothing_change_nothing(alone, more, refine):
+    lit = refine(**(LIT | more))
     assert_array_equal(lit.vertices, alone.vertices)
     assert not lit.plan.ran("reflectance.geometry.photometry")
     if "light" in more:
@@ -268,53 +262,39 @@ def test_colours_that_explain_nothing_change_nothing(model, face, alone, more):
         assert lit.photometric_rmse_after is None
 
 
-@pytest.mark.slow
-def test_light_of_other_places_does_not_make_it_worse(model):
-    for seed in range(3):
-        face = portrait(model, seed)
-        other = project_environment(generated_environment(70 + seed))
-        other *= LIGHT[0] / other[0]
-        alone, lit = refine(face, model), refine(face, model, reflectance=SKIN, light=other)
-        assert vertex_error(lit.vertices, face.vertices) < 1.05 * vertex_error(alone.vertices, face.vertices)
+def test_light_of_another_place_is_not_believed_though_it_leads_far(model, refine):
+    face = portrait(model, 2)
+    other = project_environment(generated_environment(72))
+    lit = refine(face, reflectance=SKIN, light=other * LIGHT[0] / other[0])
+    assert_array_equal(lit.vertices, refine(face).vertices)
+    assert lit.iterations > 50
 
 
-@pytest.mark.slow
-def test_missing_pixels_are_left_out(model, face, alone, lit):
-    image = face.image.copy()
-    image[::7, ::5] = np.nan
-    image[100:130, 60:90] = np.nan
-    spoilt = refine(face, model, image_linear=image, **LIT)
-    assert spoilt.plan.ran("reflectance.geometry.photometry")
-    errors = [vertex_error(fit.vertices, face.vertices) for fit in (spoilt, alone, lit)]
-    assert errors[0] < np.mean(errors[1:])
-
-
-def test_vertices_without_known_reflectance_are_left_out(model, face):
+def test_vertices_without_known_reflectance_are_left_out(refine):
     known = REST[:, 1] > 0
     half = replace(SKIN, known=known)
-    fit = refine(face, model, reflectance=half, light=LIGHT)
+    fit = refine(reflectance=half, light=LIGHT)
     assert fit.plan.ran("reflectance.geometry.photometry")
     assert np.isfinite(fit.vertices).all()
 
 
-def test_models_without_directions_move_the_pose_alone(model, face):
+def test_models_without_directions_move_the_pose_alone(model, face, refine):
     rigid = replace(model, basis=model.basis[:0], identity_components=0)
-    fit = refine(face, rigid, **LIT)
+    fit = refine(shape_model=rigid, **LIT)
     assert_allclose(fit.vertices, transform_points(fit.scene_from_model, model.mean), atol=1e-9)
     expressions = model.basis[model.identity_components :]
     only_expressions = replace(model, basis=expressions, identity_components=0)
-    fit = refine(face, only_expressions, **LIT)
+    fit = refine(shape_model=only_expressions, **LIT)
     assert fit.identity.shape == (0,)
     assert vertex_error(fit.vertices, face.vertices) < vertex_error(model.mean, face.vertices)
 
 
 @pytest.mark.parametrize("evaluations", [1, 5, 14])
-def test_a_budget_that_ends_gives_the_best_so_far(model, face, evaluations):
+def test_a_budget_that_ends_gives_the_best_so_far(evaluations, refine):
     budget = Budget(evaluations=evaluations)
     with pytest.warns(RuntimeWarning, match="without having converged"):
-        fit = refine(face, model, budget=budget, **LIT)
+        fit = refine(budget=budget, **LIT)
     assert not fit.converged
-    assert np.isfinite(fit.vertices).all()
     assert len(fit.trace) <= evaluations
 
 
@@ -333,8 +313,8 @@ def test_a_budget_that_ends_gives_the_best_so_far(model, face, evaluations):
         ({"camera": np.eye(4)}, ValueError, "cameras"),
     ],
 )
-def test_what_cannot_be_fitted_is_refused(model, face, change, error, words):
+def test_what_cannot_be_fitted_is_refused(model, change, error, words, refine):
     if "initial_identity" in change:
         change = {"initial_identity": np.full(model.identity_components, np.nan)}
     with pytest.raises(error, match=words):
-        refine(face, model, **change)
+        refine(**change)

@@ -2,7 +2,6 @@
 
 import itertools
 import sys
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +19,6 @@ from scan2albedo.reflectance import (
     fit_image,
     shade_environment,
 )
-from scan2albedo.reflectance.finetune import best_change
 from scan2albedo.reflectance.image_fit import ImageTerms
 
 image_fit = sys.modules["scan2albedo.reflectance.image_fit"]
@@ -55,24 +53,7 @@ def albedo_error(fit, face=FACE):
     return BALL.albedo_error(fit.face.reflectance.diffuse_linear, face)
 
 
-def coloured(change):
-    """Return the image with its colours (V, 3) changed in place."""
-    color = np.asarray(IMAGE.observed_linear).copy()
-    change(color)
-    return replace(IMAGE, observed_linear=color)
-
-
-def quiet_fit(*arguments, **options):
-    """Fit without the warning that it did not converge; all that comes of it is finite."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="the image fit stopped", category=RuntimeWarning)
-        fit = fit_image(*arguments, **options)
-    face = fit.face
-    for numbers in (face.coefficients, fit.light, fit.scale_rgb, fit.light_coefficients, fit.objective):
-        assert np.isfinite(numbers).all()
-    assert np.isfinite(fit.radiance_linear[arguments[0].seen]).all()
-    assert np.isfinite([face.reflectance.diffuse_linear, face.reflectance.weights]).all()
-    return fit
+MAY_STOP = pytest.mark.filterwarnings("ignore:the image fit stopped")
 
 
 def descends(fit):
@@ -98,7 +79,6 @@ def test_the_prediction_is_the_shading_of_the_model(terms, model, lighting):
     assert_allclose(terms.predict(p).color, expected[terms.used], rtol=1e-10)
 
 
-@pytest.mark.slow
 def test_faces_not_seen_before_are_found_whatever_the_exposure(model):
     errors, of_mean = [], []
     for seed, face in enumerate(BALL.people(5, 99)):
@@ -113,7 +93,7 @@ def test_faces_not_seen_before_are_found_whatever_the_exposure(model):
 
 def test_the_fit_tells_colours_of_what_it_used_and_its_descent(fit, model, lighting):
     assert_array_equal(np.isfinite(fit.radiance_linear).all(1), SEEN)
-    observed = np.asarray(IMAGE.observed_linear)[SEEN]
+    observed = IMAGE.observed_linear[SEEN]
     off = np.linalg.norm(fit.radiance_linear[SEEN] - observed) / np.linalg.norm(observed)
     assert fit.relative_rmse == pytest.approx(off)
     assert descends(fit)
@@ -122,15 +102,15 @@ def test_the_fit_tells_colours_of_what_it_used_and_its_descent(fit, model, light
 
 
 def test_exposure_moves_the_scale_and_nothing_else(fit, model, lighting):
-    ten = fit_image(coloured(lambda color: np.multiply(color, 10, color)), model, lighting)
+    ten = fit_image(replace(IMAGE, observed_linear=10 * IMAGE.observed_linear), model, lighting)
     assert_allclose(ten.scale_rgb, 10 * fit.scale_rgb, rtol=1e-6)
     assert_allclose(ten.face.coefficients, fit.face.coefficients, atol=1e-6)
 
 
-@pytest.mark.slow
 def test_specks_hardly_move_the_face(fit, model, lighting, monkeypatch):
     specks = np.random.default_rng(0).random(len(SEEN)) < 0.05
-    spoilt = coloured(lambda color: np.putmask(color, np.repeat(specks[:, None], 3, 1), 5 * color.max()))
+    color = np.where(specks[:, None], 5 * IMAGE.observed_linear.max(), IMAGE.observed_linear)
+    spoilt = replace(IMAGE, observed_linear=color)
     robust = fit_image(spoilt, model, lighting)
     monkeypatch.setattr(image_fit, "SOFTNESS", 100.0)
     squares = fit_image(spoilt, model, lighting)
@@ -144,72 +124,36 @@ def test_a_budget_that_ends_gives_the_best_so_far(model, lighting):
     assert not short.converged
     assert [row.evaluations for row in short.trace][-1] <= 4
     assert short.objective < next(iter(short.trace)).error
-    with pytest.warns(RuntimeWarning, match="0 steps"):
-        start = fit_image(IMAGE, model, lighting, budget=Budget(evaluations=1))
-    assert (start.face.coefficients == 0).all()
-    assert np.isfinite(start.relative_rmse)
 
 
+@MAY_STOP
 def test_a_black_channel_does_not_break_the_fit(model, lighting):
-    fit = quiet_fit(coloured(lambda color: color[:, 2].fill(0)), model, lighting)
+    black = replace(IMAGE, observed_linear=IMAGE.observed_linear * [1, 1, 0])
+    fit = fit_image(black, model, lighting)
     assert fit.scale_rgb[2] < 0.05 * fit.scale_rgb[0]
 
 
-def test_some_colours_negative(model, lighting):
-    """As of pictures whose dark was subtracted."""
-    fit = quiet_fit(coloured(lambda color: color[::7].fill(-0.05 * color.mean())), model, lighting)
-    assert albedo_error(fit) < 0.1
-
-
-def test_one_vertex(model, lighting):
-    one = np.arange(len(SEEN)) == np.flatnonzero(SEEN)[5]
-    fit = quiet_fit(replace(IMAGE, seen=one), model, lighting)
-    assert_allclose(fit.radiance_linear[one], np.asarray(IMAGE.observed_linear)[one], rtol=0.02)
-
-
+@MAY_STOP
 @pytest.mark.parametrize("lights", [0, 30])
 @pytest.mark.parametrize("samples", [1, 2])
 def test_models_of_few_samples_fit_light_alone(samples, lights):
     faces = BALL.people(2, 1)
     small = MorphableReflectanceModel.from_samples(faces[:samples])
     lighting = generated_lighting(count=200, components=lights)
-    fit = quiet_fit(BALL.picture(faces[0], 11, noise=0), small, lighting)
+    fit = fit_image(BALL.picture(faces[0], 11, noise=0), small, lighting)
     assert fit.face.coefficients.shape == (samples - 1,)
     assert fit.light_coefficients.shape == (lights,)
     assert fit.relative_rmse < (0.03 if lights else 1)
 
 
-def test_faces_without_lobes_stay_without(lighting):
-    dull = [replace(f, weights=np.zeros_like(f.weights)) for f in BALL.people(10, 2)]
-    flat = MorphableReflectanceModel.from_samples(dull)
-    fit = fit_image(BALL.picture(dull[3], 12, noise=0), flat, lighting)
-    assert (fit.face.reflectance.weights == 0).all()
-    assert albedo_error(fit, dull[3]) < 0.05
-
-
 def test_numbers_that_are_not_seen_do_not_matter(fit, model, lighting):
-    color, normals = np.asarray(IMAGE.observed_linear).copy(), BALL.normals.copy()
-    color[~SEEN] = np.nan
-    normals[~SEEN] = 0.0
-    other = fit_image(ImageObservation(color, normals, BALL.view, SEEN), model, lighting)
+    color = np.where(SEEN[:, None], IMAGE.observed_linear, np.nan)
+    other = ImageObservation(color, BALL.normals * SEEN[:, None], BALL.view, SEEN)
+    other = fit_image(other, model, lighting)
     assert_array_equal(other.face.coefficients, fit.face.coefficients)
 
 
-def test_a_wrong_gamma_makes_errors_larger_but_finite(fit, model, lighting):
-    bent = [coloured(lambda color, g=gamma: np.power(color, g, color)) for gamma in (1.5, 2.5)]
-    errors = [albedo_error(fit), *(albedo_error(quiet_fit(image, model, lighting)) for image in bent)]
-    assert errors[0] < errors[1] < errors[2] < 1
-
-
-def test_a_transfer_without_shadows_changes_nothing(model, lighting, monkeypatch):
-    monkeypatch.setattr(image_fit, "PRIOR_WEIGHT", dict.fromkeys((True, False), 1e-3))
-    images = IMAGE, replace(IMAGE, transfer=OPEN)
-    one, two = (fit_image(image, model, lighting) for image in images)
-    assert_array_equal(one.face.coefficients, two.face.coefficients)
-    changes = [best_change(model, [image], [one], mean_change=0.1, basis_change=0.1) for image in images]
-    assert_array_equal(*changes)
-
-
+@MAY_STOP
 def test_the_transfer_keeps_shadows_out_of_the_albedo(model, lighting):
     # A valley between two walls lets less light through from the sides, more or less by place.
     dark = 0.4 + 0.6 * np.abs(np.sin(3 * BALL.normals[:, :1]))
@@ -218,8 +162,10 @@ def test_the_transfer_keeps_shadows_out_of_the_albedo(model, lighting):
     with_it, without = [], []
     for seed, face in enumerate(BALL.people(3, 77)):
         image = BALL.picture(face, 70 + seed, transfer=folded)
-        with_it.append(albedo_error(fit_image(image, model, lighting), face))
-        without.append(albedo_error(quiet_fit(replace(image, transfer=None), model, lighting), face))
+        fit = fit_image(image, model, lighting)
+        assert fit.converged
+        with_it.append(albedo_error(fit, face))
+        without.append(albedo_error(fit_image(replace(image, transfer=None), model, lighting), face))
     assert np.mean(with_it) < 0.05
     assert np.mean(with_it) < 0.6 * np.mean(without)
 
@@ -251,7 +197,7 @@ def test_a_perceptual_term_leads_to_its_known_optimum(terms, model, lighting, sc
 
 
 def test_the_size_of_the_perceptual_term_counts(fit, model, lighting):
-    brighter = 2 * np.asarray(IMAGE.observed_linear)
+    brighter = 2 * IMAGE.observed_linear
     found = [
         fit_image(IMAGE, model, lighting, perceptual=distance_to(brighter, 10 * weight))
         for weight in (0.0, 1e-3, 10.0)
@@ -263,12 +209,13 @@ def test_the_size_of_the_perceptual_term_counts(fit, model, lighting):
     assert_array_equal(found[0].face.coefficients, fit.face.coefficients)
 
 
+@MAY_STOP
 def test_a_gradient_that_is_wrong_never_raises_the_objective(model, lighting):
     def backwards(predicted, observed):
         off = predicted - observed
         return np.nansum(off**2), -2 * off
 
-    assert descends(quiet_fit(IMAGE, model, lighting, perceptual=backwards))
+    assert descends(fit_image(IMAGE, model, lighting, perceptual=backwards))
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from build.reflectance_model import PEOPLE, packed
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance import reflectance_from_albedo
@@ -29,15 +29,10 @@ def test_directions_that_people_share_are_kept_and_noise_is_not():
         held_out_components(people(9, noise=0.1), VERTICES)
 
 
-@pytest.mark.slow
-def test_the_model_of_synthetic_people_has_reflectance_and_shape():
-    built = synthetic_model(20)
-    assert built.model.samples == 20
-    assert 0 < built.model.components < 20
-    assert built.shape is not None
+def test_a_model_of_synthetic_people_has_reflectance_and_shape():
+    built = synthetic_model(3, components=1)
+    assert (built.model.samples, built.model.components) == (3, 1)
     assert len(built.shape.mean) == len(built.model.known) == len(built.mean.vertices)
-    again = synthetic_model(20, components=built.model.components)
-    assert_array_equal(again.model.diffuse.basis, built.model.diffuse.basis)
     with pytest.raises(ReflectanceError, match="2 or more"):
         synthetic_model(1)
 
@@ -45,7 +40,6 @@ def test_the_model_of_synthetic_people_has_reflectance_and_shape():
 def test_the_model_of_the_package_is_whole():
     built = default_model()
     assert built.model.samples == 200
-    assert built.shape is not None
     assert built.shape.mean.shape == built.model.diffuse.mean.shape == (3663, 3)
     assert_allclose(built.model.mean[:, 4:].sum(1), 1, rtol=1e-12)
     assert_allclose(built.model.basis[..., 4:].sum(2), 0, atol=1e-12)

@@ -1,11 +1,10 @@
 """The model against a plain SVD, with gaps, without lobes, of few samples, and on disk."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.npz import assert_comes_back, cut, rewritten
+from helpers.npz import assert_comes_back, rewritten
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import ReflectanceError
@@ -17,14 +16,13 @@ def faces(count, vertices=60, rank=None, known=None):
     """Samples of a linear model with a rank; full rank when None."""
     rng, rank = np.random.default_rng(0), rank or count
     scores = rng.normal(size=(count, rank))
-    diffuse = 0.4 + np.tensordot(scores, 0.02 * rng.normal(size=(rank, vertices, 3)), 1)
-    total = 0.3 + scores @ (0.02 * rng.normal(size=(rank, vertices)))
-    direction = rng.normal(size=(rank, vertices, 3))
-    share = 1 / 3 + np.tensordot(scores, 0.01 * (direction - direction.mean(2, keepdims=True)), 1)
+    basis = 0.02 * rng.normal(size=(rank, vertices, 7))
+    basis[..., 4:] -= basis[..., 4:].mean(2, keepdims=True)
+    values = np.repeat([0.4, 0.3, 1 / 3], [3, 1, 3]) + np.tensordot(scores, basis, 1)
     known = np.ones((count, vertices), bool) if known is None else known
     return [
-        VertexReflectance(c, s[:, None] * w, k)
-        for c, s, w, k in zip(diffuse, total, share, known, strict=True)
+        VertexReflectance(one[:, :3], one[:, 3:4] * one[:, 4:], k)
+        for one, k in zip(values, known, strict=True)
     ]
 
 
@@ -62,17 +60,10 @@ def test_samples_come_back_with_their_weights_and_coefficients_of_unit_variance(
         assert found.clipped_share == 0
 
 
-def test_noise_free_samples_of_a_low_rank_need_no_more_directions():
-    model = learned(faces(12, rank=3))
-    assert model.components == 3
-    assert albedo_off(model, faces(12, rank=3)[5]) < 1e-10
-
-
 def test_fewer_components_are_the_first_ones():
     samples = faces(8)
     full, cut = (learned(samples, components=n) for n in (None, 3))
     assert_allclose(cut.diffuse.basis, full.diffuse.basis[:3], rtol=0, atol=1e-14)
-    assert cut.explained.sum() < full.explained.sum()
 
 
 def test_one_sample_or_its_copies_are_a_mean_and_two_have_one_direction():
@@ -158,22 +149,19 @@ def test_a_model_comes_back_from_its_file(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("spoil", "message"),
+    ("changes", "message"),
     [
         ({"header": np.array('{"format": "something"}')}, "format"),
-        ({"header": None}, "cannot be read"),
         ({"diffuse_mean": np.full((60, 3), np.nan)}, "NaN"),
         ({"sum_mean": np.zeros(59)}, "model.npz: all the input array dimensions"),
         ({"known": np.ones(60)}, "known holds float64"),
         ({"deviation": np.ones(7)}, "deviation is"),
-        (cut, r"model\.npz cannot be read"),
-        (Path.unlink, r"model\.npz cannot be read"),
     ],
 )
-def test_files_that_are_no_model_are_refused(tmp_path, spoil, message):
+def test_files_that_are_no_model_are_refused(tmp_path, changes, message):
     path = tmp_path / "model.npz"
     learned(faces(4)).save(path)
-    spoil(path) if callable(spoil) else rewritten(path, **spoil)
+    rewritten(path, **changes)
     with pytest.raises(ReflectanceError, match=message):
         MorphableReflectanceModel.load(path)
 
@@ -217,8 +205,6 @@ def test_vertices_with_little_weight_count_little():
     off = [np.abs(model.diffuse.mean - right.diffuse.mean)[:10].max() for model in (plain, trusting)]
     assert off[1] < 0.01 < 0.5 < off[0]
     assert plain.deviation[0] > 5 * trusting.deviation[0]
-    same = learned(samples, weights=np.ones((6, 60)))
-    assert np.array_equal(same.diffuse.mean, learned(samples).diffuse.mean)
 
 
 def test_reliability_falls_with_the_interval():

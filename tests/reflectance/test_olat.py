@@ -115,13 +115,6 @@ def test_a_patch_brighter_in_the_room_is_told_and_kept(shown):
     assert (olat.linear[0, :4] < 0).all()
 
 
-def test_integers_are_parts_of_their_largest():
-    for value in (np.uint8(51), np.uint16(13107)):
-        pictures = np.full((1, 2, 2, 3), value)
-        olat = extract_olat(pictures, np.zeros_like(pictures[0]))
-        assert_allclose(olat.linear, 0.2**1.2, rtol=1e-6)
-
-
 def test_values_beyond_white_need_a_saturation():
     beyond = extract_olat(255 * FLASH, ROOM, options=OlatOptions(gamma=1, saturation=np.inf))
     assert beyond.valid.all()
@@ -130,16 +123,15 @@ def test_values_beyond_white_need_a_saturation():
 @pytest.mark.parametrize(
     ("flash", "room", "error"),
     [
-        (np.zeros((0, 4, 4, 3)), np.zeros((4, 4, 3)), ReflectanceError),
-        (np.zeros((1, 4, 4, 3)), np.zeros((4, 5, 3)), ValueError),
-        (np.zeros((3, 4, 4, 3)), np.zeros((2, 4, 4, 3)), ValueError),
-        (np.zeros((1, 4, 4)), np.zeros((4, 4)), ValueError),
-        (np.zeros((1, 4, 4, 3), int), np.zeros((4, 4, 3), int), ReflectanceError),
+        ((0, 4, 4, 3), (4, 4, 3), ReflectanceError),
+        ((1, 4, 4, 3), (4, 5, 3), ValueError),
+        ((3, 4, 4, 3), (2, 4, 4, 3), ValueError),
+        ((1, 4, 4), (4, 4), ValueError),
     ],
 )
-def test_pictures_that_do_not_fit_are_refused(flash, room, error):
+def test_pictures_of_shapes_that_do_not_fit_are_refused(flash, room, error):
     with pytest.raises(error):
-        extract_olat(flash, room)
+        extract_olat(np.zeros(flash), np.zeros(room))
 
 
 @pytest.mark.parametrize(

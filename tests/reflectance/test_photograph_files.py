@@ -1,11 +1,8 @@
 """Photographs as files: what is written is read again, and what is wrong is named."""
 
-import shutil
-
 import cv2
 import numpy as np
 import pytest
-from helpers import json_files
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import ReflectanceError, ScanError
@@ -27,16 +24,6 @@ def written(taken, tmp_path_factory):
     return write_synthetic_photograph(taken, tmp_path_factory.mktemp("photograph"))
 
 
-@pytest.fixture
-def folder(written, tmp_path):
-    shutil.copytree(written.parent, tmp_path / "copy")
-    return tmp_path / "copy"
-
-
-def changed(folder, change):
-    return json_files.changed(folder / "photograph.json", change)
-
-
 def test_what_is_written_is_read_again(taken, written):
     read = read_photograph(written)
     assert np.array_equal(read.image, taken.image)
@@ -50,21 +37,21 @@ def test_what_is_written_is_read_again(taken, written):
     assert not (marked.parent / "face.ply").exists()
 
 
-def test_camera_and_mesh_follow_the_unit(folder, taken):
-    read = read_photograph(changed(folder, lambda content: content.update(unit="cm")))
+def test_camera_and_mesh_follow_the_unit(changed, taken):
+    read = read_photograph(changed(lambda content: content.update(unit="cm")))
     assert np.allclose(read.vertices, 10 * taken.vertices, atol=1e-3)
     assert np.allclose(read.camera[:, :3], taken.camera[:, :3] / 10)
     assert np.allclose(read.camera[:, 3], taken.camera[:, 3])
 
 
-def test_the_folder_of_a_processed_scan_stands_for_its_fitted_mesh(folder):
+def test_the_folder_of_a_processed_scan_stands_for_its_fitted_mesh(folder, changed):
     uv, grey = np.zeros((4, 2)), np.full((2, 2, 3), 128, np.uint8)
     (folder / "scan").mkdir()
     faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
     write_glb(folder / "scan" / "fitted.glb", 100 * np.eye(4, 3), faces, uv, grey)
     found = []
     for mesh in ("scan", "scan/fitted.glb"):
-        file = changed(folder, lambda content, mesh=mesh: content.update(mesh=mesh))
+        file = changed(lambda content, mesh=mesh: content.update(mesh=mesh))
         found.append(read_photograph(file).vertices)
     assert_array_equal(*found)
     assert_allclose(np.ptp(found[0], axis=0), 100, rtol=1e-5)
@@ -81,8 +68,8 @@ def test_the_folder_of_a_processed_scan_stands_for_its_fitted_mesh(folder):
         (lambda c: c.update(iso=100), "iso"),
     ],
 )
-def test_files_that_do_not_fit_are_refused_by_name(folder, change, told):
-    file = changed(folder, change)
+def test_files_that_do_not_fit_are_refused_by_name(changed, change, told):
+    file = changed(change)
     with pytest.raises(ReflectanceError, match=told) as raised:
         read_photograph(file)
     assert "photograph.json" in str(raised.value)

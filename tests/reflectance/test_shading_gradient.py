@@ -46,9 +46,3 @@ def test_derivatives_agree_with_finite_differences(skin, straight):
         scale = max(scale, np.abs(expected).max())
         found = np.einsum("vji,vi->vj", gradient, step[number])
         np.testing.assert_allclose(found, expected, atol=tolerance * scale)
-
-
-def test_no_light_has_no_derivatives():
-    gradient = shading_gradient(reflectance(), NORMALS, VIEW, np.zeros((81, 3)))
-    assert (gradient[0] == 0).all()
-    assert (gradient[1] == 0).all()

@@ -7,7 +7,8 @@ from numpy.testing import assert_allclose
 from scipy.optimize import nnls
 
 from scan2albedo.reflectance import VertexSamples
-from scan2albedo.reflectance.vertex_kernels import reweigh, solve_bounded, solve_free
+from scan2albedo.reflectance.robust_fit import Observations, RobustFit
+from scan2albedo.reflectance.vertex_kernels import solve_bounded, solve_free
 
 
 def random_samples(seed, count=60, pairs=12, dark=0.0):
@@ -42,12 +43,6 @@ def test_bounded_estimates_are_those_of_nnls(dark, pairs):
     assert ((estimate == 0) == (expected == 0)).all()
 
 
-def test_every_set_of_bounds_is_met():
-    """The test above means something only if many of the 64 sets occur."""
-    found = [bounded(random_samples(1, count=400, dark=dark))[0] == 0 for dark in (0.0, 0.3, 0.8)]
-    assert len(np.unique(np.concatenate(found), axis=0)) > 40
-
-
 @pytest.mark.parametrize("column", [1, 2, 3])
 @pytest.mark.parametrize("sigma", [1e-8, 1e-10, 1e-12])
 def test_observations_beyond_all_precision_keep_the_estimate_finite(column, sigma):
@@ -66,37 +61,24 @@ def test_observations_beyond_all_precision_keep_the_estimate_finite(column, sigm
     assert_allclose(radiance, 0.5, rtol=1e-4)
 
 
-@pytest.mark.parametrize("power", [0.0, 0.5, 1.0])
-def test_weights_are_the_slope_of_the_loss(power):
+@pytest.mark.parametrize("loss", ["squares", "charbonnier", "cauchy"])
+def test_weights_are_the_slope_of_the_loss(loss):
     """Half the weight is the derivative of a pair's loss by the mean square of its residuals."""
     sizes = np.array([0.1, 1.0, 3.0, 20.0])
-    losses, weights = [], []
+    fits = []
     for change in (0.0, 1e-4):
         observed = np.sqrt((sizes**2 + change)[:, None, None] * np.ones((4, 1, 3)))
-        scale, loss, weight = np.ones(1), np.empty(1), np.empty((4, 1))
-        reweigh(
-            observed,
-            np.ones((4, 1, 3)),
-            np.zeros((4, 1, 4)),
-            np.empty((0, 0, 3)),
-            np.zeros((1, 6)),
-            np.zeros(6),
-            np.zeros(6),
-            np.arange(1),
-            power,
-            2.4,
-            scale,
-            weight,
-            loss,
-            np.empty((1, 2)),
-        )
-        losses.append(loss[0])
-        weights.append(weight[:, 0])
-        assert scale[0] == 1
-    slope = (losses[1] - losses[0]) / 1e-4
-    assert slope == pytest.approx(3 * 0.5 * weights[0].sum(), rel=1e-3)
-    assert (np.diff(weights[0]) <= 0).all()
-    assert (weights[0][-1] == 1) == (power == 0)
+        nothing = np.zeros((4, 1, 4)), np.zeros(6), np.zeros(6)
+        fit = RobustFit(Observations(observed, np.ones((4, 1, 3)), *nothing), loss)
+        fit.scale[:] = 1
+        fit._reweigh(np.arange(1))
+        assert fit.scale == 1
+        fits.append(fit)
+    weight = fits[0].weight[:, 0]
+    slope = (fits[1].loss - fits[0].loss) / 1e-4
+    assert slope == pytest.approx(3 * 0.5 * weight.sum(), rel=1e-3)
+    assert (np.diff(weight) <= 0).all()
+    assert (weight[-1] == 1) == (loss == "squares")
 
 
 def test_sums_that_overflow_give_no_number():

@@ -9,8 +9,6 @@ from numpy.testing import assert_allclose
 from worlds.two_balls import (
     BALL,
     BALL_RADIUS,
-    RADIUS,
-    build_scene,
     first_hit,
     radiance_at,
     unit,
@@ -28,11 +26,6 @@ from scan2albedo.reflectance import (
 from scan2albedo.reflectance.vertex_visibility import VertexVisibility
 
 NOISELESS = OlatOptions(noise=1e-5, saturation=np.inf)
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return build_scene()
 
 
 @pytest.fixture(scope="module")
@@ -155,30 +148,6 @@ def test_grazing_views_and_lights_are_left_out(scene, look_up, samples, monkeypa
             assert ((scene.normals * unit(place - scene.vertices)).sum(1)[here] > cosine).all()
 
 
-def test_vertices_outside_the_picture_are_not_seen(scene, look_up):
-    cameras = scene.rig.cameras.copy()
-    cameras[:, 0] += 1e4 * cameras[:, 2]  # the same view, aimed far to the side
-    assert not look_up(rig=replace(scene.rig, cameras=cameras)).valid.any()
-
-
-def test_normals_of_the_mesh_are_used_when_none_are_given(look_up, samples):
-    found = look_up(normals=None)
-    both = found.valid.all(-1) & samples.valid.all(-1)
-    assert both.sum() > 0.9 * samples.valid.all(-1).sum()
-    assert_allclose(found.lobes[both], samples.lobes[both], atol=0.2)
-
-
-def test_a_vertex_without_a_normal_is_not_seen(scene, look_up):
-    normals = scene.normals.copy()
-    normals[500] = 0
-    assert not look_up(normals=normals).valid[:, 500].any()
-
-
-def test_pictures_of_the_flash_at_the_head_itself_leave_no_nan(scene, look_up):
-    found = look_up(rig=replace(scene.rig, light_positions=np.zeros((20, 3))))
-    assert not found.valid[:, scene.head].any()
-
-
 @pytest.mark.parametrize(
     ("change", "error", "message"),
     [
@@ -204,12 +173,6 @@ def test_normals_that_are_not_unit_and_another_number_of_cameras_are_refused(sce
     ):
         with pytest.raises(ReflectanceError, match=words):
             look_up(**given)
-
-
-def test_a_picture_of_one_pixel_has_no_corner_to_spare(scene, look_up, olat):
-    names = ("linear", "sigma", "valid", "saturated")
-    one = replace(olat, **{name: getattr(olat, name)[:, :1, :1] for name in names})
-    assert not look_up(one, vertices=RADIUS * scene.normals).valid.any()
 
 
 @pytest.mark.parametrize(
