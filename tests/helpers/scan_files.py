@@ -2,7 +2,6 @@
 
 import json
 
-from helpers.gltf import Gltf
 from helpers.square import square_gltf
 
 VERTEX = [f"property float {axis}" for axis in "xyz"]
@@ -23,14 +22,14 @@ def textured_ply(folder, texture):
     return folder / "face.ply"
 
 
-def with_picture_file(file: Gltf, uri):
+def with_picture_file(file, uri):
     """Give a glTF file the colours of a picture beside it; return the file."""
     file.tree |= {"images": [{"uri": uri}], "textures": [{"source": 0}]}
     file.material["pbrMetallicRoughness"]["baseColorTexture"] = {"index": 0}
     return file
 
 
-def write_gltf(path, file: Gltf):
+def write_gltf(path, file):
     """Write a file as JSON and data.bin beside it; return the path."""
     file.tree["buffers"][0]["uri"] = "data.bin"
     (path.parent / "data.bin").write_bytes(file.binary)

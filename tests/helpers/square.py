@@ -1,7 +1,5 @@
 """Small scans with known colours at every corner; the writers share no code with the readers."""
 
-from pathlib import Path
-
 import numpy as np
 
 from helpers.gltf import Gltf
@@ -40,6 +38,13 @@ def sample(scan, uv):
     return scan.texture_linear[row, column]
 
 
+def vertex_colors(scan):
+    """Return (V, 3) the texture's colour at each vertex."""
+    color = np.zeros((len(scan.vertices), 3), np.float32)
+    color[scan.faces.ravel()] = sample(scan, scan.uv.reshape(-1, 2) % 1)
+    return color
+
+
 def color_near_corner(scan, position_mm):
     """Texture colour just inside the corner of the scan at a position."""
     vertex = int(np.argmin(np.linalg.norm(scan.vertices - position_mm, axis=1)))
@@ -54,7 +59,7 @@ def assert_corner_colors(scan, places=SQUARE_MM, factor=1.0, atol=2e-6):
     np.testing.assert_allclose(found, CORNER_LINEAR * factor, atol=atol)
 
 
-def write_image(path: Path, image):
+def write_image(path, image):
     import cv2
 
     order = image if image.ndim == 2 else image[..., [2, 1, 0, 3][: image.shape[2]]]
@@ -62,8 +67,8 @@ def write_image(path: Path, image):
 
 
 def write_square_obj(
-    folder: Path, *, name="face", scale=1.0, texture="face.png", image=None, mtl=None, change=("", "")
-) -> Path:
+    folder, *, name="face", scale=1.0, texture="face.png", image=None, mtl=None, change=("", "")
+):
     """OBJ, MTL and texture of the square; `mtl` is the library's text or bytes, `change` a replacement."""
     path = folder / f"{name}.obj"
     lines = ["# by hand", f"mtllib {name}.mtl"]
@@ -78,7 +83,7 @@ def write_square_obj(
     return path
 
 
-def square_gltf(png: bytes | None = None, *, colors=None, scale=1.0) -> Gltf:
+def square_gltf(png=None, *, colors=None, scale=1.0):
     """The square as glTF, written by hand: v counts from the top, as the standard says."""
     made = Gltf({"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}]})
     attributes, tree = {}, made.tree
@@ -87,7 +92,7 @@ def square_gltf(png: bytes | None = None, *, colors=None, scale=1.0) -> Gltf:
     attributes["TEXCOORD_0"] = made.add((SQUARE_UV * (1, -1) + (0, 1)).astype("<f4"))
     if colors is not None:
         attributes["COLOR_0"] = made.add(colors.astype("<f4"))
-    surface: dict = {}
+    surface = {}
     tree["meshes"] = [{"primitives": [{"attributes": attributes, "indices": indices, "material": 0}]}]
     tree["materials"] = [{"name": "skin", "pbrMetallicRoughness": surface}]
     if png is not None:
@@ -97,7 +102,7 @@ def square_gltf(png: bytes | None = None, *, colors=None, scale=1.0) -> Gltf:
     return made
 
 
-def png_bytes(image) -> bytes:
+def png_bytes(image):
     import cv2
 
     encoded, data = cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]))

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import RecognitionError
 from scan2albedo.io.geometry_image_files import read_geometry_image, write_geometry_image
-from scan2albedo.io.images import read_image_linear, write_exr
+from scan2albedo.io.images import write_exr
 from scan2albedo.recognition import (
     TemplateOptions,
     albedo_templates,
@@ -148,22 +148,15 @@ def test_whom_the_gallery_does_not_know_is_named(gallery, people, tmp_path):
 
 def test_errors_of_the_albedo_are_weights(people, tmp_path):
     folder = shutil.copytree(people / "bob-2", tmp_path / "bob")
-    plain = read_face(folder)
+    seen = read_face(folder).certainty > 0
     error = np.full((64, 64), 0.1, np.float32)
     error[:32] = 0.9
     write_exr(folder / "expected_error.exr", error)
     for kind in ("albedo", "texture", "shading"):
         certainty = read_face(folder, kind).certainty
-        assert_array_equal(certainty > 0, plain.certainty > 0)
+        assert_array_equal(certainty > 0, seen)
         low, high = (half[half > 0] for half in np.split(certainty, 2))
         assert 0 < low.max() < 0.3 < 0.7 < high.min() < 1
-    spoilt = read_image_linear(folder / "albedo.exr")
-    spoilt[:32] *= 1 + 0.5 * np.random.default_rng(0).standard_normal((32, 64, 1))
-    write_exr(folder / "albedo.exr", np.abs(spoilt))
-    shown, known = read_face(folder), read_face(people / "bob")
-    options = {"options": OPTIONS, "mask_b": known.certainty > 0}
-    weighed = cw_ssim(shown.values, known.values, shown.certainty, **options)
-    assert weighed > cw_ssim(shown.values, known.values, shown.certainty > 0, **options) + 0.03
 
 
 def test_images_without_a_record_are_a_result(people, gallery, tmp_path):
