@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from helpers.meshes import bumpy_samples
 from helpers.poses import assert_near
 from worlds.raw_like import raw_like
 
@@ -45,11 +44,6 @@ def synthetic_scan(model):
         return PosedScan(scan, invert_rigid(scan_from_shape))
 
     return make
-
-
-@pytest.fixture(scope="session")
-def bumpy():
-    return bumpy_samples()
 
 
 @pytest.fixture(scope="session")

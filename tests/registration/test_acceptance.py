@@ -51,26 +51,13 @@ def test_the_back_of_a_head_is_refused(ict, model):
         register(RawScan(vertices, behind, name="back"), model)
 
 
-def half_of(example, side):
-    """One side of the face."""
-    in_model = transform_points(example.model_from_scan, example.scan.vertices)
-    kept = (side * in_model[:, 0][example.scan.faces] > 0).all(1)
-    return RawScan(example.scan.vertices, example.scan.faces[kept])
-
-
 @pytest.mark.parametrize("side", [-1, 1])
 def test_half_a_face_is_enough(synthetic_scan, model, side):
     example = synthetic_scan(6, hair=False, shoulders=False)
-    example.assert_found(register(half_of(example, side), model).model_from_scan, 10, 15)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("side", [-1, 1])
-def test_half_a_face_unlike_the_model_is_found(ict_scan, model, side):
-    example = ict_scan("person4", 304, noise_mm=0.3)
-    half = register(half_of(example, side), model)
-    assert half.confidence > 0.5
-    example.assert_found(half.model_from_scan, 5, 10)
+    in_model = transform_points(example.model_from_scan, example.scan.vertices)
+    kept = (side * in_model[:, 0][example.scan.faces] > 0).all(1)
+    half = RawScan(example.scan.vertices, example.scan.faces[kept])
+    example.assert_found(register(half, model).model_from_scan, 10, 15)
 
 
 def test_shoulders_three_times_as_wide_as_the_face(synthetic_scan, model):
@@ -85,9 +72,7 @@ def test_shoulders_three_times_as_wide_as_the_face(synthetic_scan, model):
 
 def test_a_tenth_larger_or_smaller_face_is_still_found(synthetic_scan, model):
     example = synthetic_scan(9)
-    center = example.scan.vertices.mean(0)
     for factor in (0.9, 1.1):
-        scan = RawScan(center + factor * (example.scan.vertices - center), example.scan.faces)
-        registration = register(scan, model)
+        registration = register(example.scan.scaled(factor), model)
         example.assert_found(registration.model_from_scan, 6, np.inf)
         assert registration.confidence > 0.5

@@ -8,7 +8,7 @@ from helpers.plates import FACES
 from helpers.poses import REST
 from numpy.testing import assert_allclose
 
-from scan2albedo.geometry.mesh import normalized, vertex_normals
+from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.oriented_points import SurfaceNoise
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import (
@@ -28,16 +28,9 @@ def pixel_centres(frame):
     return np.stack([x, y], -1)
 
 
-def bumpy():
-    vertices, faces = sphere(4, 1.0)
-    axes = normalized(np.random.default_rng(0).normal(size=(6, 3)))
-    bumps = 1 + 0.2 * np.exp(4 * (vertices @ axes.T - 1)).sum(1)
-    return vertices * bumps[:, None] * 70, faces
-
-
 @pytest.mark.parametrize("size", [1, 31, 64])
-def test_depth_equals_the_first_hit_of_a_ray_from_the_viewer(size):
-    vertices, faces = bumpy()
+def test_depth_equals_the_first_hit_of_a_ray_from_the_viewer(model, size):
+    vertices, faces = model.surface(1)
     frame = DepthFrame((5.0, -3.0), 190.0, size)
     pose = compose(random_rotation(np.random.default_rng(1)), [3.0, 4.0, -20.0])
     image = depth_image(vertices, faces, frame, pose)

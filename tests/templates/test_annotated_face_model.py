@@ -95,7 +95,7 @@ def test_half_a_face_gets_regions_but_no_landmarks(own):
 @pytest.mark.slow
 @pytest.mark.parametrize("part", ["inner face", "face area", "whole head"])
 def test_the_generic_face_in_metres_and_turned(generic_face, part):
-    vertices, faces, landmarks, _ = generic_face(part)
+    vertices, faces, landmarks = generic_face(part)
     given = vertices @ TURN.T / 1000
     model = s2a.AnnotatedFaceModel.from_mesh(given, faces)
     found = transform_points(model.template_from_model, model.landmarks) * 1000
@@ -123,7 +123,7 @@ def test_the_mask_of_468_vertices_is_annotated_and_fits_a_scan_in_its_own_topolo
 
 @pytest.mark.slow
 def test_what_closes_the_hole_of_a_mouth_becomes_film(generic_face):
-    vertices, faces, *_ = generic_face("inner face")
+    vertices, faces, _ = generic_face("inner face")
     model = s2a.AnnotatedFaceModel.from_mesh(vertices, faces)
     film = model.in_region("between_lips")
     centres = model.control_vertices[model.control_faces].mean(1)

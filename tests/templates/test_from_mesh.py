@@ -1,6 +1,5 @@
 from functools import partial
 
-import igl
 import numpy as np
 import pytest
 import trimesh
@@ -16,6 +15,7 @@ from scan2albedo.geometry.mesh import boundary_loops, face_areas, face_cross_pro
 
 plain_model = partial(AnnotatedFaceModel.from_mesh, annotate=False)
 """The domes below are not faces, so nothing is to be recognised in them."""
+small_model = partial(plain_model, control_size=300)
 
 
 def without_disc(vertices, faces, x, y, radius):
@@ -38,7 +38,7 @@ def assert_sound(model):
 @pytest.fixture(scope="module")
 def dense():
     vertices, faces = mask_surface(40)
-    return vertices, faces, plain_model(vertices, faces, control_size=300)
+    return vertices, faces, small_model(vertices, faces)
 
 
 def test_a_dense_template_gets_a_small_control_mesh_whose_limit_surface_follows_it(dense):
@@ -62,7 +62,7 @@ def test_the_template_comes_back_exactly_at_rest_and_turns_with_the_surface(dens
 @pytest.mark.parametrize(("unit", "factor"), [("cm", 0.1), ("m", 0.001)])
 def test_the_unit_is_decided_by_the_size_of_a_head(dense, unit, factor):
     vertices, faces, model = dense
-    other = plain_model(factor * vertices, faces, control_size=300)
+    other = small_model(factor * vertices, faces)
     assert_allclose(other.control_vertices, model.control_vertices, atol=1e-6)
 
 
@@ -110,7 +110,7 @@ def test_seams_with_doubled_vertices_are_welded():
 
 def test_an_inside_out_template_is_turned(dense):
     vertices, faces, _ = dense
-    model = plain_model(vertices, faces[:, ::-1], control_size=300)
+    model = small_model(vertices, faces[:, ::-1])
     assert face_cross_products(model.control_vertices, model.control_faces)[:, 2].sum() > 0
 
 
@@ -124,18 +124,18 @@ def test_a_closed_head_is_cut_open_at_the_back():
 def test_a_given_chart_is_kept_and_a_folded_one_replaced(dense):
     vertices, faces, _ = dense
     uv = 0.1 + 0.8 * (vertices[:, :2] - vertices[:, :2].min(0)) / np.ptp(vertices[:, :2], axis=0)
-    model = plain_model(vertices, faces, uv, control_size=300)
+    model = small_model(vertices, faces, uv)
     assert_sound(model)
     expected = 0.1 + 0.8 * (model.control_vertices[:, :2] / [140, 190] + 0.5)
     assert_allclose(model.uv, expected, atol=0.02)
-    assert_sound(plain_model(vertices, faces, np.abs(uv - 0.5) + 0.2, control_size=300))
+    assert_sound(small_model(vertices, faces, np.abs(uv - 0.5) + 0.2))
 
 
 def test_regions_by_indices_and_masks(dense):
     vertices, faces, _ = dense
     left = vertices[:, 0] > 5
     low = vertices[faces][:, :, 1].mean(1) < -40
-    model = plain_model(vertices, faces, regions={"left": np.flatnonzero(left), "low": low}, control_size=300)
+    model = small_model(vertices, faces, regions={"left": np.flatnonzero(left), "low": low})
     centre = model.control_vertices[model.control_faces].mean(1)
     names = {r.index: r.name for r in model.regions.values()}
     for spot, name in (([40, 40], "left"), ([-40, 40], "face"), ([-40, -70], "low")):
@@ -146,8 +146,8 @@ def test_regions_by_indices_and_masks(dense):
 def test_landmarks_by_points_and_by_vertices(dense):
     vertices, faces, _ = dense
     chosen = np.arange(68) * 20 + 101
-    by_index = plain_model(vertices, faces, landmarks=chosen, control_size=300)
-    by_point = plain_model(0.1 * vertices, faces, landmarks=0.1 * vertices[chosen], control_size=300)
+    by_index = small_model(vertices, faces, landmarks=chosen)
+    by_point = small_model(0.1 * vertices, faces, landmarks=0.1 * vertices[chosen])
     assert_allclose(by_point.landmarks, by_index.landmarks, atol=1e-6)
     assert np.linalg.norm(by_index.landmarks - (vertices - vertices.mean(0))[chosen], axis=1).mean() < 0.2
 
@@ -155,11 +155,11 @@ def test_landmarks_by_points_and_by_vertices(dense):
 def test_a_few_faces_that_spoil_the_surface_are_dropped(dense):
     vertices, faces, model = dense
     fin = np.concatenate([faces, [[*faces[1000, :2], 100]]])
-    mended = plain_model(vertices, fin, control_size=300)
+    mended = small_model(vertices, fin)
     assert_array_equal(mended.control_faces, model.control_faces)
     assert any(note.startswith("faces dropped at edges") for note in mended.notes)
     pinched = np.where(faces == faces[1000, 0], faces[2000, 0], faces)
-    assert_sound(plain_model(vertices, pinched, control_size=300))
+    assert_sound(small_model(vertices, pinched))
 
 
 def test_what_cannot_be_used_is_refused_with_the_reason():
@@ -203,26 +203,3 @@ def test_surface_frames_are_orthonormal_and_finite_on_zero_area():
     frames = surface_frames(corners)
     assert_allclose(np.einsum("nij,nik->njk", frames, frames), np.tile(np.eye(3), (20, 1, 1)), atol=1e-12)
     assert np.isfinite(surface_frames(np.zeros((1, 3, 3)))).all()
-
-
-@pytest.mark.slow
-def test_the_468_vertex_mask(shared_data):
-    vertices, _, _, faces, _, _ = igl.readOBJ(str(shared_data / "canonical_face_model.obj"))
-    model = AnnotatedFaceModel.from_mesh(vertices, faces, name="mask of 468")
-    assert len(model.control_vertices) == 468
-    assert_sound(model)
-    carried = model.template_of(model.control_vertices)
-    assert_allclose(carried, 10 * (vertices - vertices.mean(0)), atol=1e-6)
-    assert 140 < np.ptp(model.control_vertices[:, 1]) < 200
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("part", ["face area", "inner face"])
-def test_the_generic_face(generic_face, part):
-    vertices, faces, landmarks, inner_vertices = generic_face(part)
-    model = AnnotatedFaceModel.from_mesh(vertices, faces, landmarks=landmarks)
-    assert_sound(model)
-    assert 800 <= len(model.control_vertices) <= 1200
-    error = gap_mm(model, vertices[:inner_vertices] - vertices[np.unique(faces)].mean(0))
-    assert error.mean() < (0.16 if part == "face area" else 0.1)
-    assert model.landmarks.shape == (68, 3)
