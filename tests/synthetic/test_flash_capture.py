@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bench.judging import relative_rmse
+from helpers.measures import rms, row_lengths
+from numpy.testing import assert_allclose
 
 from scan2albedo.geometry.pinhole import project
 from scan2albedo.reflectance import (
@@ -63,12 +65,12 @@ def test_pictures_are_eight_bits_and_some_are_saturated(noisy):
 
 def test_flashes_stand_where_cameras_do_and_two_above(clean):
     rig = rig_of(clean)
-    assert np.allclose(rig.cameras, clean.cameras)
+    assert_allclose(rig.cameras, clean.cameras)
     centers = rig.camera_positions[:: len(clean.light_gain)]
     assert clean.light_positions[:3] == pytest.approx(centers)
     assert (clean.light_positions[3:, 1] > 300).all()
     offsets = clean.light_positions - np.array([0, 0, -5.0])
-    assert np.linalg.norm(offsets, axis=1) == pytest.approx(np.full(5, clean.portrait.distance_mm))
+    assert row_lengths(offsets) == pytest.approx(np.full(5, clean.portrait.distance_mm))
 
 
 def test_colours_at_vertices_are_what_the_lobes_say(clean):
@@ -82,14 +84,14 @@ def test_colours_at_vertices_are_what_the_lobes_say(clean):
         reference_distance_mm=clean.portrait.distance_mm,
     )
     reached = samples.lobes.any(-1)  # others are in cast shadow
-    assert np.allclose(lobes[reached], samples.lobes[reached])
+    assert_allclose(lobes[reached], samples.lobes[reached])
     assert reached[samples.valid.any(-1)].all()
     foretold = (
         lobes[..., :1] * clean.diffuse_linear
         + np.einsum("jvs,vs->jv", lobes[..., 1:], clean.weights)[..., None]
     )
     error = np.abs(samples.observed_linear / clean.exposure - foretold)[samples.valid]
-    scale = float(np.sqrt(np.mean(foretold[samples.valid] ** 2)))
+    scale = rms(foretold[samples.valid])
     assert np.median(error) < 0.015 * scale
     assert np.percentile(error, 90) < 0.09 * scale
 
@@ -123,7 +125,7 @@ def test_gains_of_flashes_are_in_the_pictures():
     assert np.ptp(varied.light_gain) > 0.1
     for k, gain in enumerate(varied.light_gain):
         light = [c.flash[k] ** c.portrait.gamma / c.exposure for c in (varied, even)]
-        assert np.allclose(light[0], gain * light[1], rtol=1e-4, atol=1e-5)
+        assert_allclose(light[0], gain * light[1], rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.slow
