@@ -18,16 +18,9 @@ CORNER_LINEAR = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.21586050011389926]
 
 def quarters(size=8, dtype=np.uint8):
     """(size, size, 3) sRGB image, row 0 the top; each quarter has its own colour."""
-    red, green, blue, grey = (np.array(c) for c in CORNER_COLORS.values())
-    image = np.zeros((size, size, 3), np.uint8)
-    half = size // 2
-    image[half:, :half], image[half:, half:], image[:half, half:], image[:half, :half] = (
-        red,
-        green,
-        blue,
-        grey,
-    )
-    return image.astype(dtype) * (257 if dtype == np.uint16 else 1)
+    red, green, blue, grey = CORNER_COLORS.values()
+    image = np.array([[grey, blue], [red, green]], dtype).repeat(size // 2, 0).repeat(size // 2, 1)
+    return image * (257 if dtype == np.uint16 else 1)
 
 
 def sample(scan, uv):

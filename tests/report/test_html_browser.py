@@ -120,7 +120,8 @@ def test_the_picture_is_the_librarys(opened, face_folder, case):
     )
     relit = relight(replace(face, casts_shadows=shadows), lights, options=PLAIN)
     view = {"azimuth": azimuth, "elevation": elevation, "zoom": 1}
-    state = {"mode": "relit", "ambient": 1, "shadows": shadows, "view": view, "lights": lamps(lights)}
+    off = {**lamps([SIDE])[0], "on": False}
+    state = {"mode": "relit", "ambient": 1, "shadows": shadows, "view": view, "lights": [*lamps(lights), off]}
     picture, drawn, inside, off = compared(opened, relit, camera, **state)
     assert inside.mean() > 0.25
     assert ((picture.alpha > 0.5) != (drawn[..., 3] > 127)).mean() < 0.01
@@ -128,17 +129,6 @@ def test_the_picture_is_the_librarys(opened, face_folder, case):
     assert np.median(off) <= 1
     assert off.mean() < 1.5
     assert np.mean(off > 16) < 0.015
-
-
-def test_shadows_and_highlights_are_in_the_picture(opened):
-    (light,) = lamps([SIDE])
-    state = {"mode": "relit", "exposure": -1, "ambient": 1, "lights": [light]}
-    with_shadows, without = (pixels(opened, **state, shadows=cast) for cast in (True, False))
-    darker = (without - with_shadows)[..., :3].max(-1) > 20
-    assert 0.002 < darker.mean() < 0.2
-    assert (with_shadows <= without + 1).all()
-    off = pixels(opened, **{**state, "lights": [{**light, "on": False}]}, shadows=True)
-    assert off[..., :3].mean() < 0.8 * with_shadows[..., :3].mean()
 
 
 def test_every_mode_draws_something_else(opened):

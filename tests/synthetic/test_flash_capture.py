@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench.judging import relative_rmse
 from helpers.measures import rms, row_lengths
 from numpy.testing import assert_allclose
 
@@ -12,7 +11,6 @@ from scan2albedo.geometry.pinhole import project
 from scan2albedo.reflectance import (
     OlatOptions,
     extract_olat,
-    fit_reflectance,
     point_light_lobes,
     rig_of_head_poses,
     sample_vertices,
@@ -103,15 +101,6 @@ def test_landmarks_and_vertices_are_in_the_frame_of_the_cameras(clean):
         assert ((pixels > 0) & (pixels < clean.portrait.picture_size)).all()
     nearest = np.linalg.norm(clean.landmarks[:, None] - clean.vertices[None], axis=2).min(1)
     assert nearest.max() < 3.0
-
-
-def test_a_fit_finds_the_reflectance_again(noisy):
-    fit = fit_reflectance(samples_of(noisy))
-    known = fit.reflectance.known & (fit.pair_count >= 6)
-    found = fit.reflectance.diffuse_linear[known] / noisy.exposure
-    assert known.mean() > 0.6
-    assert np.median(np.abs(found / noisy.diffuse_linear[known] - 1)) < 0.045
-    assert relative_rmse(found, noisy.diffuse_linear[known]) < 0.16
 
 
 @pytest.mark.slow
