@@ -1,6 +1,6 @@
 """Half a ball as a face: people whose skin differs smoothly, and their pictures in everyday light."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from worlds.environments import generated_environment
@@ -18,14 +18,16 @@ class HalfBall:
 
     points: np.ndarray
     normals: np.ndarray
-    view: np.ndarray = field(init=False)
-    """(V, 3): unit directions to the camera."""
-    seen: np.ndarray = field(init=False)
-    """(V,)."""
 
-    def __post_init__(self):
-        object.__setattr__(self, "view", normalized([0, 0, 3.0] - self.points))
-        object.__setattr__(self, "seen", np.einsum("vi,vi->v", self.normals, self.view) > 0.1)
+    @property
+    def view(self):
+        """(V, 3): unit directions to the camera."""
+        return normalized([0, 0, 3.0] - self.points)
+
+    @property
+    def seen(self):
+        """(V,)."""
+        return np.einsum("vi,vi->v", self.normals, self.view) > 0.1
 
     @classmethod
     def of(cls, directions, bumps=None):

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from helpers.meshes import grid, sphere
-from helpers.plates import FACES
 from helpers.poses import REST
 from numpy.testing import assert_allclose
 
@@ -41,12 +40,6 @@ def test_depth_equals_the_first_hit_of_a_ray_from_the_viewer(model, size):
     # A ray through a silhouette edge may go either way.
     assert (np.isfinite(image) != np.isfinite(expected)).mean() < 0.002
     assert_allclose(image[both], expected[both], atol=2e-3)
-
-
-def test_a_tilted_plane_is_exact():
-    vertices = np.array([[-9.0, -9, 0], [9, -9, 18], [9, 9, 18], [-9, 9, 0]])
-    frame = DepthFrame((0.0, 0.0), 10.0, 20)
-    assert_allclose(depth_image(vertices, FACES, frame), pixel_centres(frame)[..., 0] + 9, atol=1e-12)
 
 
 def test_empty_pixels_are_minus_infinity_and_the_limit_looks_through():

@@ -33,7 +33,7 @@ def _record(name, **changes):
         "name": name,
         "seed": 0,
         "options": {"model": "none", "size": 32, "unit": "auto", "skip": []},
-        "input": InputRecord(sha256="0" * 64, vertices=10, faces=20, texture_size=(64, 32)),
+        "input": InputRecord(sha256="0" * 64, vertices=10, faces=20),
         "plan": (
             PlanStep(stage="fit", ran=False, reason="no model was asked for"),
             PlanStep(stage="albedo.shadows", ran=True, reason="it shades itself", evidence="at most 28 %"),
@@ -41,7 +41,6 @@ def _record(name, **changes):
         "metrics": {
             "seconds": 12.5,
             "fit": {"residual_mean_mm": 0.125, "converged": True},
-            "registration": {"rmse_mm": 1.5, "confidence": 0.9},
             "albedo": {
                 "lights": 2,
                 "expected_error": 0.037,

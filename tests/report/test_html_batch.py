@@ -22,6 +22,7 @@ from scan2albedo.report.html.batch_section import (
 from tests.report.pages import check, written
 
 EVIL = "<img src=x onerror=alert(1)>"
+SCRIPT = "</td><script>alert(1)</script>"
 START = datetime(2026, 1, 1, 12)
 
 
@@ -76,7 +77,7 @@ def test_a_catalogue_makes_the_table_with_the_users_columns(write_scan, tmp_path
         out,
         [
             entry("anna", folder="anna", seconds=10.0, finished_at=START, worker="w1", cohort=EVIL, age=40),
-            entry("ben", FAILED, reason="no face", finished_at=START, worker="w2", cohort="B"),
+            entry(EVIL, FAILED, reason=SCRIPT, finished_at=START, worker="w2", cohort="B"),
             entry("cleo", "not run", cohort="B", age=31),
             entry("gone", folder="gone", seconds=20.0, finished_at=START + timedelta(seconds=50)),
         ],
@@ -86,7 +87,8 @@ def test_a_catalogue_makes_the_table_with_the_users_columns(write_scan, tmp_path
     assert (made.scans, made.done, made.failed, made.sections) == (4, 2, 1, 1)
     page = check(made)
     words = page.words()
-    for told in ("1× no face", "1 not run", EVIL, "Cohort", "Age", "its files are not here", "workers 2"):
+    assert words.count(EVIL) == 2
+    for told in (f"1× {SCRIPT}", "1 not run", "Cohort", "Age", "its files are not here", "workers 2"):
         assert told in words
     # Two scans within the 60 s from 11:59:50 to 12:00:50.
     assert "throughput 120 scans/h" in words
@@ -106,14 +108,6 @@ def test_a_damaged_catalogue_and_one_of_something_else_are_refused_and_an_empty_
         report.write_report(tmp_path)
     write_catalogue(tmp_path, [], pyarrow.schema({"name": "string", "status": "string"}))
     assert "0 done" in written(tmp_path).words()
-
-
-def test_names_of_a_catalogue_are_text(tmp_path):
-    write_catalogue(tmp_path / "b", [entry(EVIL, FAILED, reason="</td><script>alert(1)</script>")])
-    page = written(tmp_path / "b")
-    assert EVIL in page.words()
-    assert "</td><script>alert(1)</script>" in page.words()
-    assert len(page.all("script")) == 1
 
 
 def test_columns_of_any_type_become_text_or_numbers(tmp_path):
