@@ -14,7 +14,7 @@ from scan2albedo.albedo.lit_image import LitImage
 from scan2albedo.albedo.prior import AlbedoPrior
 from scan2albedo.core import Budget, Meter
 from scan2albedo.core.geometry_image import GeometryImage
-from scan2albedo.synthetic import Material, light_at, renderer
+from scan2albedo.synthetic import Material, hemisphere, light_at, renderer
 from scan2albedo.synthetic.renderer import RayScene
 
 
@@ -40,16 +40,12 @@ def percent_off(estimate, scene):
     return albedo_error(estimate.albedo_linear, scene.albedo_linear, scene.image.mask).mse_percent
 
 
-def hemisphere_geometry(size, radius_mm=80.0):
-    """Equal-area disc chart of a hemisphere around +z."""
-    axis = (np.arange(size) + 0.5) / size * 2 - 1
-    u, v = np.meshgrid(axis, -axis)
-    rho = np.hypot(u, v)
-    mask = rho < 0.98
-    z = 1 - np.minimum(rho, 1) ** 2
-    ring = np.sqrt(np.maximum(1 - z**2, 0)) / np.maximum(rho, 1e-9)
-    normal = np.stack([u * ring, v * ring, z], -1) * mask[..., None]
-    return radius_mm * normal, normal, mask
+def hemisphere_geometry(size):
+    """Equal-area disc chart of a hemisphere around +z, without its grazing rim."""
+    image = hemisphere(size=size, lights=[]).image
+    mask = image.normal[..., 2] > 1 - 0.98**2
+    normal = image.normal * mask[..., None]
+    return 80 * normal, normal, mask
 
 
 def bumps_geometry(size, half_mm=90.0):

@@ -123,16 +123,6 @@ def test_images_of_a_chart_nobody_named_go_with_any_model(people, tmp_path, prob
     assert found.gallery.templates.chart.model == "default"
 
 
-def test_whom_the_gallery_does_not_know_is_named(gallery, people, tmp_path):
-    strangers = listed(tmp_path, [("zoe", people / "ann-2"), ("bob", people / "bob-2")])
-    found = identified(gallery, strangers)
-    assert found.matches.predicted == ("ann", "bob")
-    assert known_names(found) == ("bob",)
-    assert found.probes.persons == ("zoe", "bob")
-    assert "no image of the persons on 1 probes: " in found.notes[0]
-    assert "ann-2 (zoe); they are identified, but count in no rate" in found.notes[0]
-
-
 def test_errors_of_the_albedo_are_weights(people, tmp_path):
     folder = shutil.copytree(people / "bob-2", tmp_path / "bob")
     seen = read_face(folder).certainty > 0
@@ -178,7 +168,7 @@ def test_command_and_function_give_one_number(people, stored, tmp_path):
         assert found.by_kind["albedo"][0, 0] == pytest.approx(expected, abs=1e-5)
 
 
-def test_a_folder_of_results_is_a_gallery(people, stored, tmp_path):
+def test_a_folder_of_results_is_a_gallery_and_whom_it_does_not_know_is_named(people, stored, tmp_path):
     for seed, name in enumerate(("ann", "bob", "cy")):
         stored(tmp_path / "nested" / name / "monday", seed, noise=3)
     (tmp_path / "nested" / ".batch").mkdir()
@@ -186,7 +176,9 @@ def test_a_folder_of_results_is_a_gallery(people, stored, tmp_path):
     assert found.gallery.labels == ("ann/monday", "bob/monday", "cy/monday")
     assert found.matches.predicted == ("ann", "ann", "bob", "bob", "cy", "cy")
     assert known_names(found) == ("ann", "bob", "cy")
-    assert "ann-2 (ann-2)" in found.notes[0]
+    assert found.probes.persons == ("ann", "ann-2", "bob", "bob-2", "cy", "cy-2")
+    assert "no image of the persons on 3 probes: " in found.notes[0]
+    assert "cy-2 (cy-2); they are identified, but count in no rate" in found.notes[0]
     with pytest.raises(RecognitionError, match=r"ann: is one result"):
         identify_results(people / "ann", people)
 

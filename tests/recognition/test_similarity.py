@@ -50,14 +50,10 @@ def random_templates(seed, count, shape=(12, 15), contrast=1.0):
     return Templates(np.where(mask[:, None], values, 0).astype(np.complex64), mask, names, weight=weight)
 
 
-def test_an_image_is_like_itself(albedo, face_like_mask):
-    image = albedo(0)
-    assert cw_ssim(image, image) == pytest.approx(1, abs=1e-12)
-    many = np.random.default_rng(0).random((8, 64, 64))
-    assert max(cw_ssim(one, one) for one in many) <= 1  # rounding, too, stays below
-    assert cw_ssim(image, image, face_like_mask) == pytest.approx(1, abs=1e-12)
-    templates = albedo_templates([image], ["ann"])
-    assert similarity_matrix(templates, templates)[0, 0] == pytest.approx(1, abs=1e-5)
+def test_an_image_is_like_itself():
+    alike = [cw_ssim(image, image) for image in np.random.default_rng(0).random((8, 64, 64))]
+    assert_allclose(alike, 1, atol=1e-12)
+    assert max(alike) <= 1  # rounding, too, stays below
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -8,7 +8,6 @@ import pytest
 from scan2albedo import RawScan, register
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.registration.acceptance import NAMES, people, proportion_doubts
-from scan2albedo.synthetic.face_shape import person
 
 TOLD = {"register.proportions", "register.size"}
 
@@ -70,13 +69,6 @@ def test_a_stretched_scan_is_told_by_its_axis(upright, model, axis, factor):
 @pytest.mark.parametrize("factor", [0.78, 1.25])
 def test_another_scale_is_told(upright, model, factor):
     assert told(upright.scaled(factor), model) == {"register.size"}
-
-
-def test_no_synthetic_person_is_told(model):
-    faces = model.subdivision(2).faces
-    for seed in range(3):
-        shape = model.subdivision(2).matrix @ person(model, np.random.default_rng(seed))
-        assert told(RawScan(shape, faces), model) == set()
 
 
 @pytest.mark.parametrize("number", range(4))

