@@ -113,8 +113,6 @@ def methods():
 def lacks_of_method(method):
     """Yield what the docstring of a method lacks, or documents without need."""
     text = docstring(method)
-    if not text:
-        yield "docstring"
     if len(parameters(method)) > DESCRIBED_IN_TEXT:
         yield from sorted(parameters(method) ^ documented_parameters(text))
     yield from unnamed_errors(method)

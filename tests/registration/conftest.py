@@ -1,6 +1,6 @@
 """Shapes and raw-like scans that the registration tests share."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from helpers.poses import assert_near
 from worlds.raw_like import raw_like
 
 from scan2albedo import RawScan
-from scan2albedo.geometry.rigid import invert_rigid, procrustes
+from scan2albedo.geometry.rigid import invert_rigid, procrustes, transform_points
 from scan2albedo.registration.inputs import Template
 from scan2albedo.synthetic.face_shape import person
 
@@ -68,3 +68,10 @@ def ict_scan(ict, model):
         return PosedScan(scan, model_from_shape @ np.linalg.inv(scan_from_shape))
 
     return make
+
+
+@pytest.fixture(scope="session")
+def upright(synthetic_scan):
+    """A raw-like scan that stands as the model does."""
+    example = synthetic_scan(2)
+    return replace(example.scan, vertices=transform_points(example.model_from_scan, example.scan.vertices))

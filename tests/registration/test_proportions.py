@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from scan2albedo import RawScan, register
-from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.registration.acceptance import NAMES, people, proportion_doubts
 
 TOLD = {"register.proportions", "register.size"}
@@ -31,12 +30,6 @@ def flat(model):
     """The default model in another person's shape, as that person's template."""
     own = flattened(model.control_vertices, model)
     return replace(model, control_vertices=own, _subdivisions={}, name="flat")
-
-
-@pytest.fixture(scope="module")
-def upright(synthetic_scan):
-    example = synthetic_scan(2)
-    return replace(example.scan, vertices=transform_points(example.model_from_scan, example.scan.vertices))
 
 
 def test_a_flat_face_is_a_face_like_others(model):

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from scan2albedo.errors import ModelError
 from scan2albedo.face_model.variation import EXPRESSION_BUMPS, IDENTITY_BUMPS, displacement
 from scan2albedo.geometry.loop_subdivision import SurfacePoints
 from scan2albedo.geometry.rasterization import rasterize_uv
-from scan2albedo.synthetic import Material, face, light_at
+from scan2albedo.synthetic import Material, face, hemisphere, light_at
 from scan2albedo.synthetic.face_shape import face_geometry_image, face_surface, person, with_relief
 from scan2albedo.synthetic.scenes import texel_coordinates
 from scan2albedo.synthetic.textures import PaintedFeatures, landmark_uv, paint_face
@@ -84,11 +85,14 @@ def test_texels_lie_where_the_models_chart_says(model):
     assert across @ image.normal[32, 32] > 0.9 * np.linalg.norm(across)
 
 
-@pytest.mark.parametrize("texture", ["plain", "skin", "wood"])
-def test_texture_is_albedo_times_shading_plus_highlights(texture):
-    scene = face(2, size=96, texture=texture, bits=None, material=Material(0.3, 0.2, 15.0))
+@pytest.mark.parametrize(
+    "make", [hemisphere, *(partial(face, 2, texture=texture) for texture in ("plain", "skin", "wood"))]
+)
+def test_texture_is_albedo_times_shading_plus_highlights(make):
+    scene = make(size=96, bits=None, material=Material(0.3, 0.2, 15.0))
     made = scene.albedo_linear * scene.shading[..., None] + scene.specular[..., None]
     assert_allclose(scene.image.texture_linear, made * scene.gain, atol=1e-6)
+    assert scene.image.texture_linear.max() == pytest.approx(0.98, abs=1e-6)
     assert scene.specular.max() > 0.1
     assert np.all(scene.shading[scene.image.mask] >= 1)
 
