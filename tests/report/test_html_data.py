@@ -160,8 +160,8 @@ def test_residuals_are_measured_again_from_the_input(write_scan, tmp_path):
     assert "no longer there" in residual_of_result(result, record, mesh)[1]
 
 
-def rows(errors, stage="fit"):
-    return [TraceRow(stage, 0.1 * k, 0.1 * k, k, error, "mm") for k, error in enumerate(errors)]
+def rows(errors):
+    return [TraceRow("fit", 0.1 * k, 0.1 * k, k, error, "mm") for k, error in enumerate(errors)]
 
 
 def test_error_axes_are_logarithmic_where_the_error_falls_by_much():

@@ -74,16 +74,15 @@ def test_key_points_lie_where_their_names_say(welded):
     assert glasses.names == KEY_POINT_NAMES
     assert len(set(glasses.keypoint_vertices.tolist())) == 20
     assert at["bridge_top"][1] > at["bridge_bottom"][1]
-    for side, sign in (("left", 1), ("right", -1)):
-        rim = glasses.lens_outlines[0 if side == "left" else 1]
+    for side, sign, rim in zip(("left", "right"), (1, -1), glasses.lens_outlines, strict=True):
         assert at[f"{side}_rim_top"][1] > rim[:, 1].max()
         assert at[f"{side}_rim_bottom"][1] < rim[:, 1].min()
         assert sign * at[f"{side}_hinge"][0] > (sign * rim[:, 0]).max()
         depth = [at[f"{side}_{n}"][2] for n in ("hinge", "temple_middle", "ear_bend", "temple_tip")]
         assert (np.diff(depth) < -10).all()
         assert at[f"{side}_temple_tip"][1] < at[f"{side}_temple_middle"][1] - 10
-    for a, b in SKELETON:
-        assert 3 < np.linalg.norm(glasses.keypoints[a] - glasses.keypoints[b]) < 70
+    lengths = row_lengths(np.ptp(glasses.keypoints[np.array(SKELETON)], axis=1))
+    assert 3 < lengths.min() < lengths.max() < 70
 
 
 def test_a_bend_spreads_the_temples_by_what_is_asked_and_keeps_the_volume():
