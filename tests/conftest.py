@@ -17,7 +17,7 @@ DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 
 
 @pytest.fixture(scope="session")
-def shared_data() -> Path:
+def shared_data():
     """Folder of real scans; the test is skipped, visibly, where it is absent."""
     if not DATA.is_dir():
         pytest.skip(f"real scans are not here: {DATA.name} beside the repository is absent")
@@ -25,7 +25,7 @@ def shared_data() -> Path:
 
 
 @pytest.fixture(scope="session")
-def model() -> AnnotatedFaceModel:
+def model():
     """The default model."""
     return AnnotatedFaceModel.default()
 

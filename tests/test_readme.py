@@ -3,22 +3,19 @@
 import dataclasses
 import re
 import shlex
-from collections.abc import Iterator
 from functools import cache
 from importlib import import_module
 from itertools import takewhile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from bench.registry import benches_of
+from helpers.square import vertex_colors
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md"))]
-COMING: set[str] = set()
-"""Pages that may be linked to before they are there."""
 ORDER = ["registration", "fitting", "geometry_image", "light_and_albedo", "face_model", "applications"]
 ORDER += ["recognition", "eyeglasses", "reflectance", "files"]
 """Python blocks use what those of earlier pages made; other pages come last."""
@@ -29,20 +26,24 @@ every_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 
 
 @cache
-def text_of(page: Path) -> str:
+def text_of(page):
     return page.read_text(encoding="utf-8")
 
 
-def blocks(page: Path, language: str) -> list[str]:
+def blocks(page, language):
     return re.findall(rf"^```{language}\n(.*?)^```", text_of(page), re.DOTALL | re.MULTILINE)
 
 
-def code_spans(page: Path) -> list[str]:
-    prose = re.sub(r"^```.*?^```", "", text_of(page), flags=re.DOTALL | re.MULTILINE)
-    return re.findall(r"`([^`\n]+)`", prose)
+def prose(page):
+    """Return the text of a page without its blocks of code."""
+    return re.sub(r"^```.*?^```", "", text_of(page), flags=re.DOTALL | re.MULTILINE)
 
 
-def shell_lines(page: Path) -> Iterator[list[str]]:
+def code_spans(page):
+    return re.findall(r"`([^`\n]+)`", prose(page))
+
+
+def shell_lines(page):
     """The words of each shell line and of each command named in the text."""
     for block in blocks(page, "sh"):
         for line in block.replace("\\\n", " ").splitlines():
@@ -53,7 +54,7 @@ def shell_lines(page: Path) -> Iterator[list[str]]:
 
 
 @cache
-def root() -> Any:
+def root():
     import typer
 
     from scan2albedo.cli.commands import app
@@ -61,20 +62,21 @@ def root() -> Any:
     return typer.main.get_command(app)
 
 
-def is_group(command: Any) -> bool:
-    return hasattr(command, "commands")
+def inner(command):
+    """Return the commands of a group by name; of any other none."""
+    return getattr(command, "commands", {})
 
 
-def command_of(words: list[str]) -> tuple[Any, list[str]]:
+def command_of(words):
     """The command that a line calls and the words after its name."""
     command, rest = root(), words
-    while is_group(command) and rest:
+    while inner(command) and rest:
         assert rest[0] in command.commands, f"{' '.join(words)}: {rest[0]!r} is not a command"
         command, rest = command.commands[rest[0]], rest[1:]
     return command, rest
 
 
-def options_in(words: list[str]) -> list[str]:
+def options_in(words):
     """Names of the options among words; numbers are none."""
     return [word.partition("=")[0] for word in words if re.match(r"--?[a-zA-Z]", word)]
 
@@ -119,11 +121,10 @@ def test_stage_pages_show_how_to_call_them():
 
 
 def test_the_page_of_commands_names_every_command():
-    def names(command: Any, path: str) -> Iterator[str]:
-        if is_group(command):
-            for name, inner in command.commands.items():
-                yield from names(inner, f"{path} {name}")
-        else:
+    def names(command, path):
+        for name, one in inner(command).items():
+            yield from names(one, f"{path} {name}")
+        if not inner(command):
             yield path
 
     table = {span for span in code_spans(DOCS / "commands.md") if span.startswith("scan2albedo ")}
@@ -156,7 +157,7 @@ def test_benches_and_their_methods_exist(page):
 
 
 @cache
-def python_files(folder: str) -> tuple[Path, ...]:
+def python_files(folder):
     return tuple((ROOT / folder).rglob("*.py"))
 
 
@@ -172,7 +173,7 @@ def test_named_folders_and_files_exist(page):
         assert module in package, module
 
 
-def anchors(page: Path) -> set[str]:
+def anchors(page):
     """What links to headings of a page may name, as GitHub makes it."""
     headings = re.findall(r"^#+ (.+)$", text_of(page), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
@@ -185,41 +186,33 @@ def test_relative_links_and_images_exist(page):
             continue
         path, _, anchor = target.partition("#")
         file = (page.parent / path).resolve() if path else page
-        if file.name in COMING and file.parent == DOCS and not file.is_file():
-            continue
         assert file.exists(), target
         assert not anchor or anchor in anchors(file), target
 
 
-PLACES = {
-    "albedo": ["EstimateOptions"],
-    "applications": ["RelightOptions", "SwapOptions", "TransferOptions"],
-    "eyeglasses": [
-        "CanonicalizationOptions",
-        "FaceRegistrationOptions",
-        "LensPictureOptions",
-    ],
-    "fitting": ["FitOptions"],
-    "recognition": ["TemplateOptions"],
-    "reflectance": ["OlatOptions", "ReflectanceFitOptions"],
-    "registration": ["RegistrationOptions"],
+BARE = {
+    "registration": "RegistrationOptions",
+    "fitting": "FitOptions",
+    "light_and_albedo": "EstimateOptions",
+    "recognition": "TemplateOptions",
 }
-"""Where the options that pages name are."""
-BARE = {"registration": "RegistrationOptions", "fitting": "FitOptions", "light_and_albedo": "EstimateOptions"}
-BARE["recognition"] = "TemplateOptions"
 """Whose options a page's table lists before it names a class."""
+NUMBER = r"\d+(?:\.\d+)?(?:e-?\d+)?"
 
 
-def option_classes() -> dict[str, type]:
+def default_values():
+    """Return the default of each field by the names of the public classes of options."""
+    places = ("albedo", "applications", "eyeglasses", "fitting", "recognition", "reflectance", "registration")
     return {
-        name: getattr(import_module(f"scan2albedo.{place}"), name)
-        for place, names in PLACES.items()
-        for name in names
+        name: {field.name: field.default for field in dataclasses.fields(getattr(package, name))}
+        for package in map(import_module, (f"scan2albedo.{place}" for place in places))
+        for name in package.__all__
+        if name.endswith("Options")
     }
 
 
-def named_defaults(page: Path, classes: dict[str, type]) -> Iterator[tuple[str, list[object], str]]:
-    """Each row of a page's tables of options: what it names, their defaults, and what it says they are."""
+def named_defaults(page, defaults):
+    """Yield each row of a page's tables of options: what it names, their defaults, and what it says."""
     owner = BARE.get(page.stem)
     for row in re.findall(r"^\| (`.*) \|$", text_of(page), re.MULTILINE):
         first, said = row.split(" | ")[:2]
@@ -228,28 +221,26 @@ def named_defaults(page: Path, classes: dict[str, type]) -> Iterator[tuple[str, 
             r"`(?:(\w+Options)?\.)?(\w+)(?:=[^`]*)?`", first.partition(", file key")[0]
         ):
             owner = named or owner
-            fields = (
-                {} if owner is None else {field.name: field for field in dataclasses.fields(classes[owner])}
-            )
+            fields = defaults.get(owner, {})
             assert not named or option in fields, f"{named} has no {option}"
             if option in fields:
-                values.append(fields[option].default)
+                values.append(fields[option])
         if values:
             yield first, values, said
 
 
 def test_defaults_in_tables_are_those_of_the_options():
-    classes = option_classes()
+    every = default_values()
     checked = 0
     for page in PAGES:
-        for first, defaults, said in named_defaults(page, classes):
+        for first, defaults, said in named_defaults(page, every):
             if re.search(r"command|in `|by evidence|broad|objective", said + first):
                 continue
             checked += 1
-            numbers = [float(number) for number in re.findall(r"\d+(?:\.\d+)?(?:e-?\d+)?", repr(defaults))]
-            told = [
-                float(number) for number in re.findall(r"\d+(?:\.\d+)?(?:e-?\d+)?", said.replace(",0", "0"))
-            ]
+            numbers, told = (
+                [float(number) for number in re.findall(NUMBER, text)]
+                for text in (repr(defaults), said.replace(",0", "0"))
+            )
             if numbers:
                 assert told[: len(numbers)] == pytest.approx(numbers), first
             else:
@@ -259,8 +250,7 @@ def test_defaults_in_tables_are_those_of_the_options():
 
 @every_page
 def test_tables_have_as_many_cells_in_each_row(page):
-    prose = re.sub(r"^```.*?^```", "", text_of(page), flags=re.DOTALL | re.MULTILINE)
-    for table in re.findall(r"(?:^\|.*\n)+", prose, re.MULTILINE):
+    for table in re.findall(r"(?:^\|.*\n)+", prose(page), re.MULTILINE):
         cells = {line.replace("\\|", "").count("|") for line in table.splitlines()}
         assert len(cells) == 1, table.splitlines()[0]
 
@@ -293,39 +283,25 @@ def test_python_examples_run(tmp_path, monkeypatch):
     from scan2albedo.synthetic import raw_scan, wearer
 
     scan, _ = raw_scan(0)
-    height, width = scan.texture_linear.shape[:2]
-    uv = np.zeros((len(scan.vertices), 2))
-    uv[scan.faces] = scan.uv
-    column = np.clip((uv[:, 0] * width).astype(int), 0, width - 1)
-    row = np.clip(((1 - uv[:, 1]) * height).astype(int), 0, height - 1)
-    color = np.round(255 * scan.texture_linear[row, column] ** (1 / 2.2)).astype(np.uint8)
+    color = np.round(255 * vertex_colors(scan) ** (1 / 2.2)).astype(np.uint8)
     mesh = trimesh.Trimesh(scan.vertices, scan.faces, vertex_colors=color, process=False)
     mesh.export(tmp_path / "subject.ply")
     monkeypatch.chdir(tmp_path)
     worn = wearer(0)
     frame = worn.glasses
     names = {
-        "meshes": [(frame.rest_vertices, frame.faces), (frame.vertices, frame.faces)],
+        "meshes": [(vertices, frame.faces) for vertices in (frame.rest_vertices, frame.vertices)],
         "keypoints": [frame.rest_keypoints, frame.keypoints],
         "labels": worn.labels,
         "masks": worn.masks,
         "cameras": worn.cameras,
     }
-    for page in in_order():
+    first = [ROOT / "README.md", *(DOCS / f"{name}.md" for name in ORDER)]
+    for page in [*first, *(page for page in PAGES if page not in first)]:
         for block in blocks(page, "python"):
             exec(compile(block.replace("subject.obj", "subject.ply"), page.name, "exec"), names)
-    assert names["albedo"].shape == (512, 512, 3)
-    assert names["albedos"].shape[1:] == (512, 512, 3)
-    assert names["relit"].shape == (512, 512, 3)
-    assert names["landmarks"].shape == (68, 3)
+    for name in ("albedo", "relit"):
+        assert names[name].shape == (512, 512, 3)
     assert names["carried"].template_vertices.shape == names["vertices"].shape
-    assert names["picture"].shape == (256, 256, 3)
-    assert names["between"].albedo_linear.shape == (512, 512, 3)
-    assert names["frame"].deviation.shape == (len(frame.vertices),)
     assert names["comparable"][names["face"].image.seen].max(-1).mean() == pytest.approx(1, abs=0.2)
     assert (tmp_path / "out" / "subject" / "overview.png").is_file()
-
-
-def in_order() -> list[Path]:
-    first = [ROOT / "README.md", *(DOCS / f"{name}.md" for name in ORDER)]
-    return first + [page for page in PAGES if page not in first]

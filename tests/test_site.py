@@ -41,7 +41,7 @@ def test_names_are_found_where_they_are_defined():
 
 
 def test_a_name_is_shown_once_and_linked_to_from_other_packages():
-    shown: dict[str, str] = {}
+    shown = {}
     first = site_pages.python_page("scan2albedo", ["fit"], shown)
     second = site_pages.python_page("scan2albedo.fitting", ["fit", "FitOptions"], shown)
     assert "::: scan2albedo.fitting.fit.fit" in first

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from helpers.npz import rewritten
 from helpers.records import read_json
-from helpers.schemas import FOLDER, check_schema
+from helpers.schemas import SCHEMAS, check_schema
 from numpy.testing import assert_array_equal
 
 from scan2albedo import AnnotatedFaceModel
@@ -63,7 +63,7 @@ def test_same_model_gives_the_same_bytes(saved, tmp_path):
 
 def test_json_fits_the_shipped_schema(saved):
     check_schema(saved, "annotated_face_model", {"format": "other"})
-    schema = read_json(FOLDER / "annotated_face_model.schema.json")
+    schema = read_json(SCHEMAS / "annotated_face_model.schema.json")
     generated = FaceModelFile.model_json_schema(mode="serialization")
     assert {k: v for k, v in schema.items() if k not in ("$schema", "$id")} == generated
 

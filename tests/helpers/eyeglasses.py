@@ -25,13 +25,13 @@ def outline_distances(points, outline):
     return polyline_distance(points, np.concatenate([outline, outline[:1]]))
 
 
-def glazed(glasses, sides=(0, 1), thickness=2.0, gap=0.3):
+def glazed(glasses, sides=(0, 1), gap=0.3):
     """A frame with glass in its rims: two domed sheets a lens, `gap` inside the outline."""
     parts = [(glasses.vertices, glasses.faces)]
     for side in sides:
         outline, center = glasses.lens_outlines[side], glasses.lens_centers[side]
         inward = (center - outline) / np.linalg.norm(center - outline, axis=1)[:, None]
-        for lift in (0.0, -thickness):
+        for lift in (0.0, -2.0):
             parts.append(lens_mesh(center + [0, 0, 3 + lift], outline + gap * inward + [0, 0, lift]))
     return join(parts)
 

@@ -1,6 +1,7 @@
 """glTF files by the standard's text: they share no code with our readers and writers."""
 
 import json
+import math
 import struct
 
 import numpy as np
@@ -9,7 +10,7 @@ from scan2albedo.io import load_scan
 
 COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 KINDS = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
-WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+WIDTHS = {name: math.prod(shape) for shape, name in KINDS.items()}
 
 
 class Gltf:

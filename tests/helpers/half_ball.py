@@ -1,6 +1,6 @@
 """Half a ball as a face: people whose skin differs smoothly, and their pictures in everyday light."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from worlds.environments import generated_environment
@@ -8,7 +8,7 @@ from worlds.environments import generated_environment
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics, project_environment
-from scan2albedo.reflectance import ImageObservation, LightResponse, VertexReflectance
+from scan2albedo.reflectance import ImageObservation, VertexReflectance
 from scan2albedo.reflectance.environment_shading import light_response
 
 
@@ -18,17 +18,19 @@ class HalfBall:
 
     points: np.ndarray
     normals: np.ndarray
-    view: np.ndarray = field(init=False)
-    """(V, 3): unit directions to the camera."""
-    seen: np.ndarray = field(init=False)
-    """(V,)."""
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "view", normalized([0, 0, 3.0] - self.points))
-        object.__setattr__(self, "seen", np.einsum("vi,vi->v", self.normals, self.view) > 0.1)
+    @property
+    def view(self):
+        """(V, 3): unit directions to the camera."""
+        return normalized([0, 0, 3.0] - self.points)
+
+    @property
+    def seen(self):
+        """(V,)."""
+        return np.einsum("vi,vi->v", self.normals, self.view) > 0.1
 
     @classmethod
-    def of(cls, directions: int, bumps: np.ndarray | None = None) -> "HalfBall":
+    def of(cls, directions, bumps=None):
         """Return that half of evenly spread directions; `bumps` (2, 3, 3) are waves that tilt its normals."""
         points = distant_directions(directions)
         points = points[points[:, 2] > 0]
@@ -38,11 +40,11 @@ class HalfBall:
         return cls(points, normalized(points + 0.25 * np.stack([*waves, np.zeros(len(points))], 1)))
 
     @property
-    def response(self) -> LightResponse:
+    def response(self):
         """How its vertices respond to light without shadows."""
         return light_response(self.normals, self.view)
 
-    def people(self, count: int, seed: int, pattern: np.ndarray | float = 1.0) -> list[VertexReflectance]:
+    def people(self, count, seed, pattern=1.0):
         """Return reflectances with eight ways to differ, their albedos times a pattern that all share."""
         shapes = np.random.default_rng(7).normal(size=(5, 8, 81)) @ harmonics(self.points).T * 0.4
         rng, faces = np.random.default_rng(seed), []
@@ -56,20 +58,20 @@ class HalfBall:
 
     def picture(
         self,
-        face: VertexReflectance,
-        seed: int,
+        face,
+        seed,
         *,
-        exposure: float = 1.0,
-        noise: float = 0.01,
-        transfer: LightResponse | None = None,
-    ) -> ImageObservation:
+        exposure=1.0,
+        noise=0.01,
+        transfer=None,
+    ):
         """Return a face in the light of a generated place, with noise in parts of each colour."""
         light = exposure * project_environment(generated_environment(seed))
         color = (transfer or self.response).shade(face, light).radiance_linear
         color = color * (1 + noise * np.random.default_rng(seed).normal(size=color.shape))
         return ImageObservation(color, self.normals, self.view, self.seen, transfer)
 
-    def albedo_error(self, found: np.ndarray, truth: VertexReflectance) -> float:
+    def albedo_error(self, found, truth):
         """Return the relative error of an albedo (V, 3) after the best scale, where the camera sees it."""
         one, two = found[self.seen], truth.diffuse_linear[self.seen]
         scale = np.sum(one * two) / np.sum(one**2)

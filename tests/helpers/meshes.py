@@ -1,7 +1,5 @@
 """Small meshes: vertices and faces as arrays, and scans of them."""
 
-from pathlib import Path
-
 import numpy as np
 import trimesh
 
@@ -39,7 +37,7 @@ def ball(level=2, radius=90.0, name="ball"):
     return RawScan(vertices, faces, vertex_color_linear=color, name=name)
 
 
-def write_ball(path: Path, level=2, radius=90.0):
+def write_ball(path, level=2, radius=90.0):
     """Write a ball as a file with 8-bit vertex colours, in the format of its extension; return the path."""
     mesh = trimesh.creation.icosphere(level, radius)
     mesh.visual.vertex_colors = np.clip(128 + 90 / radius * mesh.vertices, 0, 255).astype(np.uint8)

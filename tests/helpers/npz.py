@@ -1,13 +1,11 @@
 """Models as .npz files: that they come back whole, and files that someone changed."""
 
 from dataclasses import fields
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 
-def assert_comes_back(model: Any, folder: Path) -> None:
+def assert_comes_back(model, folder):
     """Save a model twice and read it: every field is the same, and so are the bytes of both files."""
     model.save(folder / "a.npz")
     model.save(folder / "b.npz")
@@ -17,13 +15,13 @@ def assert_comes_back(model: Any, folder: Path) -> None:
     assert (folder / "a.npz").read_bytes() == (folder / "b.npz").read_bytes()
 
 
-def rewritten(path: Path, **changes: np.ndarray | None) -> None:
+def rewritten(path, **changes):
     """Replace arrays of a file; None leaves one out."""
     with np.load(path) as file:
         arrays = dict(file) | changes
     np.savez(path, **{name: array for name, array in arrays.items() if array is not None})
 
 
-def cut(path: Path) -> None:
+def cut(path):
     """Leave the first half of a file."""
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])

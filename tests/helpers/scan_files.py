@@ -4,7 +4,6 @@ import json
 
 import pytest
 
-from helpers.gltf import Gltf
 from helpers.square import square_gltf, write_square_obj
 from scan2albedo.errors import ScanError
 from scan2albedo.io import load_scan
@@ -40,14 +39,14 @@ def square_of_two_materials(folder, first="face.png", second="other.png"):
     return write_square_obj(folder, mtl=library, change=("f 1/1 3/3", "usemtl other\nf 1/1 3/3"))
 
 
-def with_picture_file(file: Gltf, uri):
+def with_picture_file(file, uri):
     """Give a glTF file the colours of a picture beside it; return the file."""
     file.tree |= {"images": [{"uri": uri}], "textures": [{"source": 0}]}
     file.material["pbrMetallicRoughness"]["baseColorTexture"] = {"index": 0}
     return file
 
 
-def write_gltf(path, file: Gltf):
+def write_gltf(path, file):
     """Write a file as JSON and data.bin beside it; return the path."""
     file.tree["buffers"][0]["uri"] = "data.bin"
     (path.parent / "data.bin").write_bytes(file.binary)

@@ -1,20 +1,16 @@
 """Files held against the JSON schemas that describe them."""
 
-import json
-from pathlib import Path
-
 import jsonschema
 import pytest
 
-FOLDER = Path(__file__).resolve().parents[2] / "data_schemas"
+from helpers.records import SCHEMAS, read_json, valid_record
 
 
 def check_schema(path, name, *wrong):
     """Return the tree of a file that fits the schema of that name, which each change of `wrong` breaks."""
-    tree = json.loads(Path(path).read_text(encoding="utf-8"))
-    rules = json.loads((FOLDER / f"{name}.schema.json").read_text(encoding="utf-8"))
+    rules = read_json(SCHEMAS / f"{name}.schema.json")
     jsonschema.Draft202012Validator.check_schema(rules)
-    jsonschema.validate(tree, rules)
+    tree = valid_record(path, name)
     for change in wrong:
         with pytest.raises(jsonschema.ValidationError):
             jsonschema.validate({**tree, **change}, rules)

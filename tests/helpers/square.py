@@ -1,7 +1,5 @@
 """Small scans with known colours at every corner; the writers share no code with the readers."""
 
-from pathlib import Path
-
 import numpy as np
 
 from helpers.gltf import Gltf
@@ -20,16 +18,9 @@ CORNER_LINEAR = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.21586050011389926]
 
 def quarters(size=8, dtype=np.uint8):
     """(size, size, 3) sRGB image, row 0 the top; each quarter has its own colour."""
-    red, green, blue, grey = (np.array(c) for c in CORNER_COLORS.values())
-    image = np.zeros((size, size, 3), np.uint8)
-    half = size // 2
-    image[half:, :half], image[half:, half:], image[:half, half:], image[:half, :half] = (
-        red,
-        green,
-        blue,
-        grey,
-    )
-    return image.astype(dtype) * (257 if dtype == np.uint16 else 1)
+    red, green, blue, grey = CORNER_COLORS.values()
+    image = np.array([[grey, blue], [red, green]], dtype).repeat(size // 2, 0).repeat(size // 2, 1)
+    return image * (257 if dtype == np.uint16 else 1)
 
 
 def sample(scan, uv):
@@ -38,6 +29,13 @@ def sample(scan, uv):
     column = np.clip((uv[:, 0] * width).astype(int), 0, width - 1)
     row = np.clip(((1 - uv[:, 1]) * height).astype(int), 0, height - 1)
     return scan.texture_linear[row, column]
+
+
+def vertex_colors(scan):
+    """Return (V, 3) the texture's colour at each vertex."""
+    color = np.zeros((len(scan.vertices), 3), np.float32)
+    color[scan.faces.ravel()] = sample(scan, scan.uv.reshape(-1, 2) % 1)
+    return color
 
 
 def color_near_corner(scan, position_mm):
@@ -54,7 +52,7 @@ def assert_corner_colors(scan, places=SQUARE_MM, factor=1.0, atol=2e-6):
     np.testing.assert_allclose(found, CORNER_LINEAR * factor, atol=atol)
 
 
-def write_image(path: Path, image):
+def write_image(path, image):
     import cv2
 
     order = image if image.ndim == 2 else image[..., [2, 1, 0, 3][: image.shape[2]]]
@@ -62,8 +60,8 @@ def write_image(path: Path, image):
 
 
 def write_square_obj(
-    folder: Path, *, name="face", scale=1.0, texture="face.png", image=None, mtl=None, change=("", "")
-) -> Path:
+    folder, *, name="face", scale=1.0, texture="face.png", image=None, mtl=None, change=("", "")
+):
     """OBJ, MTL and texture of the square; `mtl` is the library's text or bytes, `change` a replacement."""
     path = folder / f"{name}.obj"
     lines = ["# by hand", f"mtllib {name}.mtl"]
@@ -78,7 +76,7 @@ def write_square_obj(
     return path
 
 
-def square_gltf(png: bytes | None = None, *, colors=None, scale=1.0) -> Gltf:
+def square_gltf(png=None, *, colors=None, scale=1.0):
     """The square as glTF, written by hand: v counts from the top, as the standard says."""
     made = Gltf({"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}]})
     attributes, tree = {}, made.tree
@@ -87,7 +85,7 @@ def square_gltf(png: bytes | None = None, *, colors=None, scale=1.0) -> Gltf:
     attributes["TEXCOORD_0"] = made.add((SQUARE_UV * (1, -1) + (0, 1)).astype("<f4"))
     if colors is not None:
         attributes["COLOR_0"] = made.add(colors.astype("<f4"))
-    surface: dict = {}
+    surface = {}
     tree["meshes"] = [{"primitives": [{"attributes": attributes, "indices": indices, "material": 0}]}]
     tree["materials"] = [{"name": "skin", "pbrMetallicRoughness": surface}]
     if png is not None:
@@ -97,7 +95,7 @@ def square_gltf(png: bytes | None = None, *, colors=None, scale=1.0) -> Gltf:
     return made
 
 
-def png_bytes(image) -> bytes:
+def png_bytes(image):
     import cv2
 
     encoded, data = cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]))

@@ -19,14 +19,12 @@ def albedo():
     return build_albedo
 
 
-@cache
-def _scene(seed, size):
-    return face(seed, size=size)
+scene_of = cache(face)
 
 
 def write_stored(folder, seed, *, noise=0, model="default", size=64, hidden=None):
     """Write what recognition reads of a processed face: a synthetic person's true albedo, with noise."""
-    scene = _scene(seed, size)
+    scene = scene_of(seed, size=size)
     grain = 1 + 0.05 * np.random.default_rng([seed, noise]).standard_normal((size, size, 1))
     folder.mkdir(parents=True)
     seen = scene.image.mask if hidden is None else scene.image.mask & ~hidden

@@ -24,24 +24,17 @@ def area_under(own, others):
     return mannwhitneyu(own, others).statistic / (len(own) * len(others))
 
 
-def test_cmc_counts_ranks_with_the_intervals_of_scipy():
-    found = build_identification()
+NEVER_FIRST = identify_by_similarity([[0.1, 0.9]] * 3, ["ann", "bob"], ["ann"] * 3)
+
+
+@pytest.mark.parametrize("found", [build_identification(), NEVER_FIRST])
+def test_cmc_counts_ranks_with_the_intervals_of_scipy(found):
     curve = cmc_curve(found, confidence=0.9)
-    assert curve.rank.tolist() == list(range(1, 21))
-    for k, rate, low, high in zip(curve.rank, curve.rate, curve.low, curve.high, strict=True):
-        hits = sum(rank <= k for rank in found.ranks)
-        assert rate == hits / 40
-        expected = binomtest(hits, 40).proportion_ci(0.9, "exact")
-        assert (low, high) == pytest.approx((expected.low, expected.high), abs=1e-9)
-    assert 0 < curve.rate[0] < curve.rate[-1] == 1
-
-
-def test_no_hit_at_all_still_has_an_interval():
-    found = identify_by_similarity([[0.1, 0.9]] * 3, ["ann", "bob"], ["ann"] * 3)
-    curve = cmc_curve(found)
-    assert curve.rate.tolist() == [0, 1]
-    assert curve.low[0] == 0
-    assert curve.high[0] == pytest.approx(binomtest(0, 3).proportion_ci(0.95, "exact").high)
+    assert curve.rank.tolist() == list(range(1, len(found.persons) + 1))
+    hits = [int(sum(found.ranks <= k)) for k in curve.rank]
+    assert_allclose(curve.rate, np.divide(hits, curve.probes))
+    expected = [binomtest(hit, len(found.ranks)).proportion_ci(0.9, "exact") for hit in hits]
+    assert_allclose(np.stack([curve.low, curve.high], 1), expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("decimals", [9, 0])
@@ -114,20 +107,16 @@ def test_choices_out_of_range_are_refused():
 
 
 def test_figures_show_the_curve_with_its_interval():
-    found = build_identification()
-    curve, roc = cmc_curve(found), roc_curve(found, resamples=20)
-    axis = curve_figure("texture", curve).axes[0]
-    assert_array_equal(axis.lines[0].get_xydata(), np.stack([curve.rank, curve.rate], 1))
-    bars = np.stack(axis.collections[0].get_segments())
-    assert_array_equal(bars[..., 1], np.stack([curve.low, curve.high], 1))
-    assert axis.figure.legends[0].get_texts()[0].get_text().startswith("texture, 40 probes: rank 1")
-    axis = curve_figure("texture", roc).axes[0]
-    assert axis.get_xscale() == "log"
-    assert_array_equal(axis.lines[0].get_ydata(), roc.true_accept_rate[roc.supported])
-    assert axis.lines[0].get_xdata().min() >= 1 / roc.impostors
-    assert len(axis.collections[0].get_segments()) == roc.supported.sum()
-    text = axis.figure.legends[0].get_texts()[0].get_text()
-    assert text.startswith("texture, 40 genuine claims: equal error ")
+    found = build_identification(persons=30)
+    cmc, roc = cmc_curve(found), roc_curve(found, resamples=20)
     # Twenty ranks at most.
-    axis = curve_figure("shape", cmc_curve(build_identification(persons=30))).axes[0]
-    assert axis.lines[0].get_xdata().tolist() == list(range(1, 21))
+    for curve, x, y, shown, scale, told in (
+        (cmc, cmc.rank, cmc.rate, slice(20), "linear", "60 probes: rank 1"),
+        (roc, roc.false_accept_rate, roc.true_accept_rate, roc.supported, "log", "60 genuine claims: equal"),
+    ):
+        axis = curve_figure("texture", curve).axes[0]
+        assert axis.get_xscale() == scale
+        assert_array_equal(axis.lines[0].get_xydata(), np.stack([x, y], 1)[shown])
+        bars = np.stack(axis.collections[0].get_segments())
+        assert_array_equal(bars[..., 1], np.stack([curve.low, curve.high], 1)[shown])
+        assert axis.figure.legends[0].get_texts()[0].get_text().startswith(f"texture, {told}")

@@ -22,9 +22,9 @@ def written(folder, text, encoding="utf-8"):
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 def test_persons_and_results_are_read(folder, encoding, end):
-    lines = ["Person,note,RESULT", "ann,x,out/ann", "", ' Zoë ,,"out/é, one"', ",,"]
+    lines = ["Person,note,RESULT", "ann,x,out/ann", "", ' Zoe\u0308 ,,"out/é, one"', ",,"]
     manifest = read_manifest(written(folder, end.join(lines), encoding))
-    expected = [("ann", "out/ann", 2), ("Zoë", "out/é, one", 4)]
+    expected = [("ann", "out/ann", 2), ("Zo\u00eb", "out/é, one", 4)]
     assert [(e.person, e.result, e.line) for e in manifest.entries] == expected
     assert [e.path for e in manifest.entries] == [folder / result for _, result, _ in expected]
     assert manifest.notes == ()
@@ -34,17 +34,6 @@ def test_persons_and_results_are_read(folder, encoding, end):
 def test_other_separators_are_seen_in_the_header(folder, delimiter):
     text = f"result{delimiter}person\nout/ann{delimiter}ann\nout/é, one{delimiter}zoe\n"
     assert [e.person for e in read_manifest(written(folder, text)).entries] == ["ann", "zoe"]
-
-
-def test_absolute_paths_stay(folder, tmp_path_factory):
-    elsewhere = tmp_path_factory.mktemp("elsewhere")
-    (entry,) = read_manifest(written(folder, f"person,result\nann,{elsewhere}\n")).entries
-    assert entry.path == elsewhere
-
-
-def test_one_person_in_two_spellings_of_unicode_is_one(folder):
-    text = "person,result\nZoe\u0308,out/ann\nZo\u00eb,out/bob\n"
-    assert len({e.person for e in read_manifest(written(folder, text)).entries}) == 1
 
 
 def test_persons_may_be_left_open(folder):

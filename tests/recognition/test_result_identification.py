@@ -11,10 +11,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.errors import RecognitionError
 from scan2albedo.io.geometry_image_files import read_geometry_image, write_geometry_image
-from scan2albedo.io.images import read_image_linear, write_exr
+from scan2albedo.io.images import write_exr
 from scan2albedo.recognition import (
     TemplateOptions,
-    albedo_templates,
     cw_ssim,
     identify_results,
     read_face,
@@ -67,18 +66,6 @@ def test_persons_are_recognised_and_unknown_ones_only_predicted(gallery, probes,
     assert found.probes.labels[1] == str(people / "ann-2")
     assert found.notes == ()
     assert counts == [(stage, k, 3) for stage in ("gallery", "probes") for k in (1, 2, 3)]
-
-
-def test_templates_are_those_of_the_texels_that_were_seen(stored, tmp_path):
-    hidden = texels(28, 36, 10, 40)
-    stored(tmp_path / "ann", 0, hidden=hidden)
-    made = read_labelled_templates(listed(tmp_path, [("ann", "ann")]), options=OPTIONS).sets["albedo"]
-    scene = face(0, size=64)
-    masks = [scene.image.mask & ~hidden]
-    expected = albedo_templates([scene.albedo_linear], ["ann"], masks=masks, options=OPTIONS)
-    assert_array_equal(made.coefficients, expected.coefficients)
-    assert_array_equal(made.mask, expected.mask)
-    assert made.names == ("ann",)
 
 
 def test_a_gallery_kept_in_a_file_gives_the_same(gallery, probes, tmp_path):
@@ -136,41 +123,23 @@ def test_images_of_a_chart_nobody_named_go_with_any_model(people, tmp_path, prob
     assert found.gallery.templates.chart.model == "default"
 
 
-def test_whom_the_gallery_does_not_know_is_named(gallery, people, tmp_path):
-    strangers = listed(tmp_path, [("zoe", people / "ann-2"), ("bob", people / "bob-2")])
-    found = identified(gallery, strangers)
-    assert found.matches.predicted == ("ann", "bob")
-    assert known_names(found) == ("bob",)
-    assert found.probes.persons == ("zoe", "bob")
-    assert "no image of the persons on 1 probes: " in found.notes[0]
-    assert "ann-2 (zoe); they are identified, but count in no rate" in found.notes[0]
-
-
 def test_errors_of_the_albedo_are_weights(people, tmp_path):
     folder = shutil.copytree(people / "bob-2", tmp_path / "bob")
-    plain = read_face(folder)
+    seen = read_face(folder).certainty > 0
     error = np.full((64, 64), 0.1, np.float32)
     error[:32] = 0.9
     write_exr(folder / "expected_error.exr", error)
     for kind in ("albedo", "texture", "shading"):
         certainty = read_face(folder, kind).certainty
-        assert_array_equal(certainty > 0, plain.certainty > 0)
+        assert_array_equal(certainty > 0, seen)
         low, high = (half[half > 0] for half in np.split(certainty, 2))
         assert 0 < low.max() < 0.3 < 0.7 < high.min() < 1
-    spoilt = read_image_linear(folder / "albedo.exr")
-    spoilt[:32] *= 1 + 0.5 * np.random.default_rng(0).standard_normal((32, 64, 1))
-    write_exr(folder / "albedo.exr", np.abs(spoilt))
-    shown, known = read_face(folder), read_face(people / "bob")
-    options = {"options": OPTIONS, "mask_b": known.certainty > 0}
-    weighed = cw_ssim(shown.values, known.values, shown.certainty, **options)
-    assert weighed > cw_ssim(shown.values, known.values, shown.certainty > 0, **options) + 0.03
 
 
 def test_images_without_a_record_are_a_result(people, gallery, tmp_path):
-    """A person's common albedo, from several scans, needs geometry image, albedo and errors alone."""
+    """A person's common albedo, from several scans, needs geometry image and albedo alone."""
     folder = shutil.copytree(people / "bob-2", tmp_path / "common" / "bob")
     (folder / "application.json").unlink()
-    write_exr(folder / "expected_error.exr", np.full((64, 64), 0.1, np.float32))
     found = identified(gallery, tmp_path / "common")
     assert found.matches.predicted == ("bob",)
     assert found.probes.templates.chart.model is None
@@ -199,7 +168,7 @@ def test_command_and_function_give_one_number(people, stored, tmp_path):
         assert found.by_kind["albedo"][0, 0] == pytest.approx(expected, abs=1e-5)
 
 
-def test_a_folder_of_results_is_a_gallery(people, stored, tmp_path):
+def test_a_folder_of_results_is_a_gallery_and_whom_it_does_not_know_is_named(people, stored, tmp_path):
     for seed, name in enumerate(("ann", "bob", "cy")):
         stored(tmp_path / "nested" / name / "monday", seed, noise=3)
     (tmp_path / "nested" / ".batch").mkdir()
@@ -207,7 +176,9 @@ def test_a_folder_of_results_is_a_gallery(people, stored, tmp_path):
     assert found.gallery.labels == ("ann/monday", "bob/monday", "cy/monday")
     assert found.matches.predicted == ("ann", "ann", "bob", "bob", "cy", "cy")
     assert known_names(found) == ("ann", "bob", "cy")
-    assert "ann-2 (ann-2)" in found.notes[0]
+    assert found.probes.persons == ("ann", "ann-2", "bob", "bob-2", "cy", "cy-2")
+    assert "no image of the persons on 3 probes: " in found.notes[0]
+    assert "cy-2 (cy-2); they are identified, but count in no rate" in found.notes[0]
     with pytest.raises(RecognitionError, match=r"ann: is one result"):
         identify_results(people / "ann", people)
 
@@ -254,7 +225,6 @@ def test_scans_without_colour_are_recognised_by_shape(people, tmp_path, gallery)
     found = identified(mixed, listed(tmp_path, [("cy", people / "cy-2")], "one.csv"))
     assert "1 of 1 probes are compared by shape alone" in found.notes[1]
     assert found.decided_by == ("shape",)
-    assert_array_equal(found.matches.similarities.argsort(1), found.by_kind["shape"].argsort(1))
     assert found.notes[1].endswith("of the gallery gray lacks it")
     write_exr(tmp_path / "ann.exr", face(0, size=64).albedo_linear)
     images = listed(tmp_path, [("ann", "ann.exr")], "images.csv")
@@ -262,7 +232,6 @@ def test_scans_without_colour_are_recognised_by_shape(people, tmp_path, gallery)
     assert "probes.csv: gray: no albedo, which is all that both sides can be compared by" in found.notes[-2]
     found = identified(gallery, probes, use=["albedo"])
     assert (found.probes.labels, found.matches.predicted) == ((str(people / "cy-2"),), ("cy",))
-    assert found.notes[0].startswith("left out: ")
     whole = tmp_path / "all"
     shutil.copytree(gray, whole / "gray")
     shutil.copytree(people / "cy-2", whole / "cy")

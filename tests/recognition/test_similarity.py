@@ -33,19 +33,12 @@ def reference(a, b, weight_a, weight_b, window=5, k=1e-3):
     return np.average(alike, weights=whole * weight_a.mean((-2, -1)) * weight_b.mean((-2, -1)))
 
 
-def assert_as_reference(a, b, window=5):
-    fast = similarity_matrix(a, b, window=window)
-    for i, j in np.ndindex(fast.shape):
-        pair = a.coefficients[i], b.coefficients[j], a.weight[i], b.weight[j]
-        assert fast[i, j] == pytest.approx(reference(*pair, window), abs=2e-6)
-
-
 USUAL = 7
 """The window of the papers on CW-SSIM."""
 
 
 def random_templates(seed, count, shape=(12, 15), contrast=1.0):
-    """Templates of noise, some of its places `contrast` times stronger, each with a corner masked."""
+    """Weighed templates of noise, some places `contrast` times stronger, each with a corner masked."""
     random = np.random.default_rng(seed)
     values = random.standard_normal((count, 10, *shape, 2)).view(complex)[..., 0]
     values *= np.where(random.random(values.shape) < 0.1, contrast, 1.0)
@@ -53,26 +46,14 @@ def random_templates(seed, count, shape=(12, 15), contrast=1.0):
     for one in mask:
         one[: random.integers(0, 4), : random.integers(0, 6)] = False
     names = tuple(f"p{k}" for k in range(count))
-    return Templates(np.where(mask[:, None], values, 0).astype(np.complex64), mask, names)
+    weight = (mask * random.uniform(0.01, 1, mask.shape)).astype(np.float32)
+    return Templates(np.where(mask[:, None], values, 0).astype(np.complex64), mask, names, weight=weight)
 
 
-def test_windows_are_weighed_by_both():
-    random = np.random.default_rng(9)
-    a, b = (
-        replace(t, weight=np.where(t.mask, random.uniform(0.01, 1, t.mask.shape), 0).astype(np.float32))
-        for t in (random_templates(7, 2), random_templates(8, 3))
-    )
-    assert_as_reference(a, b)
-
-
-def test_an_image_is_like_itself(albedo, face_like_mask):
-    image = albedo(0)
-    assert cw_ssim(image, image) == pytest.approx(1, abs=1e-12)
-    many = np.random.default_rng(0).random((8, 64, 64))
-    assert max(cw_ssim(one, one) for one in many) <= 1  # rounding, too, stays below
-    assert cw_ssim(image, image, face_like_mask) == pytest.approx(1, abs=1e-12)
-    templates = albedo_templates([image], ["ann"])
-    assert similarity_matrix(templates, templates)[0, 0] == pytest.approx(1, abs=1e-5)
+def test_an_image_is_like_itself():
+    alike = [cw_ssim(image, image) for image in np.random.default_rng(0).random((8, 64, 64))]
+    assert_allclose(alike, 1, atol=1e-12)
+    assert max(alike) <= 1  # rounding, too, stays below
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -83,11 +64,6 @@ def test_a_shift_of_two_pixels_is_not_seen(albedo, seed, axis):
     shifted = np.roll(wide, 2, axis)[16:144, 16:144]
     assert cw_ssim(image, shifted, window=USUAL) >= 0.97
     assert structural_similarity(image, shifted, data_range=1.0) <= 0.8
-
-
-def test_another_image_is_seen(albedo):
-    assert cw_ssim(albedo(0), albedo(1), window=USUAL) < 0.6
-    assert cw_ssim(albedo(0), albedo(1)) < 0.8
 
 
 def test_brightness_is_not_seen_unless_asked_for(albedo):
@@ -107,25 +83,29 @@ def test_what_is_masked_does_not_count(albedo, face_like_mask):
 
 
 @pytest.mark.parametrize("window", [1, 4, 7, 12])
-def test_blocks_are_the_plain_reference(window):
+def test_blocks_are_the_plain_reference_weighed_by_both(window):
     a, b = random_templates(0, 3), random_templates(1, 4)
     if window == 12:
         a, b = (Templates(t.coefficients, np.ones_like(t.mask), t.names) for t in (a, b))
-    assert_as_reference(a, b, window)
+    fast = similarity_matrix(a, b, window=window)
+    for i, j in np.ndindex(fast.shape):
+        pair = a.coefficients[i], b.coefficients[j], a.weight[i], b.weight[j]
+        assert fast[i, j] == pytest.approx(reference(*pair, window), abs=2e-6)
 
 
 def test_strong_neighbours_do_not_spoil_weak_windows():
     a, b = random_templates(2, 2, (32, 32), contrast=100), random_templates(3, 2, (32, 32), contrast=100)
-    slow = reference(a.coefficients[0], b.coefficients[1], a.mask[0], b.mask[1])
+    slow = reference(a.coefficients[0], b.coefficients[1], a.weight[0], b.weight[1])
     assert similarity_matrix(a, b)[0, 1] == pytest.approx(slow, abs=1e-5)
 
 
 def test_cw_ssim_is_the_plain_reference(albedo, face_like_mask):
     a, b = albedo(0), albedo(1)
-    for mask_b in (face_like_mask, np.roll(face_like_mask, 9, axis=1)):
-        templates = albedo_templates([a, b], ["a", "b"], masks=[face_like_mask, mask_b])
-        slow = reference(*templates.coefficients, *templates.mask)
-        assert cw_ssim(a, b, face_like_mask, mask_b=mask_b) == pytest.approx(slow, abs=1e-5)
+    mask = face_like_mask * albedo(2)
+    for mask_b in (face_like_mask, np.roll(mask, 9, axis=1)):
+        templates = albedo_templates([a, b], ["a", "b"], masks=[mask, mask_b])
+        slow = reference(*templates.coefficients, *templates.weight)
+        assert cw_ssim(a, b, mask, mask_b=mask_b) == pytest.approx(slow, abs=1e-5)
 
 
 def test_many_blocks_hold_what_pairs_hold():

@@ -1,14 +1,21 @@
-"""Albedos of any size become templates of one size; what cannot is named."""
+"""Albedos of any size become templates of one size, by the coarsest scale alone; what cannot is named."""
+
+import sys
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from scan2albedo.errors import RecognitionError
+from scan2albedo.errors import MissingDependencyError, RecognitionError
 from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.recognition import TemplateOptions, Templates, albedo_templates, similarity_matrix
-from scan2albedo.recognition import templates as templates_module
-from scan2albedo.recognition.templates import averaged_down, coarsest_bands, supported_mask, without_holes
+from scan2albedo.recognition.templates import (
+    _coarsest_filters,
+    averaged_down,
+    coarsest_bands,
+    supported_mask,
+    without_holes,
+)
 
 
 def template_of(image, mask=None, **options):
@@ -27,15 +34,9 @@ def test_sizes_are_brought_to_one(albedo):
     assert similarity[0, 2] < 0.65
 
 
-def test_smaller_images_stay_as_they_are(albedo):
-    given, none = (template_of(albedo(0), size=size) for size in (256, None))
-    assert_array_equal(given.coefficients, none.coefficients)
-
-
 def test_averages_take_valid_pixels_only():
-    image = np.array([[1.0, 3, 5, 0], [0, 0, 7, 0], [2, 2, 0, 0], [2, 2, 0, 0]])
-    mask = np.array([[1, 1, 1, 0], [0, 0, 1, 0], [1, 1, 1, 0], [1, 1, 0, 0]], bool)
-    small, valid = averaged_down(np.where(mask, image, 0), mask, 2, "image")
+    image = np.array([[1.0, 3, 5, 0], [0, 0, 7, 0], [2, 2, 4, 0], [2, 2, 0, 0]])
+    small, valid = averaged_down(image, image > 0, 2, "image")
     assert_array_equal(valid, [[True, True], [True, False]])
     assert_allclose(small, [[2, 6], [2, 0]])
 
@@ -71,9 +72,9 @@ def test_edges_do_not_wrap_around(side):
     assert np.abs(kept).max() < 0.1 * np.abs(wrapped).max()
 
 
-@pytest.mark.parametrize("shape", [(128, 128), (100, 130), (33, 47)])
-def test_images_keep_their_size_when_asked(albedo, shape):
-    templates = template_of(albedo(0, shape), size=None)
+@pytest.mark.parametrize(("size", "shape"), [(256, (128, 128)), (None, (100, 130)), (None, (33, 47))])
+def test_smaller_images_keep_their_size_and_others_when_asked(albedo, size, shape):
+    templates = template_of(albedo(0, shape), size=size)
     assert templates.coefficients.shape == (1, 10, -(-shape[0] // 4), -(-shape[1] // 4))
 
 
@@ -111,18 +112,14 @@ def test_sizes_out_of_range_are_refused(size):
         TemplateOptions(size=size)
 
 
-def test_small_holes_are_filled_and_large_ones_stay(albedo, monkeypatch):
+def test_small_holes_are_filled_and_large_ones_stay(albedo):
     rows, columns = np.mgrid[:128, :128]
     mask = np.ones((128, 128), bool)
     mask[np.hypot(rows - 40, columns - 40) < 2.5] = False
     mask[np.hypot(rows - 90, columns - 90) < 9] = False
     holed = np.where(mask, albedo(0, steepness=2.0), 7.0)
     closed = template_of(holed, mask)
-    monkeypatch.setattr(templates_module, "HOLE_RADIUS", 0.0)
-    open_ = template_of(holed, mask)
-    monkeypatch.undo()
     assert closed.mask[0, [10, 22], [10, 22]].tolist() == [True, False]
-    assert open_.mask[0, [10, 22], [10, 22]].tolist() == [False, False]
     # What stood in the hole was never seen: the coefficient is that of its surroundings.
     whole = template_of(albedo(0, steepness=2.0))
     scale = np.abs(whole.coefficients).mean()
@@ -141,3 +138,20 @@ def test_templates_are_selected_in_order(albedo):
     assert chosen.names == ("bob", "ann", "bob")
     for name, array in chosen.arrays.items():
         assert_array_equal(array, both.arrays[name][[1, 0, 1]])
+
+
+@pytest.mark.parametrize("shape", [(128, 128), (64, 96)])
+def test_the_coarsest_scale_alone_is_that_of_the_pyramid(albedo, shape):
+    pyramids = pytest.importorskip("pyrtools.pyramids")
+    image = albedo(1, shape)
+    whole = pyramids.SteerablePyramidFreq(image, height=3, order=9, is_complex=True).pyr_coeffs
+    alone = coarsest_bands(image)
+    assert np.abs(alone).max() > 0.01
+    assert_allclose(alone, np.stack([whole[(2, k)] for k in range(10)]), atol=1e-12)
+
+
+def test_without_pyrtools_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyrtools.pyramids", None)
+    _coarsest_filters.cache_clear()
+    with pytest.raises(MissingDependencyError, match=r"pyrtools.*pip install 'scan2albedo\[recognition\]'"):
+        coarsest_bands(np.zeros((64, 64)))

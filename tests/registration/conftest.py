@@ -1,15 +1,14 @@
 """Shapes and raw-like scans that the registration tests share."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from helpers.meshes import bumpy_samples
 from helpers.poses import assert_near
 from worlds.raw_like import raw_like
 
-from scan2albedo import AnnotatedFaceModel, RawScan
-from scan2albedo.geometry.rigid import compose, invert_rigid, procrustes
+from scan2albedo import RawScan
+from scan2albedo.geometry.rigid import invert_rigid, procrustes, transform_points
 from scan2albedo.registration.inputs import Template
 from scan2albedo.synthetic.face_shape import person
 
@@ -23,9 +22,9 @@ class PosedScan:
     scan: RawScan
     model_from_scan: np.ndarray
 
-    def assert_found(self, model_from_scan, degrees, millimetres):
-        """A pose is off by less, in mm at the model's origin."""
-        assert_near(model_from_scan, self.model_from_scan, degrees, millimetres)
+    def assert_found(self, registration, degrees, millimetres):
+        """The pose of a registration is off by less, in mm at the model's origin."""
+        assert_near(registration.model_from_scan, self.model_from_scan, degrees, millimetres)
 
 
 @pytest.fixture(scope="session")
@@ -45,11 +44,6 @@ def synthetic_scan(model):
         return PosedScan(scan, invert_rigid(scan_from_shape))
 
     return make
-
-
-@pytest.fixture(scope="session")
-def bumpy():
-    return bumpy_samples()
 
 
 @pytest.fixture(scope="session")
@@ -77,16 +71,7 @@ def ict_scan(ict, model):
 
 
 @pytest.fixture(scope="session")
-def ict_scan_of_template(ict):
-    """Return the generic published face as a model, and a raw-like scan of it with an expression."""
-    generic, faces = ict["generic_neutral"], ict["faces"]
-    kept = faces[(faces < FACE_PART).all(1)]
-    used = np.unique(kept)
-    template = AnnotatedFaceModel.from_mesh(generic[used], np.searchsorted(used, kept))
-    model_from_generic = compose(np.eye(3), -generic[used].mean(0))
-
-    def make(shape, seed):
-        scan, scan_from_shape = raw_like(ict[shape], faces, seed)
-        return template, PosedScan(scan, model_from_generic @ invert_rigid(scan_from_shape))
-
-    return make
+def upright(synthetic_scan):
+    """A raw-like scan that stands as the model does."""
+    example = synthetic_scan(2)
+    return replace(example.scan, vertices=transform_points(example.model_from_scan, example.scan.vertices))

@@ -3,16 +3,12 @@
 import numpy as np
 import pytest
 import trimesh
-from helpers.meshes import ball, grid, sphere
+from helpers.meshes import grid, sphere
 
 from scan2albedo import RawScan, register
 from scan2albedo.errors import NoFaceError, RegistrationError
 from scan2albedo.geometry.mesh import join, normalized
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
-
-
-def scan_of(mesh, name):
-    return RawScan(np.asarray(mesh.vertices), np.asarray(mesh.faces), name=name)
 
 
 def blob(seed):
@@ -22,13 +18,10 @@ def blob(seed):
     return RawScan(unit * (90 * (1 + height))[:, None], faces, name="blob")
 
 
-CUBE = trimesh.creation.box((180, 180, 180)).subdivide_to_size(20)
-BODIES = [ball(5, name="sphere"), scan_of(CUBE, "cube"), blob(0), blob(1)]
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("scan", BODIES, ids=lambda scan: scan.name)
-def test_bodies_without_a_face_are_refused(scan, model):
+@pytest.mark.parametrize("seed", range(2))
+def test_bodies_without_a_face_are_refused(seed, model):
+    scan = blob(seed)
     with pytest.raises(NoFaceError, match=r"no face found.*probability of 0\.\d+.*over \d+ %") as caught:
         register(scan, model)
     assert scan.name in str(caught.value)
@@ -39,7 +32,7 @@ def test_bodies_without_a_face_are_refused(scan, model):
 
 def test_eyeglasses_are_refused(shared_data, model):
     mesh = trimesh.load(shared_data / "sunglasses_khronos.glb", force="mesh")
-    scan = scan_of(mesh.apply_scale(1000), "sunglasses")
+    scan = RawScan(1000 * mesh.vertices, mesh.faces, name="sunglasses")
     with pytest.raises(RegistrationError, match="sunglasses"):
         register(scan, model)
 
@@ -51,26 +44,13 @@ def test_the_back_of_a_head_is_refused(ict, model):
         register(RawScan(vertices, behind, name="back"), model)
 
 
-def half_of(example, side):
-    """One side of the face."""
-    in_model = transform_points(example.model_from_scan, example.scan.vertices)
-    kept = (side * in_model[:, 0][example.scan.faces] > 0).all(1)
-    return RawScan(example.scan.vertices, example.scan.faces[kept])
-
-
 @pytest.mark.parametrize("side", [-1, 1])
 def test_half_a_face_is_enough(synthetic_scan, model, side):
     example = synthetic_scan(6, hair=False, shoulders=False)
-    example.assert_found(register(half_of(example, side), model).model_from_scan, 10, 15)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("side", [-1, 1])
-def test_half_a_face_unlike_the_model_is_found(ict_scan, model, side):
-    example = ict_scan("person4", 304, noise_mm=0.3)
-    half = register(half_of(example, side), model)
-    assert half.confidence > 0.5
-    example.assert_found(half.model_from_scan, 5, 10)
+    in_model = transform_points(example.model_from_scan, example.scan.vertices)
+    kept = (side * in_model[:, 0][example.scan.faces] > 0).all(1)
+    half = RawScan(example.scan.vertices, example.scan.faces[kept])
+    example.assert_found(register(half, model), 10, 15)
 
 
 def test_shoulders_three_times_as_wide_as_the_face(synthetic_scan, model):
@@ -80,14 +60,4 @@ def test_shoulders_three_times_as_wide_as_the_face(synthetic_scan, model):
     height = 40 - (x / 60) ** 2 * 6 - (y + 200) ** 2 / 150 + 3 * np.sin(x / 9)
     clothes = transform_points(invert_rigid(example.model_from_scan), np.column_stack([x, y, height]))
     scan = RawScan(*join([(example.scan.vertices, example.scan.faces), (clothes, faces)]))
-    example.assert_found(register(scan, model).model_from_scan, 10, 15)
-
-
-def test_a_tenth_larger_or_smaller_face_is_still_found(synthetic_scan, model):
-    example = synthetic_scan(9)
-    center = example.scan.vertices.mean(0)
-    for factor in (0.9, 1.1):
-        scan = RawScan(center + factor * (example.scan.vertices - center), example.scan.faces)
-        registration = register(scan, model)
-        example.assert_found(registration.model_from_scan, 6, np.inf)
-        assert registration.confidence > 0.5
+    example.assert_found(register(scan, model), 10, 15)

@@ -1,4 +1,4 @@
-"""Open3D refines candidates, and explains itself when it is missing; colours decide where shape does not."""
+"""Starting poses reach every part of a scan; Open3D refines them; colours decide where shape does not."""
 
 import builtins
 
@@ -9,7 +9,8 @@ from helpers.poses import REST, assert_near
 
 from scan2albedo import RawScan
 from scan2albedo.errors import MissingDependencyError, NoFaceError, import_open3d
-from scan2albedo.geometry.oriented_points import oriented_points
+from scan2albedo.geometry.mesh import normalized
+from scan2albedo.geometry.oriented_points import anchors, oriented_points
 from scan2albedo.geometry.rigid import (
     Similarity,
     compose,
@@ -18,6 +19,7 @@ from scan2albedo.geometry.rigid import (
 )
 from scan2albedo.registration import register
 from scan2albedo.registration.candidates import Candidate, refined_by_open3d, rescored
+from scan2albedo.registration.coarse_search import anchored_starts
 from scan2albedo.registration.evidence import Evidence, colour_scorer
 from scan2albedo.registration.inputs import RegistrationOptions, prepared_scan
 from scan2albedo.registration.relief import ReliefAgreement
@@ -46,9 +48,8 @@ def test_a_missing_system_library_is_one_line_with_the_command(monkeypatch, erro
     with pytest.raises(MissingDependencyError) as caught:
         import_open3d()
     message = str(caught.value)
-    assert "tools/bootstrap_system.sh" in message
-    assert "libgl1" in message
-    assert str(error) in message
+    for told in ("tools/bootstrap_system.sh", "libgl1", str(error)):
+        assert told in message
     assert "\n" not in message
 
 
@@ -83,3 +84,18 @@ def test_a_scan_without_colours_says_nothing(synthetic_scan, model):
 def test_a_search_without_anything_like_a_face_ends_early(model):
     with pytest.raises(NoFaceError, match=r"The best of [1-8] poses is one with a probability of 0\.00"):
         register(RawScan(*sphere(4, 100.0)), model)
+
+
+def test_starts_on_a_sphere_face_outward_everywhere():
+    samples = oriented_points(*sphere(4), 5.0)
+    spread = anchors(samples, spacing=30.0, limit=600, reach=45.0)
+    front = np.array([1.0, 2.0, 40.0])
+    starts = anchored_starts(spread, front, 300)
+    on_surface = np.einsum("nij,j->ni", starts.rotations, front) + starts.translations
+    outward = normalized(on_surface)
+    cosine = np.einsum("ni,ni->n", outward, starts.rotations[:, :, 2])
+    assert np.degrees(np.arccos(cosine.min())) < 36.5
+    directions = normalized(np.random.default_rng(0).normal(size=(200, 3)))
+    assert np.degrees(np.arccos((directions @ outward.T).max(1).min())) < 25
+    # Every anchor is tried at several roll angles.
+    assert len(starts) > 10 * len(np.unique(on_surface.round(3), axis=0))

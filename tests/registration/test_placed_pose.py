@@ -20,9 +20,10 @@ from scan2albedo.registration.coarse_search import PlacedPose
 FIVE = [36, 45, 30, 48, 54]
 
 
-def placed(points, numbers=FIVE):
+def placed(points):
+    """Return five landmarks of 68, and NaN for the others."""
     chosen = np.full((68, 3), np.nan)
-    chosen[numbers] = points[numbers]
+    chosen[FIVE] = points[FIVE]
     return chosen
 
 

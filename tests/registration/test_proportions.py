@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from scan2albedo import RawScan, register
-from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.registration.acceptance import NAMES, people, proportion_doubts
-from scan2albedo.synthetic.face_shape import person
 
 TOLD = {"register.proportions", "register.size"}
 
@@ -32,12 +30,6 @@ def flat(model):
     """The default model in another person's shape, as that person's template."""
     own = flattened(model.control_vertices, model)
     return replace(model, control_vertices=own, _subdivisions={}, name="flat")
-
-
-@pytest.fixture(scope="module")
-def upright(synthetic_scan):
-    example = synthetic_scan(2)
-    return replace(example.scan, vertices=transform_points(example.model_from_scan, example.scan.vertices))
 
 
 def test_a_flat_face_is_a_face_like_others(model):
@@ -70,13 +62,6 @@ def test_a_stretched_scan_is_told_by_its_axis(upright, model, axis, factor):
 @pytest.mark.parametrize("factor", [0.78, 1.25])
 def test_another_scale_is_told(upright, model, factor):
     assert told(upright.scaled(factor), model) == {"register.size"}
-
-
-def test_no_synthetic_person_is_told(model):
-    faces = model.subdivision(2).faces
-    for seed in range(3):
-        shape = model.subdivision(2).matrix @ person(model, np.random.default_rng(seed))
-        assert told(RawScan(shape, faces), model) == set()
 
 
 @pytest.mark.parametrize("number", range(4))

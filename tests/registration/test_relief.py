@@ -2,13 +2,11 @@
 
 import numpy as np
 import pytest
-import trimesh
 from helpers.meshes import grid, sphere
-from helpers.plates import FACES
 from helpers.poses import REST
 from numpy.testing import assert_allclose
 
-from scan2albedo.geometry.mesh import normalized, vertex_normals
+from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.oriented_points import SurfaceNoise
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import (
@@ -28,33 +26,20 @@ def pixel_centres(frame):
     return np.stack([x, y], -1)
 
 
-def bumpy():
-    vertices, faces = sphere(4, 1.0)
-    axes = normalized(np.random.default_rng(0).normal(size=(6, 3)))
-    bumps = 1 + 0.2 * np.exp(4 * (vertices @ axes.T - 1)).sum(1)
-    return vertices * bumps[:, None] * 70, faces
-
-
 @pytest.mark.parametrize("size", [1, 31, 64])
-def test_depth_equals_the_first_hit_of_a_ray_from_the_viewer(size):
-    vertices, faces = bumpy()
+def test_depth_equals_the_first_hit_of_a_ray_from_the_viewer(model, size):
+    vertices, faces = model.surface(1)
     frame = DepthFrame((5.0, -3.0), 190.0, size)
     pose = compose(random_rotation(np.random.default_rng(1)), [3.0, 4.0, -20.0])
     image = depth_image(vertices, faces, frame, pose)
     xy = pixel_centres(frame).reshape(-1, 2)
     origins = np.column_stack([xy, np.full(len(xy), 500.0)])
     hits = RayCaster(transform_points(pose, vertices), faces).first_hit(origins, [0, 0, -1.0])
-    expected = np.where(hits.face >= 0, 500 - hits.distance, -np.inf).reshape(size, size)
+    expected = (500 - hits.distance).reshape(size, size)
     both = np.isfinite(image) & np.isfinite(expected)
     # A ray through a silhouette edge may go either way.
     assert (np.isfinite(image) != np.isfinite(expected)).mean() < 0.002
     assert_allclose(image[both], expected[both], atol=2e-3)
-
-
-def test_a_tilted_plane_is_exact():
-    vertices = np.array([[-9.0, -9, 0], [9, -9, 18], [9, 9, 18], [-9, 9, 0]])
-    frame = DepthFrame((0.0, 0.0), 10.0, 20)
-    assert_allclose(depth_image(vertices, FACES, frame), pixel_centres(frame)[..., 0] + 9, atol=1e-12)
 
 
 def test_empty_pixels_are_minus_infinity_and_the_limit_looks_through():
@@ -95,16 +80,6 @@ def test_depth_along_the_view_matters_only_when_it_is_far(image, model):
 def test_a_wrongly_turned_model_is_no_face(image, model, turn):
     pose = compose(rotation_from_vector(turn), np.zeros(3))
     assert Candidate(REST, image.agreement(*model.surface(1), pose), 0.0).ranking < 0.5
-
-
-def test_smooth_bodies_have_no_relief(image, model):
-    front = model.surface(0)[0][:, 2].max()
-    for mesh in (trimesh.creation.icosphere(5, 90.0), trimesh.creation.cylinder(70, 300, sections=90)):
-        body = np.asarray(mesh.vertices)
-        pose = compose(np.eye(3), [0, 0, front - body[:, 2].max()])
-        found = image.agreement(body, np.asarray(mesh.faces), pose)
-        assert found.local < 0.4
-        assert found.whole < 0.4
 
 
 def test_half_a_face_scores_nearly_as_a_whole_one(image, model):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.square import sample
+from helpers.square import vertex_colors
 
 from scan2albedo.geometry.rigid import compose, rotation_from_vector
 from scan2albedo.registration.evidence import colour_scorer
@@ -38,9 +38,7 @@ def test_the_strength_of_the_light_does_not_matter(case, model):
 
 def test_colours_of_vertices_say_the_same(case, model):
     scan, pose, _ = case
-    color = np.zeros((len(scan.vertices), 3), np.float32)
-    color[scan.faces.ravel()] = sample(scan, scan.uv.reshape(-1, 2) % 1)
-    plain = replace(scan, uv=None, texture_linear=None, vertex_color_linear=color)
+    plain = replace(scan, uv=None, texture_linear=None, vertex_color_linear=vertex_colors(scan))
     assert colour_scorer(plain, model)(pose, 1.0) > 0
 
 

@@ -1,9 +1,12 @@
-"""A page as html.parser sees it, with what must hold for each."""
+"""A page as html.parser sees it, with what must hold for each; the head of a trace."""
 
 import base64
 import hashlib
 from html.parser import HTMLParser
 
+from scan2albedo.report import write_report
+
+TRACE_HEAD = "stage,elapsed_s,cpu_s,evaluations,error,unit\n"
 VOID = {"meta", "img", "input", "br", "link"}
 SELF_CLOSED = {"line", "rect", "circle", "polyline"}
 
@@ -20,13 +23,14 @@ class Page(HTMLParser):
         self.faults += [f"{tag} is not closed" for tag in self._open]
 
     def handle_starttag(self, tag, attributes):
-        self.elements.append((tag, dict(attributes)))
-        if len(dict(attributes)) != len(attributes):
+        given = dict(attributes)
+        self.elements.append((tag, given))
+        if len(given) != len(attributes):
             self.faults.append(f"{tag} has an attribute twice: {attributes}")
         if tag not in VOID:
             self._open.append(tag)
         if tag in ("script", "style"):
-            self.raw.append([tag, dict(attributes), ""])
+            self.raw.append([tag, given, ""])
 
     def handle_startendtag(self, tag, attributes):
         self.elements.append((tag, dict(attributes)))
@@ -34,10 +38,10 @@ class Page(HTMLParser):
             self.faults.append(f"{tag} closes itself")
 
     def handle_endtag(self, tag):
-        if not self._open or self._open[-1] != tag:
-            self.faults.append(f"{tag} ends inside {self._open[-3:]}")
-        else:
+        if self._open[-1:] == [tag]:
             self._open.pop()
+        else:
+            self.faults.append(f"{tag} ends inside {self._open[-3:]}")
 
     def handle_data(self, data):
         if self._open and self._open[-1] in ("script", "style"):
@@ -54,14 +58,11 @@ class Page(HTMLParser):
     def links(self):
         return [a["href"] for a in self.all("a") if "href" in a]
 
-    def policy(self):
-        return next(
-            m["content"] for m in self.all("meta") if m.get("http-equiv") == "Content-Security-Policy"
-        )
 
-
-def check(html):
-    """Return the page after proving what must hold for each."""
+def check(made):
+    """Return the page of a report after proving what must hold for each."""
+    html = made.path.read_text(encoding="utf-8")
+    assert made.size_bytes == made.path.stat().st_size
     assert html.startswith("<!DOCTYPE html>")
     page = Page(html)
     assert page.faults == []
@@ -75,10 +76,18 @@ def check(html):
         assert ":" not in href
         assert href[0] != "#" or href[1:] in ids
     assert not page.all("link")
+    (policy,) = (
+        meta["content"] for meta in page.all("meta") if meta.get("http-equiv") == "Content-Security-Policy"
+    )
     for tag, attributes, content in page.raw:
         if attributes.get("type") != "application/json":
             digest = base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()
-            assert f"{tag}-src 'sha256-{digest}'" in page.policy()
+            assert f"{tag}-src 'sha256-{digest}'" in policy
             assert "http" not in content.replace("http://www.w3.org/2000/svg", "")
-    assert "default-src 'none'" in page.policy()
+    assert "default-src 'none'" in policy
     return page
+
+
+def written(folder, *path):
+    """Return the page of the report of a folder, written there or elsewhere, as `check` does."""
+    return check(write_report(folder, *path))

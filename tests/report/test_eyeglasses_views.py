@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.eyeglasses import nearest_weights
 from helpers.wearers import small_wearer
 from matplotlib.colors import to_rgb
 from numpy.testing import assert_array_equal
 from scipy.ndimage import distance_transform_edt
 
 from scan2albedo.eyeglasses import Camera, register_on_face
-from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT
 from scan2albedo.report import eyeglasses_views
 from scan2albedo.report.eyeglasses_views import registration_panels
 
@@ -33,8 +33,8 @@ def views(person):
 def frame(person):
     """The true frame, with the report of a registration."""
     glasses = person.glasses
-    nearest = np.linalg.norm(glasses.rest_vertices[:, None] - glasses.rest_keypoints, axis=2).argmin(1)
-    rest = (glasses.rest_vertices, glasses.faces, glasses.rest_keypoints, np.eye(KEY_POINT_COUNT)[nearest])
+    weights = nearest_weights(glasses.rest_vertices, glasses.rest_keypoints)
+    rest = (glasses.rest_vertices, glasses.faces, glasses.rest_keypoints, weights)
     found = register_on_face(rest, person.labels, None, person.cameras)
     return replace(found, vertices=person.vertices, keypoints=person.keypoints)
 

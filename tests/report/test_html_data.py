@@ -30,6 +30,7 @@ from scan2albedo.report.html.encoding import (
     texture_entry,
     thinned_chart,
 )
+from tests.report.pages import TRACE_HEAD
 
 
 def numbers(text, dtype, columns):
@@ -159,8 +160,8 @@ def test_residuals_are_measured_again_from_the_input(write_scan, tmp_path):
     assert "no longer there" in residual_of_result(result, record, mesh)[1]
 
 
-def rows(errors, stage="fit"):
-    return [TraceRow(stage, 0.1 * k, 0.1 * k, k, error, "mm") for k, error in enumerate(errors)]
+def rows(errors):
+    return [TraceRow("fit", 0.1 * k, 0.1 * k, k, error, "mm") for k, error in enumerate(errors)]
 
 
 def test_error_axes_are_logarithmic_where_the_error_falls_by_much():
@@ -193,7 +194,7 @@ def test_axes_hold_any_values(values):
 
 def test_traces_leave_out_what_is_not_finite_and_refuse_other_files(tmp_path):
     file = tmp_path / "trace.csv"
-    file.write_text("stage,elapsed_s,cpu_s,evaluations,error,unit\na,1,1,1,nan,mm\na,2,2,2,0.5,mm\n")
+    file.write_text(f"{TRACE_HEAD}a,1,1,1,nan,mm\na,2,2,2,0.5,mm\n")
     assert [row.error for row in read_trace(file)] == [0.5]
     file.write_text("x,y\n1,2\n")
     with pytest.raises(Scan2AlbedoError, match="line 2 is not a row of a trace"):

@@ -16,22 +16,16 @@ from scan2albedo.errors import MissingDependencyError, OutputError, Scan2AlbedoE
 from scan2albedo.lighting.environment_light import open_transfer
 from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.report.html.write import _environment, data_json
-from tests.report.pages import check
+from tests.report.pages import TRACE_HEAD, check, written
 
 EVIL = "<script>alert('x')</script>\"'&<!--"
-
-
-def written(folder, path, **options):
-    made = report.write_report(folder, path, **options)
-    assert made.size_bytes == made.path.stat().st_size
-    return check(made.path.read_text(encoding="utf-8"))
 
 
 def test_a_scan_gets_a_page_beside_its_files(one_scan):
     made = report.write_report(one_scan)
     assert made.path == one_scan / "report.html"
     assert (made.scans, made.done, made.failed, made.sections) == (1, 1, 0, 1)
-    words = check(made.path.read_text(encoding="utf-8")).words()
+    words = check(made).words()
     for told in (
         "fit 0.125 mm mean · 2 lights at (35°, 20°), (−50°, 5°) · albedo ± 3.7 % a texel · 12.5 s",
         "albedo · shadows did it shades itself at most 28 %",
@@ -85,17 +79,13 @@ def test_whatever_a_result_holds_is_text(write_scan, tmp_path):
     assert len([raw for raw in page.raw if raw[0] == "script"]) == 3
 
 
-TRACE_HEAD = "stage,elapsed_s,cpu_s,evaluations,error,unit\n"
-
-
 def test_files_that_are_damaged_or_missing_leave_their_part_out_and_say_so(write_scan, tmp_path):
     folder = write_scan(tmp_path / "poor")
     (folder / "trace.csv").write_text(f"{TRACE_HEAD}fit,one,1,1,1,mm\n")
-    assert "line 2 is not a row of a trace" in written(folder, tmp_path / "page.html").words()
-    for name in ("geometry_image.npz", "trace.csv", "overview.png"):
+    for name in ("geometry_image.npz", "overview.png"):
         (folder / name).unlink()
     page = written(folder, tmp_path / "page.html")
-    for told in ("There is nothing to turn", "geometry_image.npz", "No error against time"):
+    for told in ("There is nothing to turn", "geometry_image.npz", "line 2 is not a row of a trace"):
         assert told in page.words()
     assert not page.all("img")
 
@@ -117,9 +107,9 @@ def test_links_are_relative_to_the_page_and_never_another_kind(write_scan, tmp_p
 def test_a_result_without_an_albedo_shows_its_shape(write_scan, tmp_path):
     folder = write_scan(tmp_path / "grey", parameters={}, lights=(), metrics={"seconds": 1.0})
     (folder / "albedo.exr").unlink()
-    page = written(folder, tmp_path / "page.html")
-    assert "no albedo (see the plan)" in page.words()
-    assert "the shape is shown in grey" in page.words()
+    words = written(folder, tmp_path / "page.html").words()
+    assert "no albedo (see the plan)" in words
+    assert "the shape is shown in grey" in words
 
 
 def test_warnings_and_notes_are_told_apart(write_scan, tmp_path):

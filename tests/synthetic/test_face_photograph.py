@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from helpers.measures import rms
+from numpy.testing import assert_allclose
 from worlds.environments import generated_environment
 
 from scan2albedo.geometry.pinhole import project
@@ -22,8 +24,8 @@ def environment():
 
 @pytest.fixture(scope="module")
 def taken(environment):
-    how = {"azimuth_deg": 15, "lights": 200, "landmark_noise_px": 0.0, "hair": False}
-    return face_photograph(2, environment, **how, portrait=CLEAN)
+    how = {"azimuth_deg": 15, "lights": 200, "landmark_noise_px": 0.0, "hair": False, "portrait": CLEAN}
+    return face_photograph(2, environment, **how)
 
 
 @pytest.mark.slow
@@ -43,7 +45,7 @@ def test_colours_at_vertices_are_those_of_harmonics_with_shadows(taken, environm
     shaded = seen.transfer.shade(truth, project_environment(environment)).radiance_linear
     used = np.asarray(seen.seen)
     error = np.abs(np.asarray(seen.observed_linear) / taken.exposure - shaded)[used]
-    scale = float(np.sqrt(np.mean(shaded[used] ** 2)))
+    scale = rms(shaded[used])
     assert used.sum() > 2000
     assert np.median(error) < 0.02 * scale
     assert np.percentile(error, 90) < 0.1 * scale
@@ -53,7 +55,7 @@ def test_labels_are_where_the_landmarks_are(taken):
     pixels, _ = project(taken.camera, taken.landmarks)
     seen = np.isfinite(taken.landmarks_px).all(1)
     assert 40 < seen.sum() < 68
-    assert np.allclose(taken.landmarks_px[seen], pixels[seen])
+    assert_allclose(taken.landmarks_px[seen], pixels[seen])
 
 
 def test_the_sensor_stores_eight_bits_with_noise(environment):

@@ -11,7 +11,6 @@ def test_people_correspond_and_differ():
     one, two = (population_reflectance(k) for k in range(2))
     assert one.diffuse_linear.shape == one.weights.shape == (3663, 3)
     np.testing.assert_array_equal(one.faces, two.faces)
-    assert np.isfinite(one.diffuse_linear).all()
     assert (one.weights > 0).all()
     assert np.abs(np.log(one.diffuse_linear / two.diffuse_linear)).mean() > 0.1
     assert np.linalg.norm(one.vertices - two.vertices, axis=1).mean() > 0.5

@@ -1,5 +1,8 @@
 import numpy as np
 import pytest
+from helpers.measures import row_lengths
+from helpers.square import sample
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial import cKDTree
 
 from scan2albedo.geometry.closest_points import ClosestPointQuery
@@ -9,6 +12,7 @@ from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, proje
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.synthetic import Material, Scanner, light_at, raw_scan
 from scan2albedo.synthetic.raw_scan import flash_pictures, two_pods
+from scan2albedo.synthetic.renderer import incident_light
 from scan2albedo.synthetic.sitter import BodyPart, head_around, sit_down
 
 SMALL = Scanner(picture_size=400, size=128, spacing_mm=3.5)
@@ -29,25 +33,24 @@ def test_pods_project_their_own_rays_back():
     pods = two_pods(target, reach_mm=200.0)
     for pod, place in zip(pods, camera_centers(pods), strict=True):
         shown = np.random.default_rng(0).uniform(0, 1, (20, 2))
-        assert np.allclose(project(pod, place + 800 * pixel_directions(pod, shown))[0], shown)
-        assert np.allclose(project(pod, target[None])[0], 0.5)
+        assert_allclose(project(pod, place + 800 * pixel_directions(pod, shown))[0], shown)
+        assert_allclose(project(pod, target[None])[0], 0.5)
         assert project(pod, np.array([[1.0, 50.0, 3.0]]))[0][0, 1] > 0.5
         # The picture spans 200 mm to either side.
         edge = target + 200 * normalized(np.cross([0, 1, 0], place - target))
-        assert np.allclose(np.abs(project(pod, edge[None])[0][0, 0] - 0.5), 0.5)
+        assert_allclose(np.abs(project(pod, edge[None])[0][0, 0] - 0.5), 0.5)
 
 
 def test_the_head_continues_the_face_without_a_crack(sitter):
     face = sitter.face
     loop = boundary_loop(len(face.vertices), face.faces)
     border = boundary_vertex_mask(len(face.vertices), face.faces)
-    assert np.array_equal(np.sort(loop), np.flatnonzero(border))
+    assert_array_equal(np.sort(loop), np.flatnonzero(border))
     vertices, faces, uv = head_around(face.vertices, face.faces, face.normals)
-    assert np.allclose(vertices[: len(loop)], face.vertices[loop], atol=1e-9)
-    assert np.isfinite(vertices).all()
+    assert_allclose(vertices[: len(loop)], face.vertices[loop], atol=1e-9)
     assert len(uv) == len(vertices)
     first_ring = vertices[faces[faces.min(1) < len(loop)]]
-    assert np.linalg.norm(np.ptp(first_ring, axis=1), axis=1).max() < 12
+    assert row_lengths(np.ptp(first_ring, axis=1)).max() < 12
 
 
 def test_parts_are_coloured_apart(sitter):
@@ -58,7 +61,7 @@ def test_parts_are_coloured_apart(sitter):
         albedo = sitter.albedo_at(faces, np.full((500, 3), 1 / 3))
         assert albedo.min() > 0
         mean.append(albedo.mean(0))
-    assert np.allclose(mean[BodyPart.FACE], mean[BodyPart.HEAD], rtol=0.25)
+    assert_allclose(mean[BodyPart.FACE], mean[BodyPart.HEAD], rtol=0.25)
     assert np.linalg.norm(mean[BodyPart.HAIR] - mean[BodyPart.FACE]) > 0.1
 
 
@@ -76,18 +79,14 @@ def test_the_true_pose_lays_the_scan_on_the_true_face(made):
 def test_texture_is_the_true_albedo_under_the_true_light(made):
     scan, truth = made
     points = transform_points(truth.model_from_scan, scan.vertices[scan.faces].mean(1))
-    height, width = scan.texture_linear.shape[:2]
-    uv = scan.uv.mean(1)
-    pixel = scan.texture_linear[((1 - uv[:, 1]) * height).astype(int), (uv[:, 0] * width).astype(int)]
+    pixel = sample(scan, scan.uv.mean(1))
     mask = truth.image.mask
     distance, texel = cKDTree(truth.image.position[mask]).query(points)
-    light = truth.lights[0]
-    toward = light.distance_mm * light.direction - points
-    reach = np.linalg.norm(toward, axis=1)
-    cosine = np.einsum("ij,ij->i", truth.image.normal[mask][texel], toward) / reach
+    toward, _, irradiance = incident_light(points, truth.lights[0])
+    cosine = np.einsum("ij,ij->i", truth.image.normal[mask][texel], toward)
     # Well-lit, unhidden places only: the front of the nearer cheek, forehead and chin.
     usable = (distance < 1.2) & (cosine > 0.6)
-    shading = 1 + light.intensity * (light.distance_mm / reach) ** 2 * cosine
+    shading = 1 + irradiance * cosine
     predicted = truth.exposure * truth.albedo_linear[mask][texel] * shading[:, None]
     typical = np.median(np.abs(pixel - predicted)[usable] / predicted[usable])
     assert usable.sum() > 1000
@@ -97,9 +96,9 @@ def test_texture_is_the_true_albedo_under_the_true_light(made):
 def test_same_seed_same_scan(made):
     scan, truth = made
     again, same = raw_scan(0, scanner=SMALL, material=Material(sigma_rad=0.0))
-    assert np.array_equal(scan.vertices, again.vertices)
-    assert np.array_equal(scan.texture_linear, again.texture_linear)
-    assert np.array_equal(truth.albedo_linear, same.albedo_linear)
+    assert_array_equal(scan.vertices, again.vertices)
+    assert_array_equal(scan.texture_linear, again.texture_linear)
+    assert_array_equal(truth.albedo_linear, same.albedo_linear)
 
 
 def test_it_is_raw(made):
@@ -138,7 +137,7 @@ def test_light_of_several_colors_adds_up(sitter):
 
     (plain, exposure), (white, same) = pictured(None), pictured(np.ones((3, 3)))
     assert same == pytest.approx(exposure, rel=1e-6)
-    np.testing.assert_allclose(white, plain, atol=0.02)  # a step of 8 bits
+    assert_allclose(white, plain, atol=0.02)  # a step of 8 bits
     _, brighter = pictured(np.full((3, 3), 0.5))
     assert brighter == pytest.approx(2 * exposure, rel=1e-6)
     red, _ = pictured(np.array([[1.0, 1, 1], [3.0, 1, 1], [1, 1, 1]]))

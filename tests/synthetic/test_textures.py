@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.synthetic.scenes import texel_coordinates
 from scan2albedo.synthetic.textures import skin, smooth_noise, spots, wood
@@ -12,10 +13,10 @@ def test_seeded_bounded_and_independent_of_resolution(paint):
     assert first.shape == (1600, 3)
     assert first.min() > 0
     assert first.max() < 1
-    assert np.array_equal(first, paint(coarse, np.random.default_rng(7)))
+    assert_array_equal(first, paint(coarse, np.random.default_rng(7)))
     assert not np.allclose(first, paint(coarse, np.random.default_rng(8)))
     same_places = paint(fine, np.random.default_rng(7)).reshape(120, 120, 3)[1::3, 1::3]
-    assert np.allclose(first, same_places.reshape(-1, 3))
+    assert_allclose(first, same_places.reshape(-1, 3))
 
 
 @pytest.mark.parametrize("paint", [wood, skin])

@@ -55,8 +55,7 @@ def test_masks_show_what_the_head_does_not_hide(person):
 
 
 def test_noise_is_as_asked():
-    noisy = {"picture_size": 512, "focal_px": 900, "label_noise_px": 2.0, "outliers": 2, "missing": 3}
-    person = wearer(2, **noisy)
+    person = wearer(2, **(CLEAN | {"label_noise_px": 2.0, "outliers": 2, "missing": 3}))
     pixels = np.stack([project(camera, person.keypoints)[0] for camera in person.cameras])
     off = np.abs(person.labels - pixels)
     assert np.nanmedian(off) == pytest.approx(2.0 * 0.6745, rel=0.35)

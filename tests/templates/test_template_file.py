@@ -56,14 +56,10 @@ def test_a_vertex_with_two_texture_coordinates_has_none():
         vertex_uv(given(seam[:1]))
 
 
-@pytest.mark.parametrize("text", ["", "hello\n", "v 0 0 0\n"])
-def test_a_file_without_a_template_is_refused_by_name(tmp_path, text):
+@pytest.mark.parametrize("text", [None, "", "hello\n", "v 0 0 0\n"])
+def test_a_file_without_a_template_or_that_is_missing_is_refused_by_name(tmp_path, text):
     path = tmp_path / "mine.obj"
-    path.write_text(text)
+    if text is not None:
+        path.write_text(text)
     with pytest.raises(ModelError, match="mine"):
         AnnotatedFaceModel.from_file(path)
-
-
-def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(ModelError, match=r"gone\.ply"):
-        AnnotatedFaceModel.from_file(tmp_path / "gone.ply")
