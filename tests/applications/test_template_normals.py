@@ -1,20 +1,19 @@
 """Normal maps of templates: read as glTF says, they give back the shape the template lacks."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 from helpers.eyeglasses import angle_deg
+from helpers.fits import fit_of
 from helpers.gltf import Gltf
 from helpers.meshes import grid
 from numpy.testing import assert_allclose, assert_array_equal
 
 import scan2albedo as s2a
 from scan2albedo.applications.template_baking import FineShape, tangent_normals, template_texture
-from scan2albedo.core import RawScan, Trace
-from scan2albedo.fitting import FittedFace
+from scan2albedo.core import RawScan
 from scan2albedo.geometry.loop_subdivision import SurfacePoints
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.rasterization import bilinear
@@ -81,26 +80,20 @@ def carried(chart, noise_mm=0.0, scan_cells=120):
     fine, fine_faces = bumps(60)
     scanned, scan_faces = bumps(scan_cells)
     rng = np.random.default_rng(1)
-    scanned = scanned + true_normals(scanned) * rng.normal(0, noise_mm, (len(scanned), 1))
+    scanned += true_normals(scanned) * rng.normal(0, noise_mm, (len(scanned), 1))
     at_first = SurfacePoints(np.zeros(len(vertices), np.int64), np.tile([1.0, 0, 0], (len(vertices), 1)))
     model = replace(
         s2a.AnnotatedFaceModel.default(), template_points=at_first, template_faces=faces, template_uv=uv
     )
-    fitted = FittedFace(
+    fitted = replace(
+        fit_of(model, model.control_vertices),
         vertices=fine,
         faces=fine_faces,
         uv=plain(*fine.T),
         region=np.zeros(len(fine_faces), np.uint8),
-        control_points=model.control_vertices,
-        landmarks=None,
         residual_mm=np.zeros(len(fine)),
         model_from_scan=POSE,
         template_vertices=vertices,
-        levels=1,
-        converged=True,
-        iterations=0,
-        trace=Trace(),
-        model=model,
     )
     color = np.full(scanned.shape, 0.5, np.float32)
     placed = transform_points(invert_rigid(POSE), scanned)
@@ -181,9 +174,9 @@ def test_noise_of_the_scan_stays_out_and_without_a_scan_the_fit_serves():
 def test_what_lies_far_is_flat_and_another_side_does_not_stand():
     _, fitted = carried(plain)
     away = RawScan(fitted.vertices + 1000, fitted.faces, name="away")
-    shape = FineShape(SimpleNamespace(**{**vars(fitted), "model_from_scan": np.eye(4)}), away)
+    shape = FineShape(replace(fitted, model_from_scan=np.eye(4)), away)
     middle = len(fitted.vertices) // 2
-    points = np.stack([fitted.vertices[middle], fitted.vertices[middle] + [0, 0, 9]])
+    points = fitted.vertices[middle] + [[0, 0, 0], [0, 0, 9]]
     fine = shape.normals(points)
     assert_array_equal(fine[1], [True, False])
     frames = np.tile([0.0, 0, -1], (2, 1)), np.tile([1.0, 0, 0, 1], (2, 1))
