@@ -8,6 +8,7 @@ from bench.applications import carried, carried_errors, fitted, measured_pair, m
 from helpers.cli import invoke
 from helpers.commands import succeeded
 from helpers.fits import fit_of
+from helpers.measures import row_lengths
 from numpy.testing import assert_allclose, assert_array_equal
 
 import scan2albedo as s2a
@@ -54,15 +55,15 @@ def test_a_smile_of_measured_faces(measured):
     generic, smile = measured["generic_neutral"], measured[f"generic_{SMILE}"]
     other, truth = measured["person2"], measured[f"person2_{SMILE}"].vertices
     made = other.vertices + expression_displacement(generic, smile)
-    assert np.linalg.norm(made - truth, axis=1).mean() <= 0.05
-    assert np.linalg.norm(other.vertices - truth, axis=1).mean() > 2
+    assert row_lengths(made - truth).mean() <= 0.05
+    assert row_lengths(other.vertices - truth).mean() > 2
 
 
 def test_alignment_undoes_a_pose_between_the_scans(measured):
     rest, smile = measured["generic_neutral"].vertices, measured[f"generic_{SMILE}"].vertices
     pose = compose(rotation_from_vector([0.03, -0.02, 0.04]), [2.0, -1.0, 3.0])
     placed = laid_on_what_is_still(transform_points(pose, smile), rest)
-    assert np.linalg.norm(placed - smile, axis=1).mean() < 0.05
+    assert row_lengths(placed - smile).mean() < 0.05
 
 
 def test_two_people_lie_apart_even_where_an_expression_leaves_the_face_still(measured):
@@ -88,11 +89,11 @@ def test_the_face_moves_as_its_mesh_does_and_keeps_its_skin(person):
     moved = (made.image.position - b.image.position)[mask]
     placed = laid_on_what_is_still(smiling.image.position[mask], a.image.position[mask])
     assert_allclose(moved, placed - a.image.position[mask], atol=1e-9)
-    assert np.linalg.norm(moved, axis=1).max() > 3
-    assert_allclose(np.linalg.norm(made.image.normal[mask], axis=1), 1, atol=1e-9)
+    assert row_lengths(moved).max() > 3
+    assert_allclose(row_lengths(made.image.normal[mask]), 1, atol=1e-9)
     assert_array_equal(made.albedo_linear, b.albedo_linear)
     assert made.reflectance == b.reflectance
-    moves = np.linalg.norm(moved, axis=1) >= 1e-3
+    moves = row_lengths(moved) >= 1e-3
     assert np.abs(made.image.normal - b.image.normal)[mask][moves].max() > 0.05
     # The shadows of the moved surface are its own.
     assert_allclose(made.image.occluder_mesh()[0], made.mesh.vertices)
@@ -191,7 +192,7 @@ def test_what_slid_is_set_right_and_no_expression_stays_none():
     rest, expression = synthetic(1), synthetic(1, "surprise")
     truth, moved = expression.vertices, slid(expression, 3.0)
     found = refined_expression(rest, moved, MODEL, LEVEL)
-    before, after = (np.linalg.norm(points - truth, axis=1).mean() for points in (moved, found))
+    before, after = (row_lengths(points - truth).mean() for points in (moved, found))
     assert before > 1.5
     assert after < 0.35 * before
     skin = ~MODEL.in_region("between_lips")[MODEL.subdivision(LEVEL).parent]

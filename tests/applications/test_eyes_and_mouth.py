@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 from helpers.faces import unseen
+from helpers.measures import row_lengths
 from helpers.meshes import sphere
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -58,7 +59,7 @@ def test_irises_are_found_where_they_are_painted(seen, seed):
     assert [eye.side for eye in found.eyes] == ["right", "left"]
     assert all(eye.painted for eye in found.eyes)
     places = np.array([(eye.center_mm + eye.radius_mm * eye.gaze)[:2] for eye in found.eyes])
-    assert np.linalg.norm(places - iris_centres(face), axis=1).max() < 1
+    assert row_lengths(places - iris_centres(face)).max() < 1
     right, left = (eye.gaze for eye in found.eyes)
     assert right @ left > np.cos(np.radians(4))
     # Dark pupil, bright white, and the openings in the face lie over the eyes.
@@ -112,7 +113,7 @@ def test_parts_are_closed_outward_meshes(seen, tmp_path):
     found = eyes_and_mouth(seen(3))
     for eye in found.eyes:
         part = eyeball_mesh(eye)
-        off = np.linalg.norm(part.vertices - eye.center_mm, axis=1)
+        off = row_lengths(part.vertices - eye.center_mm)
         assert abs(eye.radius_mm - GLOBE_MM) < 1.5
         # The cornea stands out by about a millimetre, and nothing else does.
         assert off.min() == pytest.approx(eye.radius_mm)

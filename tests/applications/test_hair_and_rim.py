@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from helpers.faces import with_template
+from helpers.measures import row_lengths
 from helpers.meshes import grid
 from helpers.records import read_json
 from numpy.testing import assert_allclose
@@ -106,7 +107,7 @@ def shares_of(far, direction, place, brighter=0.0):
     """Shares of the classes where colours differ from skin's by `far` (3,) beyond 4 of 8 cm, and where."""
     flat, faces = grid(21, 21)
     offset = 80 * flat[:, 1:2] * np.asarray(direction, float)
-    distance = np.linalg.norm(offset, axis=1)
+    distance = row_lengths(offset)
     beyond = distance >= 40
     rng = np.random.default_rng(0)
     color = np.array([-1.0, -1.5, -1.8]) + 0.02 * rng.standard_normal((len(offset), 3))

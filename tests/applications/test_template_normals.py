@@ -8,6 +8,7 @@ import pytest
 from helpers.eyeglasses import angle_deg
 from helpers.fits import fit_of
 from helpers.gltf import Gltf
+from helpers.measures import row_lengths
 from helpers.meshes import grid
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -140,9 +141,9 @@ def test_a_coarse_template_is_shaded_like_the_fine_surface(tmp_path, chart):
     for arrays, picture in parts:
         tangents, hands = np.split(arrays["TANGENT"], [3], axis=1)
         assert np.isin(hands, [-1, 1]).all()
-        assert_allclose(np.linalg.norm(tangents, axis=1), 1, atol=1e-6)
+        assert_allclose(row_lengths(tangents), 1, atol=1e-6)
         assert_allclose(np.einsum("ij,ij->i", tangents, arrays["NORMAL"]), 0, atol=1e-6)
-        at = np.linalg.norm(arrays["POSITION"][:, None] * 1000 - painted.vertices, axis=2).argmin(1)
+        at = row_lengths(arrays["POSITION"][:, None] * 1000 - painted.vertices).argmin(1)
         assert_allclose(arrays["NORMAL"], vertex_normals(painted.vertices, painted.faces)[at], atol=1e-6)
         points, without, with_map = shaded(arrays, picture)
         inner = np.abs(points[:, :2]).max(1) < HALF_MM - 5  # the grids' rims are one-sided
@@ -203,4 +204,4 @@ def test_files_of_the_map_are_named_like_the_colours(tmp_path):
             assert f"map_Kd template{name}.png\nnorm template_normal{name}.png\n" in text
             stored = cv2.imread(str(tmp_path / f"template_normal{name}.png"))[..., ::-1]
             assert np.abs(stored / 127.5 - 1 - tile.normal).max() < 0.005
-            assert_allclose(np.linalg.norm(tile.normal, axis=2), 1, atol=1e-5)
+            assert_allclose(row_lengths(tile.normal), 1, atol=1e-5)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from helpers.face_mask import mask_surface
+from helpers.measures import row_lengths
 from worlds.raw_like import raw_like
 
 from scan2albedo import AnnotatedFaceModel
@@ -43,7 +44,7 @@ class IctFaces:
 
         def errors_mm(fitted):
             truth = transform_points(fitted.model_from_scan @ scan_from_shape, given)
-            return np.linalg.norm(fitted.landmarks - truth, axis=1)
+            return row_lengths(fitted.landmarks - truth)
 
         pose = procrustes(given[by], model.landmarks[by]) @ invert_rigid(scan_from_shape)
         return scan, pose, errors_mm

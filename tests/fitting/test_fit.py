@@ -3,6 +3,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from helpers.crossings import crossing_triangles
+from helpers.measures import row_lengths
 from helpers.poses import moved
 from numpy.testing import assert_allclose, assert_array_equal
 from worlds.raw_like import raw_like
@@ -85,7 +86,7 @@ def test_pose_and_size_are_refined_before_anything_bends(mask_model):
     front, *laid = transform_points(fitted.model_from_scan, 1.1 * np.vstack([mask_model.front, vertices]))
     # The front of a larger face keeps the model's place.
     assert np.linalg.norm(front - mask_model.front) < 1.0
-    assert np.linalg.norm(fitted.vertices - laid, axis=1).mean() < 2.0
+    assert row_lengths(fitted.vertices - laid).mean() < 2.0
 
 
 def test_the_scan_may_lie_anywhere(mask_fit, mask_model, mask_scan):
@@ -96,9 +97,9 @@ def test_the_scan_may_lie_anywhere(mask_fit, mask_model, mask_scan):
 
 def test_a_hole_has_no_residual_and_keeps_its_shape(mask_model, mask_scan):
     centre = mask_scan.vertices[mask_scan.faces].mean(1)
-    hole = np.linalg.norm(centre[:, :2] - [-35, 40], axis=1) < 15
+    hole = row_lengths(centre[:, :2] - [-35, 40]) < 15
     fitted = fit(mask_scan.without_faces(hole), mask_model, np.eye(4))
-    across = np.linalg.norm(fitted.vertices[:, :2] - [-35, 40], axis=1)
+    across = row_lengths(fitted.vertices[:, :2] - [-35, 40])
     assert np.isnan(fitted.residual_mm[across < 8]).all()
     assert np.isfinite(fitted.residual_mm[(across > 20) & (across < 30)]).all()
     assert surface_error_mm(fitted, centre[hole]).max() < 1.5
@@ -151,7 +152,7 @@ def test_error_ceilings_on_raw_like_scans(ict, name):
     inner = transform_points(scan_from_shape, shape[: ict.inner_vertices])
     error = surface_error_mm(fitted, inner)
     laid = transform_points(fitted.model_from_scan, inner)
-    correspondence = np.linalg.norm(fitted.template_vertices[: ict.inner_vertices] - laid, axis=1)
+    correspondence = row_lengths(fitted.template_vertices[: ict.inner_vertices] - laid)
     mean, median, matched = CEILINGS[name]
     assert error.mean() < mean
     assert np.median(error) < median
