@@ -180,7 +180,7 @@ def test_colours_go_from_one_layout_to_another():
 def test_colours_go_through_the_face_to_another_pose():
     scan, fitted = carried(plain)
     scan = replace(scan, vertex_color_linear=np.abs(np.sin(transform_points(POSE, scan.vertices) / 40)) * 0.9)
-    other = compose(rotation_from_vector([-0.5, 0.2, 1.0]), np.array([-40.0, 3.0, 7.0]))
+    other = compose(rotation_from_vector([-0.5, 0.2, 1.0]), [-40.0, 3.0, 7.0])
     vertices, faces, uv = charted(20, plain)
     target = RawScan(transform_points(np.linalg.inv(other), vertices), faces, uv=uv, name="target")
     (tile,) = bake(scan, target, 64, (fitted, replace(fitted, model_from_scan=other))).tiles

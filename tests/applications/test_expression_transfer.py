@@ -24,7 +24,6 @@ from scan2albedo.applications.expression_transfer import (
     apart_where_still,
     expression_displacement,
     laid_on_what_is_still,
-    limit_control_points,
     refined_expression,
     refinement_level,
 )
@@ -42,13 +41,11 @@ def measured(shared_data):
     """Shapes in dense correspondence as meshes of the face area."""
     with np.load(shared_data / "ict_faces.npz") as data:
         count, faces = int(data["face_area_vertices"]), data["faces"][: int(data["face_area_faces"])]
-        return {
-            name.removeprefix("shape_"): FaceMesh(
-                data[name][:count].astype(float), faces.astype(np.int64), np.zeros((count, 2))
-            )
-            for name in data
-            if name.startswith("shape_")
-        }
+        shapes = {name: data[name][:count].astype(float) for name in data if name.startswith("shape_")}
+    return {
+        name.removeprefix("shape_"): FaceMesh(vertices, faces.astype(np.int64), vertices[:, :2])
+        for name, vertices in shapes.items()
+    }
 
 
 def test_a_smile_of_measured_faces(measured):
@@ -155,14 +152,11 @@ MODEL = s2a.AnnotatedFaceModel.default()
 LEVEL = 2
 
 
-def surface_of(control_points):
+def synthetic(seed, expression="neutral"):
+    control_points = face_shape.person(MODEL, np.random.default_rng(seed), expression=expression)
     subdivision = MODEL.subdivision(LEVEL)
     vertices = subdivision.matrix @ control_points
-    return FaceMesh(vertices, subdivision.faces, np.zeros((len(vertices), 2)))
-
-
-def synthetic(seed, expression="neutral"):
-    return surface_of(face_shape.person(MODEL, np.random.default_rng(seed), expression=expression))
+    return FaceMesh(vertices, subdivision.faces, vertices[:, :2])
 
 
 def slid(mesh, mm):
@@ -170,12 +164,6 @@ def slid(mesh, mm):
     x, y, _ = mesh.vertices.T
     off = mm * np.stack([np.sin(y / 25), np.cos(x / 25), np.zeros(len(x))], 1)
     return surface_query(mesh.vertices, mesh.faces).query(mesh.vertices + off).points
-
-
-def test_control_points_come_back_from_their_surface():
-    control = face_shape.person(MODEL, np.random.default_rng(3))
-    found = limit_control_points(surface_of(control).vertices, MODEL.subdivision(LEVEL))
-    assert_allclose(found, control, atol=1e-6)
 
 
 def test_the_level_of_a_mesh_is_found(person, result, stored):

@@ -24,7 +24,7 @@ from scan2albedo.pipeline.mesh_files import write_template
 HALF_MM = 60.0
 WAVE_MM = 9.0
 HEIGHT_MM = 3.0
-POSE = compose(rotation_from_vector([0.3, -1.0, 0.4]), np.array([10.0, 200.0, -30.0]))
+POSE = compose(rotation_from_vector([0.3, -1.0, 0.4]), [10.0, 200.0, -30.0])
 
 
 def bumps(cells):
@@ -41,10 +41,9 @@ def bumps(cells):
 
 
 def true_normals(points):
-    x, y = points[:, 0] / WAVE_MM, points[:, 1] / WAVE_MM
-    slope_x = -HEIGHT_MM / WAVE_MM * np.sin(x) * np.cos(y) - points[:, 0] / 125
-    slope_y = -HEIGHT_MM / WAVE_MM * np.cos(x) * np.sin(y) - points[:, 1] / 125
-    return normalized(np.stack([-slope_x, -slope_y, np.ones(len(points))], axis=1))
+    turn = points[:, :2] / WAVE_MM
+    down = HEIGHT_MM / WAVE_MM * np.sin(turn) * np.cos(turn[:, ::-1]) + points[:, :2] / 125
+    return normalized(np.insert(down, 2, 1, axis=1))
 
 
 def plain(x, y, right):
@@ -174,7 +173,7 @@ def test_noise_of_the_scan_stays_out_and_without_a_scan_the_fit_serves():
 
 def test_what_lies_far_is_flat_and_another_side_does_not_stand():
     _, fitted = carried(plain)
-    away = RawScan(fitted.vertices + 1000, fitted.faces, name="away")
+    away = RawScan(fitted.vertices + 1000, fitted.faces)
     shape = FineShape(replace(fitted, model_from_scan=np.eye(4)), away)
     middle = len(fitted.vertices) // 2
     points = fitted.vertices[middle] + [[0, 0, 0], [0, 0, 9]]

@@ -86,11 +86,3 @@ def test_a_feature_of_one_face_at_the_border_leaves_no_stain(person):
     assert change.max() < 0.065
     # What of the line lies in the hole stays a line.
     assert (made[36:38, 28:31] < 0.3 * plain[36:38, 28:31]).all()
-
-
-def test_where_neither_was_seen_the_colour_is_continued(person):
-    hole = square(person(0), (38, 48), (10, 20))
-    a, b = (with_hole(person(seed), hole) for seed in (0, 1))
-    made = swap_texture(a, b)
-    assert np.abs(np.diff(np.log(made.albedo_linear[40:46, 12:18].max(-1)), axis=1)).max() < 0.3
-    assert made.albedo_linear[hole].min() > 0.02

@@ -24,7 +24,7 @@ def mask_model():
 def mask_scan():
     """A wider mask with a longer nose, finely meshed, in the model's frame."""
     vertices, faces = mask_surface(70, nose_mm=32.0, width_mm=74.0)
-    return RawScan(vertices - mask_surface(20)[0].mean(0), faces, name="another mask")
+    return RawScan(vertices - mask_surface(20)[0].mean(0), faces)
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ def stretched(points):
 @pytest.fixture(scope="module")
 def scan(model):
     vertices, faces = model.surface(2)
-    return RawScan(stretched(vertices), faces, name="other proportions")
+    return RawScan(stretched(vertices), faces)
 
 
 def found(model, scan, iterations=8, budget=None):

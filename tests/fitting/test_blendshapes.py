@@ -52,7 +52,7 @@ def scan_of(face, shapes, seed):
     rng = np.random.default_rng(seed)
     turn = rotation_from_vector(rng.normal(0, 0.3, 3))
     moved = (face + rng.normal(0, 0.1, face.shape)) @ turn.T + rng.normal(0, 30, 3)
-    return RawScan(moved, shapes["faces"][: int(shapes["face_area_faces"])], name="mixture")
+    return RawScan(moved, shapes["faces"][: int(shapes["face_area_faces"])])
 
 
 @pytest.mark.slow

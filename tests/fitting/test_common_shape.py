@@ -4,10 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench.person import PEERS, Truth, fits_of
 from helpers.fits import fit_of
 from helpers.measures import row_lengths
-from worlds.light_stage import LightStage
 
 from scan2albedo.fitting import common_shape
 from scan2albedo.geometry.rigid import compose, procrustes, rotation_from_vector, transform_points
@@ -113,15 +111,3 @@ def test_misuse_is_told(model, mask_model, rest):
     with pytest.raises(ValueError, match=r"fit 1 is of 'mask'.*fit all scans with one model"):
         common_shape([fitted(model, rest), mask])
     assert np.isfinite(common_shape([mask, mask]).deviation_mm).all()
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("shared_data")
-def test_measured_people_in_thirteen_expressions(model):
-    people, errors = LightStage.load(), []
-    for name in ("person3", "person4"):
-        truth, fits = Truth(people, name, model), list(fits_of(people, name, model, 5))
-        found = [truth.of(control) for control in (PEERS["mean"](fits), common_shape(fits).control_points)]
-        errors.append([distance[counted].mean() for distance, counted, _ in found])
-    mean, common = np.mean(errors, axis=0)
-    assert common < min(0.8, 0.75 * mean)

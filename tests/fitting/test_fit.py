@@ -49,8 +49,6 @@ def test_another_shape_is_reached(mask_fit, mask_scan):
 def test_result_is_consistent(mask_fit, mask_model):
     subdivision = mask_model.subdivision(mask_fit.levels)
     assert_allclose(mask_fit.vertices, subdivision.matrix @ mask_fit.control_points)
-    assert mask_fit.residual_mm.shape == (len(mask_fit.vertices),)
-    assert mask_fit.uv.shape == (len(mask_fit.vertices), 2)
     assert mask_fit.region.shape == (len(mask_fit.faces),)
     chart = np.column_stack([mask_fit.uv, np.zeros(len(mask_fit.uv))])
     assert (face_normals(chart, mask_fit.faces)[:, 2] > 0).all()
@@ -90,8 +88,8 @@ def test_pose_and_size_are_refined_before_anything_bends(mask_model):
 
 
 def test_the_scan_may_lie_anywhere(mask_fit, mask_model, mask_scan):
-    world_from_scan = compose(rotation_from_vector([0.3, -2.0, 1.0]), [1e6, -2e6, 3e5])
-    fitted = fit(moved(mask_scan, world_from_scan), mask_model, invert_rigid(world_from_scan))
+    pose = compose(rotation_from_vector([0.3, -2.0, 1.0]), [1e6, -2e6, 3e5])
+    fitted = fit(moved(mask_scan, pose), mask_model, invert_rigid(pose))
     assert_allclose(fitted.vertices, mask_fit.vertices, atol=0.02)
 
 
@@ -151,12 +149,9 @@ def test_error_ceilings_on_raw_like_scans(ict, name):
     fitted = fit(scan, ict.model, pose @ invert_rigid(scan_from_shape))
     inner = transform_points(scan_from_shape, shape[: ict.inner_vertices])
     error = surface_error_mm(fitted, inner)
-    laid = transform_points(fitted.model_from_scan, inner)
-    correspondence = row_lengths(fitted.template_vertices[: ict.inner_vertices] - laid)
-    mean, median, matched = CEILINGS[name]
-    assert error.mean() < mean
-    assert np.median(error) < median
-    assert correspondence.mean() < matched
+    apart = fitted.template_vertices[: len(inner)] - transform_points(fitted.model_from_scan, inner)
+    figures = error.mean(), np.median(error), row_lengths(apart).mean()
+    assert (np.array(figures) < CEILINGS[name]).all(), figures
     assert fitted.metrics["flipped_faces"] == 0
 
 
@@ -168,7 +163,7 @@ def test_finer_samples_at_the_end_lower_the_error_of_fine_scans_and_cost_coarse_
         shape = vertices * [1.05, 0.97, 1.0]
         shape[:, 2] += 2 * np.sin(shape[:, 1] / 15)
         noise = np.random.default_rng(0).normal(0, 0.3, (len(shape), 1))
-        scan = RawScan(shape + noise * vertex_normals(shape, faces), faces, name=f"level {level}")
+        scan = RawScan(shape + noise * vertex_normals(shape, faces), faces)
         for finest in (0, 2):
             fitted = fit(scan, model, np.eye(4), options=FitOptions(finest_level=finest))
             found[level, finest] = surface_error_mm(fitted, shape).mean(), fitted.iterations

@@ -20,7 +20,7 @@ def test_a_step_that_would_turn_a_triangle_is_shortened_there_only(mask_model):
     harmless = before * 1.1
     np.testing.assert_array_equal(guarded(before, harmless, normals, samples, faces), harmless)
     after = before + [0.0, 0.0, 1.0]
-    centre = int(np.argmin(row_lengths(before[:, :2])))
+    centre = np.argmin(row_lengths(before[:, :2]))
     after[centre, 0] += 40.0
     assert len(turned_faces(normals, samples.matrix @ after, samples.faces, 0.2))
     safe = guarded(before, after, normals, samples, faces)

@@ -60,7 +60,7 @@ def scanned(model, coefficients, rotations=None):
     noise = np.random.default_rng(0).normal(0, 0.1, (len(true), 1))
     pose = compose(rotation_from_vector([0.1, -0.1, 0.05]), [3.0, -4.0, 2.0])
     noisy = transform_points(pose, true + noise * vertex_normals(true, model.faces))
-    return RawScan(noisy, model.faces, name="own"), true, invert_rigid(pose)
+    return RawScan(noisy, model.faces), true, invert_rigid(pose)
 
 
 def fitted_to(scan, model_from_scan, linear, weight=lambda fitted: np.ones(len(fitted.vertices)), **more):
@@ -125,7 +125,7 @@ def test_hair_and_holes_hardly_count(linear):
     points = true + 12 * hair[:, None] * vertex_normals(true, linear.faces)
     gone = np.hypot(true[:, 0] - 40, true[:, 1] + 20) < 12
     kept = linear.faces[~gone[linear.faces].any(1)]
-    hairy = RawScan(transform_points(invert_rigid(pose), points), kept, name="hairy")
+    hairy = RawScan(transform_points(invert_rigid(pose), points), kept)
 
     def skin(fitted):
         return (fitted.vertices[:, 1] < np.percentile(true[:, 1], 88)).astype(float)

@@ -46,9 +46,7 @@ def test_a_pull_moves_the_corners_back_and_up_and_keeps_the_rest(model):
     moved = model.landmarks_of(smiling(model, 10, 10)) - model.landmarks
     for corner, side in ((RIGHT, -1), (LEFT, 1)):
         assert np.linalg.norm(moved[corner]) == pytest.approx(10, abs=1.5)
-        assert moved[corner] @ [side, 0, 0] > 3
-        assert moved[corner, 1] > 3
-        assert moved[corner, 2] < -3
+        assert (moved[corner] * [side, 1, -1] > 3).all()
     upper_face_and_ears = [0, 1, 2, 14, 15, 16, *range(17, 28), *range(36, 48)]
     assert row_lengths(moved[upper_face_and_ears]).max() < 0.2
     assert row_lengths(moved[[51, 57, 62, 66]]).max() < 2

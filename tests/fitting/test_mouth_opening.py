@@ -81,11 +81,10 @@ def test_a_mouth_is_open_where_the_scan_has_a_gap_alone(model):
 
 def test_the_lower_lip_shows_the_angle_and_the_upper_lip_does_not(model):
     opened = at_angle(model, 12.0)
-    vertices, faces = without_film(model, opened)
-    placed = np.full((68, 3), np.nan)
-    placed[[30, 51, 57]] = model.landmarks_of(opened)[[30, 51, 57]]
-    pull = LandmarkPull.of(model, PlacedLandmarks.of(placed), np.eye(4))
-    deformation = search_on(model, vertices, faces).deformation
+    scan = without_film(model, opened)
+    placed = PlacedLandmarks.of({number: model.landmarks_of(opened)[number] for number in (30, 51, 57)})
+    pull = LandmarkPull.of(model, placed, np.eye(4))
+    deformation = search_on(model, *scan).deformation
     assert mouth_opened(deformation, pull).jaw_deg == 12.0
     assert deformation.meter.evaluations == 0  # no trial
     unsure = replace(pull, sigma_mm=np.full(len(pull.numbers), 4.0))
@@ -93,7 +92,7 @@ def test_the_lower_lip_shows_the_angle_and_the_upper_lip_does_not(model):
         before = deformation.meter.evaluations
         mouth_opened(deformation, undecided)
         assert deformation.meter.evaluations > before
-    metrics = fit(RawScan(vertices, faces, landmarks=placed), model, np.eye(4)).metrics
+    metrics = fit(RawScan(*scan, landmarks=placed), model, np.eye(4)).metrics
     assert metrics["jaw_deg"] == 12.0
     assert metrics["corner_right_mm"] == metrics["corner_left_mm"] == 0
 

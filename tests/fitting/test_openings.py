@@ -55,17 +55,18 @@ def test_a_mouth_shows_no_depth_and_does_not_move_the_pose(model, middles):
 def test_other_holes_say_nothing(model, middles):
     right, left, mouth = middles
     assert openings(surface_with_holes(model), model) is None
+    eye = right, 13.0, 5.0
     for holes in (
-        [(right, 13.0, 5.0)],  # one eye
-        [(right, 13.0, 5.0), (left + [0, 9, 0], 13.0, 5.0)],  # one far higher
-        [(right, 13.0, 5.0), (left, 3.0, 3.0)],  # one far smaller
-        [(right, 13.0, 5.0), (left, 13.0, 10.0)],  # more than an eye is missing
+        [eye],
+        [eye, (left + [0, 9, 0], 13.0, 5.0)],  # one far higher
+        [eye, (left, 3.0, 3.0)],  # one far smaller
+        [eye, (left, 13.0, 10.0)],  # more than an eye is missing
         [(right, 25.0, 16.0), (left, 25.0, 16.0)],  # the strips that glasses leave
         [(mouth + [14, 0, 0], 14.0, 8.0)],  # a corner of the mouth
         [(mouth, 5.0, 5.0)],
     ):
         assert openings(surface_with_holes(model, *holes), model) is None, holes
-    eyes = surface_with_holes(model, (right, 13.0, 5.0), (left, 13.0, 5.0))
+    eyes = surface_with_holes(model, eye, (left, 13.0, 5.0))
     assert openings(eyes, replace(model, landmark_points=None)) is None
 
 

@@ -154,13 +154,12 @@ def with_shut_eyes(james, landmarks):
         lids = landmarks[first_of_eye : first_of_eye + 6]
         brow = landmarks[first_of_brow : first_of_brow + 5]
         beside = away(np.array([*lids, lids[0], lids.mean(0), lids[3]]))
-        for distance, half, soft, paint, strength in (
-            (away(brow - [0, 2, 0]), 7.0, 3.0, plain, 1.0),
-            (beside, 6.0, 3.0, plain, 1.0),
-            (away(lids[[0, 5, 4, 3]]), 0.5, 0.7, 0.3 * plain, 0.8),
-            (away(brow - [0, 6, 0]), 5.0, 1.2, np.full(3, 0.06 * plain[0]), 0.95),
+        for distance, half, paint in (
+            (np.minimum(away(brow - [0, 2, 0]), beside), 8.0, plain),
+            (away(lids[[0, 5, 4, 3]]), 0.5, 0.3 * plain),
+            (away(brow - [0, 6, 0]), 5.0, np.full(3, 0.06 * plain[0])),
         ):
-            cover = strength * np.clip(1 - (distance - half) / soft, 0, 1)[:, None]
+            cover = np.clip(1 + half - distance, 0, 1)[:, None]
             color = color * (1 - cover) + paint * grain * cover
     return replace(
         james,
