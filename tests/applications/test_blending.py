@@ -1,56 +1,49 @@
 """Blends: the ends are the faces, a face with itself is itself, in between lies between."""
 
-from dataclasses import astuple, replace
+from dataclasses import asdict, replace
+from operator import attrgetter
 
 import numpy as np
 import pytest
 from helpers.faces import painted, square, unseen
+from helpers.measures import row_lengths
 from numpy.testing import assert_allclose, assert_array_equal
 
-from scan2albedo.applications import blend_faces, relight
+from scan2albedo.applications import blend_faces
 from scan2albedo.applications.face_features import feature_texels, grown
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.lighting.shading import Reflectance
-from scan2albedo.synthetic import light_at
+
+ARRAYS = attrgetter("image.position", "image.normal", "albedo_linear", "mesh.vertices")
+"""What is the same in two faces that look the same."""
 
 
-def same(made, face, tolerance=1e-6):
-    mask = face.mask
-    assert_array_equal(made.mask, mask)
-    for field in ("position", "normal"):
-        assert_allclose(getattr(made.image, field), getattr(face.image, field), atol=tolerance, rtol=0)
-    assert_allclose(made.albedo_linear, face.albedo_linear, atol=tolerance, rtol=0)
-    assert_allclose(made.mesh.vertices, face.mesh.vertices, atol=tolerance, rtol=0)
-    assert astuple(made.reflectance)[1:] == pytest.approx(astuple(face.reflectance)[1:])
-    assert made.reflectance.brdf == face.reflectance.brdf
+def assert_same(made, face):
+    assert_array_equal(made.mask, face.mask)
+    for found, expected in zip(ARRAYS(made), ARRAYS(face), strict=True):
+        assert_allclose(found, expected, atol=1e-6, rtol=0)
+    assert asdict(made.reflectance) == pytest.approx(asdict(face.reflectance))
     assert made.lights == face.lights
 
 
-@pytest.mark.parametrize("weight", [0.0, 0.3, 0.5, 1.0])
-def test_a_face_with_itself_is_itself(person, weight):
-    same(blend_faces(person(0), person(0), weight), person(0))
-    if weight in (0, 1):  # The ends are the faces.
-        same(blend_faces(person(0), person(1), weight), person(int(weight)))
+@pytest.mark.parametrize("weight", [0.0, 0.02, 0.3, 0.5, 1.0])
+def test_a_face_with_itself_is_itself_also_where_it_was_not_seen(person, weight):
+    for face in (person(0), unseen(person(0), square(person(0), (20, 40), (20, 40)))):
+        assert_same(blend_faces(face, face, weight), face)
 
 
-@pytest.mark.parametrize("weight", [0.02, 0.5])
-def test_a_face_with_itself_keeps_what_was_not_seen(person, weight):
-    face = unseen(person(0), square(person(0), (20, 40), (20, 40)))
-    same(blend_faces(face, face, weight), face)
-
-
-def test_the_middle_lies_between(person, two_people):
+def test_the_ends_are_the_faces_and_the_middle_lies_between(two_people):
+    for weight, face in enumerate(two_people):
+        assert_same(blend_faces(*two_people, weight), face)
     a, b = two_people
     made = blend_faces(a, b, 0.25)
     mask = a.mask & b.mask
     expected = 0.75 * a.image.position[mask] + 0.25 * b.image.position[mask]
     assert_allclose(made.image.position[mask], expected, atol=1e-12)
-    assert_allclose(np.linalg.norm(made.image.normal[mask], axis=1), 1, atol=1e-12)
+    assert_allclose(row_lengths(made.image.normal[mask]), 1, atol=1e-12)
     # The level lies between geometrically, whichever scan was exposed longer.
     assert made.level() == pytest.approx(a.level() ** 0.75 * b.level() ** 0.25, rel=0.02)
-    again = blend_faces(made, person(2), 0.3)
-    assert np.isfinite(relight(again, [light_at(30)]).texture_linear).all()
 
 
 def test_exposure_has_no_say(two_people):
@@ -79,7 +72,6 @@ def test_an_unseen_texture_takes_the_other_ones(person):
     middle = (slice(24, 36), slice(24, 36))
     ratio = made.albedo_linear[middle] / a.albedo_linear[middle]
     assert 0.9 < np.median(ratio) / (made.level() / a.level()) < 1.1
-    assert_allclose(blend_faces(a, b, 1.0).albedo_linear, b.albedo_linear, atol=1e-6)
     steps = np.abs(np.diff(np.log(made.albedo_linear[30, 8:56].max(-1))))
     assert steps.max() < 0.7
 
@@ -93,9 +85,8 @@ def test_what_neither_saw_is_skin_in_a_blend_and_its_own_at_the_ends(person):
     for weight in (0.1, 0.5, 0.9):
         made = blend_faces(a, b, weight)
         assert made.albedo_linear[temple].max(-1).min() > 0.4 * made.level()
-    same(blend_faces(a, b, 0.0), a)
-    almost = blend_faces(a, b, 1e-4)
-    assert_allclose(almost.albedo_linear, a.albedo_linear, atol=0.01)
+    assert_same(blend_faces(a, b, 0.0), a)
+    assert_allclose(blend_faces(a, b, 1e-4).albedo_linear, a.albedo_linear, atol=0.01)
 
 
 def test_reflectances_blend_or_the_nearer_one_wins(person):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 from helpers.faces import unseen
+from helpers.measures import row_lengths
 from helpers.meshes import sphere
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -23,8 +24,6 @@ from scan2albedo.synthetic.textures import landmark_uv
 from scan2albedo.templates import AnnotatedFaceModel
 from tests.applications.test_face_features import with_shut_eyes
 
-SIZE = 256
-
 
 def at_uv(face, uv):
     """Return places (N, 3) of a face at coordinates (N, 2) of its chart."""
@@ -36,7 +35,7 @@ def seen(person):
     """Make a synthetic person with landmarks: (seed) -> ProcessedFace."""
 
     def made(seed):
-        face = person(seed, size=SIZE)
+        face = person(seed, size=256)
         return replace(face, landmarks=at_uv(face, landmark_uv(AnnotatedFaceModel.default())))
 
     return made
@@ -44,11 +43,10 @@ def seen(person):
 
 def iris_centres(face):
     """Return (2, 2) where `synthetic.textures` paints the middles of the irises, right and left, in mm."""
-    uv, middles = landmark_uv(AnnotatedFaceModel.default()), []
-    for corners in (uv[lids] for lids in LID_LANDMARKS.values()):
-        width = np.linalg.norm(corners[3] - corners[0])
-        middles.append(corners.mean(0) + [0, 0.04 * width])
-    return at_uv(face, np.array(middles))[:, :2]
+    uv = landmark_uv(AnnotatedFaceModel.default())
+    lids = np.array([uv[lid] for lid in LID_LANDMARKS.values()])
+    widths = row_lengths(lids[:, 3] - lids[:, 0])
+    return at_uv(face, lids.mean(1) + np.outer(widths, [0, 0.04]))[:, :2]
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -58,11 +56,11 @@ def test_irises_are_found_where_they_are_painted(seen, seed):
     assert [eye.side for eye in found.eyes] == ["right", "left"]
     assert all(eye.painted for eye in found.eyes)
     places = np.array([(eye.center_mm + eye.radius_mm * eye.gaze)[:2] for eye in found.eyes])
-    assert np.linalg.norm(places - iris_centres(face), axis=1).max() < 1
-    right, left = (eye.gaze for eye in found.eyes)
-    assert right @ left > np.cos(np.radians(4))
+    assert row_lengths(places - iris_centres(face)).max() < 1
+    right, left = found.eyes
+    assert right.gaze @ left.gaze > np.cos(np.radians(4))
     # Dark pupil, bright white, and the openings in the face lie over the eyes.
-    rings = found.eyes[0].rings_linear.max(1)
+    rings = right.rings_linear.max(1)
     assert rings[0] < 0.1 * rings[-1]
     eyes = named_texels(face, ["left_eye", "right_eye"])
     assert (found.cut_mm[grown(~eyes & face.mask, 0) & ~grown(eyes, 0)] <= 0).all()
@@ -112,13 +110,14 @@ def test_parts_are_closed_outward_meshes(seen, tmp_path):
     found = eyes_and_mouth(seen(3))
     for eye in found.eyes:
         part = eyeball_mesh(eye)
-        off = np.linalg.norm(part.vertices - eye.center_mm, axis=1)
+        outward = part.vertices - eye.center_mm
+        off = row_lengths(outward)
         assert abs(eye.radius_mm - GLOBE_MM) < 1.5
         # The cornea stands out by about a millimetre, and nothing else does.
         assert off.min() == pytest.approx(eye.radius_mm)
         assert 0.5 < off.max() - eye.radius_mm < 2.5
-        outward = vertex_normals(part.vertices, part.faces)
-        assert np.mean(np.einsum("nc,nc->n", outward, part.vertices - eye.center_mm) > 0) > 0.99
+        facing = (vertex_normals(part.vertices, part.faces) * outward).sum(1) > 0
+        assert facing.mean() > 0.99
     names = [part.name for part in found.parts]
     assert names == ["eye_right", "eye_left", "mouth", "teeth_upper", "teeth_lower"]
     write_parts_glb(tmp_path / "parts.glb", found.parts)

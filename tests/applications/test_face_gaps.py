@@ -21,10 +21,9 @@ from scan2albedo.synthetic import light_at
 
 def with_sideburns(face):
     """Return a face with black hair along the middle of its left rim, and where that is."""
-    hair = np.zeros(face.mask.shape, bool)
-    first = np.argmax(face.mask, axis=1)
-    for row in range(24, 34):
-        hair[row, first[row] : first[row] + 5] = True
+    rim = np.argmax(face.mask, axis=1)[:, None]
+    rows, columns = np.indices(face.mask.shape)
+    hair = (rows >= 24) & (rows < 34) & (columns >= rim) & (columns < rim + 5)
     dark = painted(face, hair, 0.02 * face.albedo_linear)
     return replace(dark, image=with_labels(face.image, hair=hair)), hair
 
@@ -50,8 +49,8 @@ def test_a_black_side_is_filled_from_beside_it(person):
 def test_a_dark_place_away_from_the_rim_stays(person):
     face = person(0)
     mole = square(face, (36, 40), (14, 17))
-    marked = painted(face, mole, 0.02 * face.albedo_linear)
-    marked = replace(marked, image=with_labels(face.image, hair=mole))
+    dark = painted(face, mole, 0.02 * face.albedo_linear)
+    marked = replace(dark, image=with_labels(face.image, hair=mole))
     assert without_gaps(marked) is marked
 
 
@@ -59,10 +58,10 @@ def test_a_beard_stays_and_a_sideburn_alone_does_not(person):
     face, sideburns = with_sideburns(person(0))
     jaws = named_texels(face, JAWS)
     beard = jaws | (sideburns & face.mask) | named_texels(face, ("left_cheek", "right_cheek"))
-    mixed = sideburns.copy()  # hair that goes on as beard down to the edge of the jaw
-    mixed[34:, :12] = (face.mask & ~jaws)[34:, :12]
-    mixed |= grown(mixed, 0) & jaws & (np.indices(jaws.shape)[1] < 12)
-    hair = sideburns & (np.indices(jaws.shape)[0] < 29)
+    # Hair that goes on as beard down to the edge of the jaw.
+    mixed = sideburns | square(face, (34, None), (0, 12)) & face.mask & ~jaws
+    mixed |= grown(mixed, 0) & jaws & square(face, (0, None), (0, 12))
+    hair = sideburns & square(face, (0, 29), (0, None))
     for texels, goes in ((beard, False), (sideburns, True), (mixed, True)):
         things = {"beard": texels} | ({"hair": hair} if texels is mixed else {})
         made = replace(face, image=with_labels(face.image, **things))

@@ -90,16 +90,15 @@ def test_a_glossy_face_under_its_own_light_is_its_texture(scene):
     )
     truth, mask = image.texture_linear, image.mask
     ours = relight(given, given.lights, environment=estimate.environment, options=AS_ESTIMATED).texture_linear
-    again = estimate.relit(estimate.lights, estimate.environment)
-    assert_allclose(ours, again, rtol=1e-4, atol=1e-6)
+    assert_allclose(ours, estimate.relit(estimate.lights, estimate.environment), rtol=1e-4, atol=1e-6)
     # Light that no part of the model stands for is divided out, but not relit.
     assert np.linalg.norm((ours - truth)[mask]) / np.linalg.norm(truth[mask]) < 0.11
 
 
 def test_files_of_different_runs_are_refused(folder, result):
     fitted = result.fitted
-    texture = np.zeros((4, 4, 3), np.uint8)
-    write_glb(folder / "fitted.glb", fitted.vertices + 1.0, fitted.faces, fitted.uv, texture)
+    picture = np.zeros((4, 4, 3), np.uint8)
+    write_glb(folder / "fitted.glb", fitted.vertices + 1.0, fitted.faces, fitted.uv, picture)
     with pytest.raises(ApplicationError, match=r"fitted\.glb.*different runs"):
         load_result(folder)
     write_exr(folder / "albedo.exr", np.ones((20, 20, 3)))

@@ -1,11 +1,11 @@
 """Relit faces: against an independent renderer, linear in the light, environments, pictures."""
 
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
-from bench.applications import relit_errors
 from helpers.meshes import grid
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -21,29 +21,14 @@ from scan2albedo.lighting.shadow_map import ShadowMap
 from scan2albedo.synthetic import hemisphere, light_at
 
 
-def relative_rmse(ours, truth):
-    return float(np.linalg.norm(ours - truth) / np.linalg.norm(truth))
-
-
 def shown(face, *lights, **options):
     """Return the linear texture (H, W, 3) of a face in some light, without any around."""
     return relight(face, lights, ambient=0, **options).texture_linear
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, 1])
-def test_ten_new_lights_against_the_independent_renderer(person, scene, seed):
-    errors = relit_errors(scene(seed), (person(seed), 1.0))
-    assert errors["worst light %"] <= 2
-    assert errors["RMSE %"] <= 0.7
-
-
 def test_colours_of_lamps_and_of_soft_light_add_up(person):
     face = person(0)
-    coefficients = np.zeros((9, 3))
-    coefficients[0] = (0.9, 1.0, 1.2)
-    coefficients[1] = 0.3
-    soft = EnvironmentLight(coefficients, fill=0.3)
+    soft = EnvironmentLight(np.outer([3, 1, *7 * [0]], [0.3, 0.33, 0.4]), fill=0.3)
     lamp = replace(light_at(30, 20), color_linear=(1.5, 1.0, 0.5))
     assert relight(face, ambient=0).diffuse.max() == 0
     white, warm = (relight(face, [light], ambient=0) for light in (light_at(30, 20), lamp))
@@ -51,14 +36,14 @@ def test_colours_of_lamps_and_of_soft_light_add_up(person):
     assert_allclose(warm.specular, white.specular * lamp.color_linear, rtol=1e-6, atol=1e-30)
     around, both = (relight(face, lamps, environment=soft) for lamps in ((), [lamp]))
     assert_allclose(both.diffuse, around.diffuse + warm.diffuse, rtol=1e-5)
-    even = EnvironmentLight(np.eye(9, 3)[:, [0]] * np.ones(3))
+    even = EnvironmentLight(np.eye(9, 1) * np.ones(3))
     hidden = 1 - relight(face, environment=even).diffuse[face.mask]
     assert 0.05 < np.quantile(hidden, 0.9) < 0.8
     assert both.picture(shape=(32, 32)).linear.max() > 0
 
 
 def test_a_large_lamp_softens_its_shadows_and_keeps_its_light(person):
-    face, point = person(0), light_at(50, 20)
+    face, point = person(0), light_at(60, 20)
     large, without = replace(point, radius_deg=15), replace(face, casts_shadows=False)
 
     def diffuse(face, lamp):
@@ -70,13 +55,16 @@ def test_a_large_lamp_softens_its_shadows_and_keeps_its_light(person):
     between = (soft > 0.02 * full) & (soft < 0.98 * full)
     assert not ((hard > 0.02 * full) & (hard < 0.98 * full)).any()
     assert between.mean() > 0.03
+    # Shadows only take light away.
+    assert (hard <= full + 1e-6).all()
+    assert (hard < 0.9 * full).mean() > 0.02
 
 
 def test_its_own_lights_give_the_picture_back(person, scene):
     made, face = scene(0), person(0)
-    mask = made.image.mask
-    picture = made.image.texture_linear[mask] / made.gain
-    assert relative_rmse(relight(face, face.lights).texture_linear[mask], picture) < 0.01
+    picture = (made.image.texture_linear / made.gain)[face.mask]
+    error = relight(face, face.lights).texture_linear[face.mask] - picture
+    assert np.linalg.norm(error) < 0.01 * np.linalg.norm(picture)
 
 
 @pytest.mark.parametrize(("brdf", "roughness"), [("oren-nayar", 0.4), ("lambert", 0.0), ("minnaert", 1.3)])
@@ -102,82 +90,46 @@ def test_linear_in_the_light(person):
     assert np.ptp(alone[face.mask]) > 0.1
 
 
-def test_linear_in_the_environment(person):
-    face, rng = person(0), np.random.default_rng(0)
-    maps = rng.random((2, 8, 16, 3))
-    both = [*maps, maps[0] + 3 * maps[1]]
-    even = [DistantLights.from_environment(m, 16, "even") for m in both]
-    *parts, together = (relight(face, environment_linear=lights).texture_linear for lights in even)
-    assert_allclose(together, parts[0] + 3 * parts[1], rtol=1e-5, atol=1e-6)
-
-
-def matte_ball():
-    ball = hemisphere(size=48, texture="plain")
-    return ball, ProcessedFace.of("ball", ball.image, ball.albedo_linear)
-
-
-def test_an_even_environment_shows_a_matte_ball_by_what_its_sky_covers():
-    ball, face = matte_ball()
-    sky = DistantLights.from_environment(np.ones((16, 32, 3)), 400, "important")
-    even = relight(face, environment_linear=sky)
-    # Every texel of a convex ball sees its whole hemisphere of sky.
-    assert_allclose(even.diffuse[ball.image.mask], 1.0, atol=0.03)
-
-
 def test_environment_light_comes_from_where_it_is_bright():
-    ball, face = matte_ball()
+    ball = hemisphere(size=48, texture="plain")
+    face = ProcessedFace.of("ball", ball.image, ball.albedo_linear)
+    even = DistantLights.from_environment(np.ones((16, 32, 3)), 400, "important")
+    # Every texel of a convex ball sees its whole hemisphere of sky.
+    assert_allclose(relight(face, environment_linear=even).diffuse[face.mask], 1.0, atol=0.03)
     sky = np.zeros((16, 32, 3))
     sky[7:9, 24:] = [1.0, 0.5, 0.0]  # azimuth above 90 degrees: +x, a little behind
     diffuse = relight(face, environment_linear=sky).diffuse
     right = ball.image.normal[..., 0] > 0.5
     left = ball.image.normal[..., 0] < -0.5
-    assert diffuse[right].mean() > 5 * diffuse[left & ball.image.mask].mean()
+    assert diffuse[right].mean() > 5 * diffuse[left & face.mask].mean()
     assert_allclose(diffuse[right][:, 1], 0.5 * diffuse[right][:, 0], rtol=1e-5)
     assert not diffuse[..., 2].any()
-
-
-def test_few_lights_where_a_map_is_bright_are_its_light():
-    face = matte_ball()[1]
-    sky = np.full((32, 64, 3), 0.1)
-    sky[10, 40] = 500.0
-
-    def lit(spread, count):
-        lights = DistantLights.from_environment(sky, count, spread)
-        return relight(face, environment_linear=lights).texture_linear
-
-    truth = lit("even", 1500)
-    off = {spread: relative_rmse(lit(spread, 64), truth) for spread in ("even", "important")}
-    assert off["important"] < 0.02
-    assert off["important"] < off["even"] / 3
-
-
-def test_shadows_only_take_light_away(person):
-    face, light = person(0), light_at(70, 10)
-    cast, bare = (relight(replace(face, casts_shadows=on), [light]).texture_linear for on in (True, False))
-    assert (cast <= bare + 1e-6).all()
-    assert (cast < 0.9 * bare)[face.mask].mean() > 0.02
 
 
 def test_a_picture_shows_the_relit_texture_where_the_camera_looks(person):
     face = person(0)
     relit = relight(face, [light_at(20, 20)])
-    once = {"shape": (128, 128), "samples": 1}
-    camera = default_camera(face, once["shape"])
-    picture = relit.picture(camera, **once)
+    shape = 128, 128
+    camera = default_camera(face, shape)
+    picture = relit.picture(camera, shape=shape, samples=1)
     assert 0.2 < picture.alpha.mean() < 0.8
     inner = face.image.normal[..., 2] > 0.97
     inner &= face.mask & np.roll(face.mask, 3, 0) & np.roll(face.mask, -3, 0)
     pixels, _ = project(camera, face.image.position[inner])
-    column, row = np.rint(pixels).astype(int).T
-    seen, expected = picture.linear[row, column], relit.texture_linear[inner]
+    seen = picture.linear[tuple(np.rint(pixels).astype(int).T[::-1])]
+    expected = relit.texture_linear[inner]
     assert np.median(np.abs(seen - expected).max(1) / expected.max(1)) < 0.05
-    turned = relit.picture(default_camera(face, once["shape"], azimuth_rad=1.2), **once)
+    turned = relit.picture(default_camera(face, shape, azimuth_rad=1.2), shape=shape, samples=1)
     assert turned.alpha.mean() < picture.alpha.mean()
 
 
-def test_supersampling_keeps_the_picture_and_softens_its_edge(person):
-    relit = relight(person(0), [light_at(20, 20)])
+def test_supersampling_keeps_picture_and_input_and_softens_the_edge(person):
+    face = person(0)
+    before = deepcopy(face)
+    relit = relight(face, [light_at(20, 20)])
     hard, soft = (relit.picture(shape=(64, 64), samples=n) for n in (1, 3))
+    assert_array_equal(face.albedo_linear, before.albedo_linear)
+    assert_array_equal(face.image.position, before.image.position)
     assert set(np.unique(hard.alpha)) == {0, 1}
     assert len(np.unique(soft.alpha)) > 5
     assert abs(hard.alpha.mean() - soft.alpha.mean()) < 0.01
@@ -206,33 +158,26 @@ def test_a_coarse_chart_is_not_shaded_by_the_finer_surface_it_stands_for(azimuth
 
 
 @pytest.mark.parametrize(
-    ("call", "words"),
+    ("call", "options", "words"),
     [
-        (lambda face: relight(face, ambient=np.nan), "ambient"),
-        (lambda face: relight(face, ambient=-0.1), "not negative"),
-        (lambda face: relight(face, ambient=np.inf), "finite"),
-        (lambda face: relight(face, environment_linear=np.ones((4, 8))), "environment_linear"),
-        (lambda face: replace(face, view_direction=(0, 0, 0)), "view_direction"),
-        (lambda face: replace(face, view_direction=(np.nan, 0, 1)), "finite"),
-        (lambda face: default_camera(face, elevation_rad=np.pi / 2), "elevation"),
-        (lambda face: default_camera(face, azimuth_rad=np.nan), "azimuth"),
-        (lambda face: relight(face).picture(samples=0), "1 sample or more"),
-        (lambda face: relight(face).picture(shape=(8, 8)).srgb(-1), "exposure is -1"),
-        (lambda face: replace(face, albedo_linear=np.ones((4, 4, 3))), "albedo is"),
-        (lambda face: RelightOptions(gloss="much"), "gloss is 'much'"),
+        (relight, {"ambient": np.nan}, "ambient"),
+        (relight, {"ambient": -0.1}, "not negative"),
+        (relight, {"ambient": np.inf}, "finite"),
+        (relight, {"environment_linear": np.ones((4, 8))}, "environment_linear"),
+        (replace, {"view_direction": (0, 0, 0)}, "view_direction"),
+        (replace, {"view_direction": (np.nan, 0, 1)}, "finite"),
+        (replace, {"albedo_linear": np.ones((4, 4, 3))}, "albedo is"),
+        (replace, {"expected_error": np.zeros((3, 3))}, "expected_error is"),
+        (default_camera, {"elevation_rad": np.pi / 2}, "elevation"),
+        (default_camera, {"azimuth_rad": np.nan}, "azimuth"),
+        (lambda face: relight(face).picture(samples=0), {}, "1 sample or more"),
+        (lambda face: relight(face).picture(shape=(8, 8)).srgb(-1), {}, "exposure is -1"),
+        (lambda face: RelightOptions(gloss="much"), {}, "gloss is 'much'"),
     ],
 )
-def test_misuse_is_told(person, call, words):
+def test_misuse_is_told(person, call, options, words):
     with pytest.raises((ApplicationError, ValueError), match=words):
-        call(person(0))
-
-
-def test_inputs_stay_as_they_were(person):
-    face = person(0)
-    before = face.albedo_linear.copy(), face.image.position.copy()
-    relight(face, [light_at(20, 20)]).picture(shape=(32, 32))
-    assert_array_equal(face.albedo_linear, before[0])
-    assert_array_equal(face.image.position, before[1])
+        call(person(0), **options)
 
 
 def test_a_face_without_a_highlight_gets_skins_usual_one_and_says_so(person):
@@ -267,9 +212,8 @@ def test_the_edge_of_a_soft_shadow_has_no_steps():
     """A square before a wall: the light changes by a few percent from texel to texel of its edge at most."""
     corners, faces = grid(2, 2)
     x, toward = np.linspace(40, 60, 400), np.array([0.0, 0, 1])
-    wall = np.stack([x, np.zeros(400), np.zeros(400)], 1)
     caster = RayCaster(100 * corners + [-50, -50, 40], faces)
-    shadows = ShadowMap(caster, wall, np.tile(toward, (400, 1)))
+    shadows = ShadowMap(caster, x[:, None] * [1, 0, 0], np.tile(toward, (400, 1)))
     coarse, fine = (shadows.reached(toward, np.inf, 8.0, points) for points in (16, 96))
     # The part of a disc beyond a chord at distance d from its middle, all in radii.
     d = np.clip((50 - x) / (40 * np.tan(np.deg2rad(8.0))), -1, 1)

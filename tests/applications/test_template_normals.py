@@ -1,20 +1,20 @@
 """Normal maps of templates: read as glTF says, they give back the shape the template lacks."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 from helpers.eyeglasses import angle_deg
+from helpers.fits import fit_of
 from helpers.gltf import Gltf
+from helpers.measures import row_lengths
 from helpers.meshes import grid
 from numpy.testing import assert_allclose, assert_array_equal
 
 import scan2albedo as s2a
 from scan2albedo.applications.template_baking import FineShape, tangent_normals, template_texture
-from scan2albedo.core import RawScan, Trace
-from scan2albedo.fitting import FittedFace
+from scan2albedo.core import RawScan
 from scan2albedo.geometry.loop_subdivision import SurfacePoints
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.rasterization import bilinear
@@ -24,7 +24,7 @@ from scan2albedo.pipeline.mesh_files import write_template
 HALF_MM = 60.0
 WAVE_MM = 9.0
 HEIGHT_MM = 3.0
-POSE = compose(rotation_from_vector([0.3, -1.0, 0.4]), np.array([10.0, 200.0, -30.0]))
+POSE = compose(rotation_from_vector([0.3, -1.0, 0.4]), [10.0, 200.0, -30.0])
 
 
 def bumps(cells):
@@ -41,10 +41,9 @@ def bumps(cells):
 
 
 def true_normals(points):
-    x, y = points[:, 0] / WAVE_MM, points[:, 1] / WAVE_MM
-    slope_x = -HEIGHT_MM / WAVE_MM * np.sin(x) * np.cos(y) - points[:, 0] / 125
-    slope_y = -HEIGHT_MM / WAVE_MM * np.cos(x) * np.sin(y) - points[:, 1] / 125
-    return normalized(np.stack([-slope_x, -slope_y, np.ones(len(points))], axis=1))
+    turn = points[:, :2] / WAVE_MM
+    down = HEIGHT_MM / WAVE_MM * np.sin(turn) * np.cos(turn[:, ::-1]) + points[:, :2] / 125
+    return normalized(np.insert(down, 2, 1, axis=1))
 
 
 def plain(x, y, right):
@@ -81,26 +80,20 @@ def carried(chart, noise_mm=0.0, scan_cells=120):
     fine, fine_faces = bumps(60)
     scanned, scan_faces = bumps(scan_cells)
     rng = np.random.default_rng(1)
-    scanned = scanned + true_normals(scanned) * rng.normal(0, noise_mm, (len(scanned), 1))
+    scanned += true_normals(scanned) * rng.normal(0, noise_mm, (len(scanned), 1))
     at_first = SurfacePoints(np.zeros(len(vertices), np.int64), np.tile([1.0, 0, 0], (len(vertices), 1)))
     model = replace(
         s2a.AnnotatedFaceModel.default(), template_points=at_first, template_faces=faces, template_uv=uv
     )
-    fitted = FittedFace(
+    fitted = replace(
+        fit_of(model, model.control_vertices),
         vertices=fine,
         faces=fine_faces,
         uv=plain(*fine.T),
         region=np.zeros(len(fine_faces), np.uint8),
-        control_points=model.control_vertices,
-        landmarks=None,
         residual_mm=np.zeros(len(fine)),
         model_from_scan=POSE,
         template_vertices=vertices,
-        levels=1,
-        converged=True,
-        iterations=0,
-        trace=Trace(),
-        model=model,
     )
     color = np.full(scanned.shape, 0.5, np.float32)
     placed = transform_points(invert_rigid(POSE), scanned)
@@ -147,9 +140,9 @@ def test_a_coarse_template_is_shaded_like_the_fine_surface(tmp_path, chart):
     for arrays, picture in parts:
         tangents, hands = np.split(arrays["TANGENT"], [3], axis=1)
         assert np.isin(hands, [-1, 1]).all()
-        assert_allclose(np.linalg.norm(tangents, axis=1), 1, atol=1e-6)
+        assert_allclose(row_lengths(tangents), 1, atol=1e-6)
         assert_allclose(np.einsum("ij,ij->i", tangents, arrays["NORMAL"]), 0, atol=1e-6)
-        at = np.linalg.norm(arrays["POSITION"][:, None] * 1000 - painted.vertices, axis=2).argmin(1)
+        at = row_lengths(arrays["POSITION"][:, None] * 1000 - painted.vertices).argmin(1)
         assert_allclose(arrays["NORMAL"], vertex_normals(painted.vertices, painted.faces)[at], atol=1e-6)
         points, without, with_map = shaded(arrays, picture)
         inner = np.abs(points[:, :2]).max(1) < HALF_MM - 5  # the grids' rims are one-sided
@@ -180,10 +173,10 @@ def test_noise_of_the_scan_stays_out_and_without_a_scan_the_fit_serves():
 
 def test_what_lies_far_is_flat_and_another_side_does_not_stand():
     _, fitted = carried(plain)
-    away = RawScan(fitted.vertices + 1000, fitted.faces, name="away")
-    shape = FineShape(SimpleNamespace(**{**vars(fitted), "model_from_scan": np.eye(4)}), away)
+    away = RawScan(fitted.vertices + 1000, fitted.faces)
+    shape = FineShape(replace(fitted, model_from_scan=np.eye(4)), away)
     middle = len(fitted.vertices) // 2
-    points = np.stack([fitted.vertices[middle], fitted.vertices[middle] + [0, 0, 9]])
+    points = fitted.vertices[middle] + [[0, 0, 0], [0, 0, 9]]
     fine = shape.normals(points)
     assert_array_equal(fine[1], [True, False])
     frames = np.tile([0.0, 0, -1], (2, 1)), np.tile([1.0, 0, 0, 1], (2, 1))
@@ -210,4 +203,4 @@ def test_files_of_the_map_are_named_like_the_colours(tmp_path):
             assert f"map_Kd template{name}.png\nnorm template_normal{name}.png\n" in text
             stored = cv2.imread(str(tmp_path / f"template_normal{name}.png"))[..., ::-1]
             assert np.abs(stored / 127.5 - 1 - tile.normal).max() < 0.005
-            assert_allclose(np.linalg.norm(tile.normal, axis=2), 1, atol=1e-5)
+            assert_allclose(row_lengths(tile.normal), 1, atol=1e-5)

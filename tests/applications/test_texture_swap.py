@@ -46,18 +46,16 @@ def test_unseen_skin_is_continued_without_a_seam(two_people):
     # Nothing of what was badly seen is left, and the step at the border is no larger than steps elsewhere.
     filled = made.albedo_linear[hole & a.mask].max(-1)
     assert filled.min() > 0.05
-    tone = np.log(made.albedo_linear[38, 5:30].max(-1))
-    plain = np.log(b.albedo_linear[38, 5:30].max(-1))
-    assert np.abs(np.diff(tone)).max() < 2 * np.abs(np.diff(plain)).max() + 0.1
+    step, usual = (np.abs(np.diff(np.log(f.albedo_linear[38, 5:30].max(-1)))).max() for f in (made, b))
+    assert step < 2 * usual + 0.1
 
 
 def test_the_detail_of_the_filling_is_as(two_people):
     a, b = two_people
     hole = square(b, (10, 50), (10, 50))
     made = swap_texture(a, with_hole(b, hole))
-    middle = (slice(15, 45), slice(15, 45))
-    logs = [np.log(face.albedo_linear[middle].max(-1)) for face in (made, a)]
-    assert np.corrcoef(np.diff(logs[0]).ravel(), np.diff(logs[1]).ravel())[0, 1] > 0.95
+    detail = [np.diff(np.log(face.albedo_linear[15:45, 15:45].max(-1))).ravel() for face in (made, a)]
+    assert np.corrcoef(detail)[0, 1] > 0.95
 
 
 def test_a_blurred_skin_is_not_continued_with_a_sharp_ones_grain(person):
@@ -66,10 +64,8 @@ def test_a_blurred_skin_is_not_continued_with_a_sharp_ones_grain(person):
     hole = square(b, (20, 44), (20, 44))
 
     def roughness(weight_a, weight_b):
-        mine, theirs = (
-            painted(face, face.mask, face.albedo_linear * grain**weight)
-            for face, weight in ((a, weight_a), (b, weight_b))
-        )
+        mine = painted(a, a.mask, a.albedo_linear * grain**weight_a)
+        theirs = painted(b, b.mask, b.albedo_linear * grain**weight_b)
         made = swap_texture(mine, with_hole(theirs, hole))
         return np.median(np.abs(np.diff(np.log(made.albedo_linear[26:38, 26:38].max(-1)))))
 
@@ -90,16 +86,3 @@ def test_a_feature_of_one_face_at_the_border_leaves_no_stain(person):
     assert change.max() < 0.065
     # What of the line lies in the hole stays a line.
     assert (made[36:38, 28:31] < 0.3 * plain[36:38, 28:31]).all()
-
-
-def test_where_neither_was_seen_the_colour_is_continued(person):
-    hole = square(person(0), (38, 48), (10, 20))
-    a, b = (with_hole(person(seed), hole) for seed in (0, 1))
-    made = swap_texture(a, b)
-    assert np.abs(np.diff(np.log(made.albedo_linear[40:46, 12:18].max(-1)), axis=1)).max() < 0.3
-    assert made.albedo_linear[hole].min() > 0.02
-
-
-def test_a_skin_never_seen_still_gives_numbers(person):
-    b = with_hole(person(1), person(1).mask)
-    assert np.isfinite(swap_texture(person(0), b).albedo_linear).all()

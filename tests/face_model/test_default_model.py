@@ -3,31 +3,30 @@ import pytest
 import trimesh
 from helpers.chart_distortion import chart_distortion
 from helpers.crossings import crossing_triangles
+from helpers.measures import row_lengths
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import adjacency, edges_with_faces, face_areas
 from scan2albedo.geometry.parametrization import boundary_loop, signed_areas
 
-LEFT_TO_RIGHT = (
-    *((16 - k, k) for k in range(8)),
-    *((22 + k, 21 - k) for k in range(5)),
-    *((34 + k, 32 - k) for k in range(2)),
-    *((42 + k, 39 - k) for k in range(4)),
-    *((46 + k, 41 - k) for k in range(2)),
-    *((52 + k, 50 - k) for k in range(3)),
-    *((55 + k, 59 - k) for k in range(2)),
-    *((63 + k, 61 - k) for k in range(2)),
-    (65, 67),
+ROWS = (
+    range(17),
+    range(17, 27),
+    range(31, 36),
+    (*range(36, 40), *range(42, 46)),
+    (40, 41, 46, 47),
+    range(48, 55),
+    range(55, 60),
+    range(60, 65),
+    range(65, 68),
 )
-"""iBUG-68: pairs (landmark on the subject's left, its mirror image on the right)."""
-MIDDLE = (8, 27, 28, 29, 30, 33, 51, 57, 62, 66)
-"""Landmarks on the midline."""
+"""iBUG-68: rows of landmarks, each its own mirror image; all others lie on the midline."""
 
 
 def mirror_of(points):
     """Return, for each point, the index of its mirror image at x = 0."""
-    distance = np.linalg.norm(points[None] * [-1, 1, 1] - points[:, None], axis=2)
+    distance = row_lengths(points[None] * [-1, 1, 1] - points[:, None])
     assert distance.min(1).max() < 1e-9
     return np.argmin(distance, axis=1)
 
@@ -43,29 +42,25 @@ def test_triangles_are_well_shaped(model):
     vertices, faces = model.surface(0)
     skin = faces[~model.in_region("between_lips")]
     corners = vertices[skin]
-    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    sides = row_lengths(corners - np.roll(corners, 1, axis=1))
     quality = 4 * np.sqrt(3) * face_areas(vertices, skin) / np.sum(sides**2, axis=1)
     assert quality.min() > 0.35
     assert np.mean(quality) > 0.85
-    valence = np.asarray(adjacency(len(vertices), faces).sum(1)).ravel()
-    assert valence.max() <= 8
-    assert valence.min() >= 3
+    valence = adjacency(len(vertices), faces).sum(1)
+    assert 3 <= valence.min() < valence.max() <= 8
 
 
 def test_mirror_symmetry_of_everything(model):
     mirror = mirror_of(model.control_vertices)
     assert_array_equal(mirror[mirror], np.arange(len(mirror)))
     assert_allclose(model.uv[mirror], model.uv * [-1, 1] + [1, 0], atol=1e-12)
-    swapped = {
-        tuple(sorted(f)): r for f, r in zip(mirror[model.control_faces].tolist(), model.region, strict=True)
-    }
+    region_of = dict(zip(map(frozenset, model.control_faces.tolist()), model.region, strict=True))
     other = {}
     for name, region in model.regions.items():
-        side, _, rest = name.partition("_")
-        twin = {"left": f"right_{rest}", "right": f"left_{rest}"}.get(side, name)
+        twin = name.replace("left", "right") if "left" in name else name.replace("right", "left")
         other[region.index] = model.regions[twin].index
-    for face, region in zip(model.control_faces.tolist(), model.region, strict=True):
-        assert swapped[tuple(sorted(face))] == other[region]
+    for face, region in region_of.items():
+        assert region_of[frozenset(mirror[list(face)])] == other[region]
 
 
 def test_frame(model):
@@ -78,47 +73,30 @@ def test_frame(model):
 
 
 def test_landmarks_are_symmetric_and_ordered(model):
-    points = model.landmarks
-    for left, right in LEFT_TO_RIGHT:
-        assert_allclose(points[left] * [-1, 1, 1], points[right], atol=1e-9)
-    assert_allclose(points[list(MIDDLE), 0], 0, atol=1e-9)
-    assert len(LEFT_TO_RIGHT) * 2 + len(MIDDLE) == 68
-    for first, last in ((1, 15), (17, 26), (31, 35), (36, 39), (42, 45), (48, 54), (60, 64)):
-        assert np.all(np.diff(points[first : last + 1, 0]) > 0)
-    for first, last in ((27, 30), (51, 51)):
-        assert np.all(np.diff(points[first : last + 1, 1]) < 0)
+    points, expected = model.landmarks, np.arange(68)
+    for row in ROWS:
+        expected[list(row)] = row[::-1]
+    assert_array_equal(mirror_of(points), expected)
+    for row in (range(1, 16), *ROWS[1:4], range(48, 55), range(60, 65)):
+        assert np.all(np.diff(points[list(row), 0]) > 0)
+    assert np.all(np.diff(points[27:31, 1]) < 0)
     assert points[51, 1] > points[62, 1] > points[66, 1] > points[57, 1]
 
 
-@pytest.mark.parametrize(
-    ("published_mm", "first", "second"),
+def test_measurements_between_landmarks(model):
     # Heights of face, nose, nose's tip, upper lip, upper face, lower face; widths of mouth and eyes; an eye.
-    [
-        (118.0, 27, 8),
-        (53.0, 27, 33),
-        (19.5, 33, 30),
-        (21.0, 33, 62),
-        (73.0, 27, 62),
-        (68.5, 33, 8),
-        (52.0, 48, 54),
-        (32.5, 39, 42),
-        (89.5, 36, 45),
-        (11.0, 43, 47),
-    ],
-)
-def test_measurements_between_landmarks(model, published_mm, first, second):
-    distance = np.linalg.norm(model.landmarks[first] - model.landmarks[second])
-    assert distance == pytest.approx(published_mm, abs=2.1)
+    first = [27, 27, 33, 33, 27, 33, 48, 39, 36, 43]
+    second = [8, 33, 30, 62, 62, 8, 54, 42, 45, 47]
+    published_mm = [118, 53, 19.5, 21, 73, 68.5, 52, 32.5, 89.5, 11]
+    distances = row_lengths(model.landmarks[first] - model.landmarks[second])
+    assert distances == pytest.approx(published_mm, abs=2.1)
 
 
 def test_published_widths_of_the_surface(model):
     surface, faces = model.surface(3)
     from_nasion = surface - model.landmarks[27]
-    nose = model.regions["nose"].index
-    corners = faces[model.region[model.subdivision(3).parent] == nose].ravel()
-    wing = from_nasion[corners]
-    wing = wing[(wing[:, 1] < -43) & (wing[:, 1] > -47) & (wing[:, 2] > 0)]
-    assert 2 * wing[:, 0].max() == pytest.approx(33.0, abs=2)
+    x, y, z = from_nasion[faces[model.in_region("nose")[model.subdivision(3).parent]]].reshape(-1, 3).T
+    assert 2 * x[(abs(y + 45) < 2) & (z > 0)].max() == pytest.approx(33.0, abs=2)
     temple = [113.5 / 2, 25.0, -29.36]
     cheekbone = [134.5 / 2, -28.0, -55.26]
     jaw = [100.5 / 2, -93.5, -57.0]
@@ -132,8 +110,7 @@ def test_regions(model):
     for pair in ("brow", "eye", "nostril", "cheek", "jaw", "temple"):
         names |= {f"left_{pair}", f"right_{pair}"}
     assert set(model.regions) == names
-    counts = np.bincount(model.region, minlength=256)
-    assert all(counts[r.index] >= 2 for r in model.regions.values())
+    assert all(model.in_region(name).sum() >= 2 for name in names)
     assert not any(model.regions[n].inpaint for n in names if n.endswith(("eye", "brow", "lip")))
     assert model.regions["nose"].stiffness > model.regions["chin"].stiffness
     assert model.regions["forehead"].stiffness > model.regions["upper_lip"].stiffness
@@ -142,9 +119,9 @@ def test_regions(model):
     assert model.region_values("inpaint")[model.regions["upper_lip"].index] == 0
 
 
-@pytest.mark.parametrize(
-    ("landmark", "name"),
-    {
+def test_landmarks_lie_in_their_regions(model):
+    names = {region.index: name for name, region in model.regions.items()}
+    for landmark, name in {
         19: "right_brow",
         24: "left_brow",
         30: "nose",
@@ -157,28 +134,22 @@ def test_regions(model):
         43: "left_eye",
         46: "left_eye",
         37: "right_eye",
-    }.items(),
-)
-def test_landmarks_lie_in_their_regions(model, landmark, name):
-    index = {r.index: n for n, r in model.regions.items()}
-    assert name in index[int(model.region[model.landmark_points.face[landmark]])]
+    }.items():
+        assert name in names[model.region[model.landmark_points.face[landmark]]], landmark
 
 
 def test_each_region_is_one_piece(model):
-    for name, region in model.regions.items():
-        part = trimesh.Trimesh(model.control_vertices, model.control_faces[model.region == region.index])
+    for name in model.regions:
+        part = trimesh.Trimesh(model.control_vertices, model.control_faces[model.in_region(name)])
         assert len(part.split(only_watertight=False)) == 1, name
 
 
 def test_mouth_line_divides_the_lips(model):
     line = model.landmarks[[48, 60, 61, 62, 63, 64, 54]]
     for name, sign in (("upper_lip", 1), ("lower_lip", -1)):
-        faces = model.control_faces[model.region == model.regions[name].index]
-        vertices, _ = model.surface(0)
-        corners = vertices[np.unique(faces)]
-        corners = corners[np.abs(corners[:, 0]) < 15]
-        height = corners[:, 1] - np.interp(corners[:, 0], line[:, 0], line[:, 1])
-        assert (sign * height).min() > -0.4
+        x, y, _ = model.surface(0)[0][np.unique(model.control_faces[model.in_region(name)])].T
+        height = sign * (y - np.interp(x, line[:, 0], line[:, 1]))
+        assert height[abs(x) < 15].min() > -0.4
 
 
 def test_the_lips_part_along_a_film(model):
@@ -186,14 +157,12 @@ def test_the_lips_part_along_a_film(model):
     vertices, _ = model.surface(0)
     half_width = model.landmarks[54, 0]
     assert all(abs(vertices[v, 0]) > 0.9 * half_width for v in lips[0] & lips[1])
-    film = model.control_faces[model.in_region("between_lips")]
-    height = np.ptp(vertices[film][:, :, 1], axis=1)
-    assert height.max() < 2.5
-    extent = np.ptp(vertices[np.unique(film), 0])
-    assert extent == pytest.approx(2 * half_width, rel=0.1)
-    assert set(np.unique(film)) <= lips[0] | lips[1]
-    on_film = np.isin(model.landmark_points.face, np.flatnonzero(model.in_region("between_lips")))
-    assert not on_film.any()
+    in_film = model.in_region("between_lips")
+    film = model.control_faces[in_film]
+    assert np.ptp(vertices[film, 1], axis=1).max() < 2.5
+    assert np.ptp(vertices[film, 0]) == pytest.approx(2 * half_width, rel=0.1)
+    assert set(film.ravel()) <= lips[0] | lips[1]
+    assert not in_film[model.landmark_points.face].any()
 
 
 def test_chart(model):
@@ -206,10 +175,9 @@ def test_chart(model):
         subdivision = model.subdivision(levels)
         uv = subdivision.matrix @ model.uv
         assert signed_areas(uv, subdivision.faces).min() > 0
-        assert uv.min() >= 0
-        assert uv.max() <= 1
-    assert np.corrcoef(model.uv[:, 0], model.control_vertices[:, 0])[0, 1] > 0.95
-    assert np.corrcoef(model.uv[:, 1], model.control_vertices[:, 1])[0, 1] > 0.95
+        assert 0 <= uv.min() < uv.max() <= 1
+    for axis in (0, 1):
+        assert np.corrcoef(model.uv[:, axis], model.control_vertices[:, axis])[0, 1] > 0.95
 
 
 def test_surface_does_not_cut_itself(model):

@@ -1,9 +1,10 @@
-import dataclasses
+import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from helpers.npz import rewritten
-from helpers.records import read_json
+from helpers.records import files_in, read_json
 from helpers.schemas import SCHEMAS, check_schema
 from numpy.testing import assert_array_equal
 
@@ -13,7 +14,7 @@ from scan2albedo.face_model.annotation import AnnotatedSurface, FaceModelFile
 from scan2albedo.geometry.loop_subdivision import SurfacePoints
 
 MODEL = AnnotatedFaceModel.default()
-TEMPLATED = dataclasses.replace(
+TEMPLATED = replace(
     MODEL,
     template_points=SurfacePoints(np.array([0, 5, 9]), np.full((3, 3), 1 / 3)),
     template_offset=np.arange(9.0).reshape(3, 3),
@@ -38,9 +39,8 @@ def test_round_trip_keeps_every_bit(saved):
 
 
 def test_round_trip_keeps_a_dense_template(tmp_path):
-    model = dataclasses.replace(
-        TEMPLATED, landmark_points=None, template_uv=np.arange(6.0).reshape(1, 3, 2), name="mine"
-    )
+    uv = np.arange(6.0).reshape(1, 3, 2)
+    model = replace(TEMPLATED, landmark_points=None, template_uv=uv, name="mine")
     model.save(tmp_path / "t.json")
     again = AnnotatedSurface.load(tmp_path / "t.json")
     assert again.landmarks is None
@@ -48,9 +48,7 @@ def test_round_trip_keeps_a_dense_template(tmp_path):
     assert_array_equal(again.template_points.barycentric, model.template_points.barycentric)
     for name in ("template_offset", "template_faces", "template_uv"):
         assert_array_equal(getattr(again, name), getattr(model, name))
-    dataclasses.replace(model, template_faces=np.zeros((0, 3), int), template_uv=None).save(
-        tmp_path / "t.json"
-    )
+    replace(model, template_faces=np.zeros((0, 3), int), template_uv=None).save(tmp_path / "t.json")
     assert AnnotatedSurface.load(tmp_path / "t.json").template_faces.shape == (0, 3)
 
 
@@ -58,7 +56,7 @@ def test_same_model_gives_the_same_bytes(saved, tmp_path):
     first = saved.read_bytes(), saved.with_suffix(".npz").read_bytes()
     AnnotatedSurface.load(saved).save(saved)
     assert (saved.read_bytes(), saved.with_suffix(".npz").read_bytes()) == first
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["afm.json", "afm.npz"]
+    assert files_in(tmp_path) == {"afm.json", "afm.npz"}
 
 
 def test_json_fits_the_shipped_schema(saved):
@@ -76,31 +74,21 @@ def test_missing_files_are_named(saved):
         AnnotatedSurface.load(saved)
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"format": "scan2albedo-afm-9"}'])
-def test_a_broken_json_is_refused(saved, text):
-    saved.write_text(text)
-    with pytest.raises(ModelError, match=r"face model .*\(data_schemas/annotated_face_model"):
-        AnnotatedSurface.load(saved)
-
-
-def test_the_binary_given_as_json_is_refused(saved):
+def test_a_broken_json_is_refused(saved):
     with pytest.raises(ModelError, match="is no UTF-8 text"):
         AnnotatedSurface.load(saved.with_suffix(".npz"))
+    for text in ("", "{", "[]", "{}", '{"format": "scan2albedo-afm-9"}'):
+        saved.write_text(text)
+        with pytest.raises(ModelError, match=r"face model .*\(data_schemas/annotated_face_model"):
+            AnnotatedSurface.load(saved)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.95])
 def test_a_truncated_binary_is_refused(saved, share):
     binary = saved.with_suffix(".npz")
-    data = binary.read_bytes()
-    binary.write_bytes(data[: int(share * len(data))])
+    os.truncate(binary, int(share * binary.stat().st_size))
     with pytest.raises(ModelError, match=r"afm\.npz cannot be read"):
         AnnotatedSurface.load(saved)
-
-
-def changed(array, at, value):
-    array = array.copy()
-    array[at] = value
-    return array
 
 
 @pytest.mark.parametrize(
@@ -109,14 +97,11 @@ def changed(array, at, value):
         ({"uv": np.zeros((5, 2))}, r"uv in .* is of shape \(5, 2\).*do not belong together"),
         ({"uv": None}, "uv in .* is missing"),
         (
-            {"control_vertices": changed(MODEL.control_vertices, (3, 1), np.nan)},
+            {"control_vertices": np.where(MODEL.control_vertices > 80, np.nan, MODEL.control_vertices)},
             "control_vertices in .* holds NaN",
         ),
-        (
-            {"control_faces": changed(MODEL.control_faces, (0, 0), len(MODEL.control_vertices))},
-            "control_faces in .* points outside",
-        ),
-        ({"region": changed(MODEL.region, 0, 200)}, r"region indices \[200\]"),
+        ({"control_faces": MODEL.control_faces + 1}, "control_faces in .* points outside"),
+        ({"region": np.append(MODEL.region[:-1], 200)}, r"region indices \[200\]"),
         ({"template_offset": np.zeros((2, 3))}, "template_offset in .* is of shape"),
         ({"template_faces": np.zeros((2, 3), np.int32)}, "template_faces in .* is of shape"),
         (

@@ -1,18 +1,16 @@
 """Models and scans that the fit's tests share."""
 
 from dataclasses import dataclass
-from importlib import import_module
 
 import numpy as np
 import pytest
 from helpers.face_mask import mask_surface
+from helpers.measures import row_lengths
 from worlds.raw_like import raw_like
 
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.geometry.rigid import invert_rigid, procrustes, transform_points
-
-FIT = import_module("scan2albedo.fitting.fit")
 
 
 @pytest.fixture(scope="session")
@@ -22,20 +20,11 @@ def mask_model():
     return AnnotatedFaceModel.from_mesh(vertices, faces, control_size=400, annotate=False, name="mask")
 
 
-@dataclass(frozen=True)
-class MaskScan:
-    """A scan of another mask and its exact pose."""
-
-    scan: RawScan
-    model_from_scan: np.ndarray
-
-
 @pytest.fixture(scope="session")
-def mask_scan(mask_model):
+def mask_scan():
     """A wider mask with a longer nose, finely meshed, in the model's frame."""
     vertices, faces = mask_surface(70, nose_mm=32.0, width_mm=74.0)
-    centroid = mask_surface(20)[0].mean(0)
-    return MaskScan(RawScan(vertices - centroid, faces, name="another mask"), np.eye(4))
+    return RawScan(vertices - mask_surface(20)[0].mean(0), faces)
 
 
 @dataclass(frozen=True)
@@ -47,7 +36,6 @@ class IctFaces:
     inner_vertices: int
     landmarks: np.ndarray
     model: AnnotatedFaceModel
-    centroid: np.ndarray
 
     def scan_of(self, name, model, seed=1, by=slice(17, None)):
         """Return a scan of a shape, its pose by some landmarks, and the errors of all after a fit."""
@@ -56,7 +44,7 @@ class IctFaces:
 
         def errors_mm(fitted):
             truth = transform_points(fitted.model_from_scan @ scan_from_shape, given)
-            return np.linalg.norm(fitted.landmarks - truth, axis=1)
+            return row_lengths(fitted.landmarks - truth)
 
         pose = procrustes(given[by], model.landmarks[by]) @ invert_rigid(scan_from_shape)
         return scan, pose, errors_mm
@@ -73,16 +61,4 @@ def ict(shared_data):
     face_area = faces[: int(data["face_area_faces"])]
     landmarks = data["landmarks68"].astype(np.int64)
     model = AnnotatedFaceModel.from_mesh(generic, face_area, landmarks=landmarks, name="generic face")
-    centroid = generic[np.unique(face_area)].mean(0)
-    return IctFaces(shapes, faces, int(data["narrow_face_vertices"]), landmarks, model, centroid)
-
-
-@pytest.fixture
-def without_mouth_search(monkeypatch):
-    """Return a function after whose call mouths are fitted as they come."""
-
-    def left_out():
-        for stage in ("mouth_opened", "corners_pulled"):
-            monkeypatch.setattr(FIT, stage, lambda deformation, *_: deformation)
-
-    return left_out
+    return IctFaces(shapes, faces, int(data["narrow_face_vertices"]), landmarks, model)

@@ -1,43 +1,23 @@
 """A person's neutral shape from several fits: what stays, what an expression moves, and who it is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from bench.person import PEERS, Truth, fits_of
-from worlds.light_stage import LightStage
+from helpers.fits import fit_of
+from helpers.measures import row_lengths
 
-from scan2albedo import AnnotatedFaceModel
-from scan2albedo.core import Trace
-from scan2albedo.fitting import FittedFace, common_shape
+from scan2albedo.fitting import common_shape
 from scan2albedo.geometry.rigid import compose, procrustes, rotation_from_vector, transform_points
 from scan2albedo.synthetic.face_shape import person
-
-LEVELS = 1
 
 
 def fitted(model, control, seed=0, *, half=0, scale=1.0):
     """A fit of control points, moved and with smooth noise; `half` -1 or 1 leaves out that side."""
     rng = np.random.default_rng(seed)
     pose = compose(scale * rotation_from_vector(rng.normal(0, 0.03, 3)), rng.normal(0, 2, 3))
-    moved = transform_points(pose, control + rng.normal(0, 0.2, control.shape))
-    subdivision = model.subdivision(LEVELS)
-    vertices = subdivision.matrix @ moved
-    residual = np.where(half * vertices[:, 0] > 10, np.nan, 0.1)
-    return FittedFace(
-        vertices=vertices,
-        faces=subdivision.faces,
-        uv=model.refined_uv(LEVELS),
-        region=model.region[subdivision.parent],
-        residual_mm=residual,
-        model_from_scan=np.eye(4),
-        levels=LEVELS,
-        model=model,
-        control_points=moved,
-        landmarks=model.landmarks_of(moved),
-        template_vertices=None,
-        converged=True,
-        iterations=1,
-        trace=Trace(()),
-    )
+    made = fit_of(model, transform_points(pose, control + rng.normal(0, 0.2, control.shape)))
+    return replace(made, residual_mm=np.where(half * made.vertices[:, 0] > 10, np.nan, 0.1))
 
 
 def face(model, who, expression="neutral"):
@@ -46,7 +26,7 @@ def face(model, who, expression="neutral"):
 
 def off(found, truth):
     """Distances (N,) after the best similarity."""
-    return np.linalg.norm(transform_points(procrustes(found, truth, scale=True), found) - truth, axis=1)
+    return row_lengths(transform_points(procrustes(found, truth, scale=True), found) - truth)
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +36,7 @@ def rest(model):
 
 def opened(model, control):
     """The chin and the lower lip 18 mm down."""
-    away = np.linalg.norm(model.control_vertices - model.landmarks[[8, 57]].mean(0), axis=1)
+    away = row_lengths(model.control_vertices - model.landmarks[[8, 57]].mean(0))
     return control - np.exp(-(away**2) / (2 * 26**2))[:, None] * [0.0, 18.0, 6.0]
 
 
@@ -70,7 +50,7 @@ def test_a_lone_open_mouth_does_not_open_the_neutral_face(model, rest, place, ot
     # The plain mean is 18 / 4 or 18 / 2 mm off.
     most_mm = 0.6 if others > 1 else 4.0
     assert off(shape.control_points, rest).max() < most_mm
-    moved = np.linalg.norm(shape.expression, axis=2).max(1)
+    moved = row_lengths(shape.expression).max(1)
     assert moved.argmax() == place
     assert moved[place] > 14
     common = transform_points(shape.common_from_fit[place], fits[place].control_points)
@@ -131,17 +111,3 @@ def test_misuse_is_told(model, mask_model, rest):
     with pytest.raises(ValueError, match=r"fit 1 is of 'mask'.*fit all scans with one model"):
         common_shape([fitted(model, rest), mask])
     assert np.isfinite(common_shape([mask, mask]).deviation_mm).all()
-
-
-@pytest.mark.slow
-def test_measured_people_in_thirteen_expressions(shared_data):
-    if not (shared_data / "ict_faces.npz").exists():
-        pytest.skip("ict_faces.npz is not among the real scans")
-    people, model = LightStage.load(), AnnotatedFaceModel.default()
-    errors = []
-    for name in ("person3", "person4"):
-        truth, fits = Truth(people, name, model), list(fits_of(people, name, model, 5))
-        found = [truth.of(control) for control in (PEERS["mean"](fits), common_shape(fits).control_points)]
-        errors.append([distance[counted].mean() for distance, counted, _ in found])
-    mean, common = np.mean(errors, axis=0)
-    assert common < min(0.8, 0.75 * mean)

@@ -18,19 +18,10 @@ def chain(count, stiffness):
     return (stiffness * matrix).tocsr()
 
 
-def explicit_euler(stiffness, q, time_step, steps):
-    """The reference that blows up: q' = q + dt v, v' = v - dt K q, unit mass, no damping."""
-    velocity = np.zeros_like(q)
-    with np.errstate(over="ignore", invalid="ignore"):
-        for _ in range(steps):
-            q, velocity = q + time_step * velocity, velocity - time_step * (stiffness @ q)
-    return q
-
-
 def implicit(stiffness, time_step, *, mass=1.0, damping=0.0, springs=0.0):
-    count = stiffness.shape[0]
-    held = springs * sparse.identity(count, format="csr")
-    return ImplicitSystem(np.ones(count) * mass, np.full(count, damping), stiffness, held, time_step)
+    ones = np.ones(stiffness.shape[0])
+    held = springs * sparse.diags(ones).tocsr()
+    return ImplicitSystem(ones * mass, ones * damping, stiffness, held, time_step)
 
 
 class State(NamedTuple):
@@ -50,27 +41,18 @@ def states(system, q, steps, force=np.zeros_like, springs=np.zeros_like, **optio
 def energy(state, mass, stiffness):
     """(v^T M v + q^T K q) / 2, which no step without force can raise."""
     kinetic = np.sum(np.reshape(mass, (-1, 1)) * state.velocity**2)
-    return 0.5 * float(kinetic + np.sum(state.q * (stiffness @ state.q)))
+    return (kinetic + np.sum(state.q * (stiffness @ state.q))) / 2
 
 
 @pytest.mark.parametrize("stiffness", [1e-6, 1e-2, 1.0, 1e4, 1e8])
 @pytest.mark.parametrize("time_step", [1e-6, 1e-3, 1.0, 1e3])
-@pytest.mark.parametrize(
-    "mass", [1e-3, 1e3, np.where(np.arange(20) % 2, 1e-3, 1e3)], ids=["light", "heavy", "mixed"]
-)
+@pytest.mark.parametrize("mass", [1e-3, 1e3, np.where(np.arange(20) % 2, 1e-3, 1e3)])
 def test_energy_never_grows_without_force(stiffness, time_step, mass):
     springs = chain(20, stiffness)
     system = implicit(springs, time_step, mass=mass, springs=0.5)
     start = np.random.default_rng(0).normal(size=(20, 3))
     energies = [energy(state, mass, springs) for state in states(system, start, 50)]
     assert (np.diff(energies) <= 1e-9 * energies[0]).all()
-
-
-def test_explicit_euler_blows_up_where_the_implicit_step_does_not():
-    stiffness = chain(20, 1e4)
-    start = np.random.default_rng(1).normal(size=(20, 3))
-    assert not np.abs(explicit_euler(stiffness, start, 0.1, 200)).max() < 1e6
-    assert np.abs(states(implicit(stiffness, 0.1), start, 200)[-1].q).max() <= np.abs(start).max()
 
 
 def test_small_steps_follow_the_exact_oscillator():
@@ -95,7 +77,7 @@ def test_springs_far_stiffer_than_the_preconditioner_knows_stay_stable():
     found = states(
         system, np.zeros((30, 3)), 60, lambda q: stiff * (1 - q), lambda x: stiff * x, iterations=2
     )
-    energies = [float(np.sum(stiff * (1 - state.q) ** 2)) for state in found[1:]]
+    energies = [np.sum(stiff * (1 - state.q) ** 2) for state in found[1:]]
     assert (np.diff(energies) <= 1e-9 * energies[0]).all()
     assert energies[-1] < 1e-2 * energies[0]
 
@@ -105,7 +87,7 @@ def test_conjugate_gradients_end_at_the_solution_of_the_coupled_system():
     root = rng.normal(size=(30, 30))
     matrix, right = root @ root.T + np.eye(30), rng.normal(size=(10, 3))
     solved = conjugate_gradients(
-        lambda x: (matrix @ x.ravel()).reshape(x.shape), right, lambda x: x.copy(), 200, 1e-12
+        lambda x: (matrix @ x.ravel()).reshape(10, 3), right, np.ndarray.copy, 200, 1e-12
     )
     assert_allclose(solved.ravel(), np.linalg.solve(matrix, right.ravel()), atol=1e-8)
 
@@ -118,19 +100,11 @@ def test_factorisation_solves_badly_scaled_systems():
     assert_allclose(scale @ solved, scale @ x, rtol=1e-6, atol=1e-9)
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf, 0.0])
-def test_a_matrix_that_is_no_system_is_refused(bad):
-    matrix = chain(4, 1.0).tolil()
-    matrix[2, 2] = bad
-    with pytest.raises(FitError, match="positive definite"):
-        factorized(matrix.tocsr())
-
-
-def test_time_step_must_be_positive():
+def test_what_is_no_system_is_refused_with_the_reason():
+    for bad in (np.nan, np.inf, 0.0):
+        with pytest.raises(FitError, match="positive definite"):
+            factorized(sparse.diags([1.0, bad, 1.0]).tocsr())
+    with pytest.raises(FitError, match="cannot be factored"):
+        factorized(sparse.csc_matrix(np.ones((2, 2))))
     with pytest.raises(ValueError, match="time_step"):
         implicit(chain(3, 1.0), 0.0)
-
-
-def test_a_singular_matrix_is_refused_with_the_reason():
-    with pytest.raises(FitError, match="cannot be factored"):
-        factorized(sparse.csc_matrix([[1.0, 1.0], [1.0, 1.0]]))

@@ -3,6 +3,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from helpers.crossings import crossing_triangles
+from helpers.measures import row_lengths
+from helpers.poses import moved
 from numpy.testing import assert_allclose, assert_array_equal
 from worlds.raw_like import raw_like
 
@@ -31,11 +33,11 @@ def surface_error_mm(fitted, truth_in_scan):
 
 @pytest.fixture(scope="module")
 def mask_fit(mask_model, mask_scan):
-    return fit(mask_scan.scan, mask_model, mask_scan.model_from_scan)
+    return fit(mask_scan, mask_model, np.eye(4))
 
 
 def test_another_shape_is_reached(mask_fit, mask_scan):
-    error = surface_error_mm(mask_fit, mask_scan.scan.vertices)
+    error = surface_error_mm(mask_fit, mask_scan.vertices)
     assert np.median(error) < 0.1
     assert np.percentile(error, 90) < 0.7
     assert mask_fit.converged
@@ -47,22 +49,19 @@ def test_another_shape_is_reached(mask_fit, mask_scan):
 def test_result_is_consistent(mask_fit, mask_model):
     subdivision = mask_model.subdivision(mask_fit.levels)
     assert_allclose(mask_fit.vertices, subdivision.matrix @ mask_fit.control_points)
-    assert mask_fit.residual_mm.shape == (len(mask_fit.vertices),)
-    assert mask_fit.uv.shape == (len(mask_fit.vertices), 2)
     assert mask_fit.region.shape == (len(mask_fit.faces),)
     chart = np.column_stack([mask_fit.uv, np.zeros(len(mask_fit.uv))])
     assert (face_normals(chart, mask_fit.faces)[:, 2] > 0).all()
     assert mask_fit.landmarks is None
     assert mask_fit.iterations == mask_fit.trace.rows[-1].evaluations == len(mask_fit.trace)
     assert {(row.stage, row.unit) for row in mask_fit.trace} == {("fit", "mm")}
-    assert np.isfinite(mask_fit.template_vertices).all()
-    assert mask_fit.template_vertices.shape == (400, 3)
+    assert_allclose(mask_fit.template_vertices, mask_model.template_of(mask_fit.control_points))
 
 
 def test_inputs_stay_as_they_were_and_the_answer_repeats(mask_fit, mask_model, mask_scan):
-    before = [mask_scan.scan.vertices.copy(), mask_model.control_vertices.copy()]
-    again = fit(mask_scan.scan, mask_model, SimpleNamespace(model_from_scan=mask_scan.model_from_scan))
-    assert_array_equal(mask_scan.scan.vertices, before[0])
+    before = mask_scan.vertices.copy(), mask_model.control_vertices.copy()
+    again = fit(mask_scan, mask_model, SimpleNamespace(model_from_scan=np.eye(4)))
+    assert_array_equal(mask_scan.vertices, before[0])
     assert_array_equal(mask_model.control_vertices, before[1])
     assert_array_equal(again.vertices, mask_fit.vertices)
 
@@ -77,72 +76,57 @@ def test_a_template_fits_itself_with_nothing_to_do(mask_model):
 
 def test_pose_and_size_are_refined_before_anything_bends(mask_model):
     vertices, faces = mask_model.surface(2)
-    off = compose(rotation_from_vector([0.06, -0.08, 0.05]), [4.0, -3.0, 5.0])
+    # By ten degrees and ten millimetres.
+    off = compose(rotation_from_vector(np.deg2rad([6, -6.4, 4.8])), [6.0, 4.8, -6.4])
     fitted = fit(RawScan(1.1 * vertices, faces), mask_model, off)
     assert fitted.metrics["scale"] == pytest.approx(1.1, abs=0.05)
     assert np.rad2deg(rotation_angle_rad(fitted.model_from_scan[:3, :3])) < 0.5
+    front, *laid = transform_points(fitted.model_from_scan, 1.1 * np.vstack([mask_model.front, vertices]))
     # The front of a larger face keeps the model's place.
-    laid = transform_points(fitted.model_from_scan, 1.1 * mask_model.front[None])[0]
-    assert np.linalg.norm(laid - mask_model.front) < 1.0
-    error = np.linalg.norm(fitted.vertices - transform_points(fitted.model_from_scan, 1.1 * vertices), axis=1)
-    assert error.mean() < 2.0
+    assert np.linalg.norm(front - mask_model.front) < 1.0
+    assert row_lengths(fitted.vertices - laid).mean() < 2.0
 
 
 def test_the_scan_may_lie_anywhere(mask_fit, mask_model, mask_scan):
-    world_from_scan = compose(rotation_from_vector([0.3, -2.0, 1.0]), [1e6, -2e6, 3e5])
-    moved = RawScan(transform_points(world_from_scan, mask_scan.scan.vertices), mask_scan.scan.faces)
-    fitted = fit(moved, mask_model, invert_rigid(world_from_scan))
+    pose = compose(rotation_from_vector([0.3, -2.0, 1.0]), [1e6, -2e6, 3e5])
+    fitted = fit(moved(mask_scan, pose), mask_model, invert_rigid(pose))
     assert_allclose(fitted.vertices, mask_fit.vertices, atol=0.02)
 
 
 def test_a_hole_has_no_residual_and_keeps_its_shape(mask_model, mask_scan):
-    scan = mask_scan.scan
-    centre = scan.vertices[scan.faces].mean(1)
-    hole = np.linalg.norm(centre[:, :2] - [-35, 40], axis=1) < 15
-    fitted = fit(RawScan(scan.vertices, scan.faces[~hole]), mask_model, mask_scan.model_from_scan)
-    across = np.linalg.norm(fitted.vertices[:, :2] - [-35, 40], axis=1)
+    centre = mask_scan.vertices[mask_scan.faces].mean(1)
+    hole = row_lengths(centre[:, :2] - [-35, 40]) < 15
+    fitted = fit(mask_scan.without_faces(hole), mask_model, np.eye(4))
+    across = row_lengths(fitted.vertices[:, :2] - [-35, 40])
     assert np.isnan(fitted.residual_mm[across < 8]).all()
     assert np.isfinite(fitted.residual_mm[(across > 20) & (across < 30)]).all()
     assert surface_error_mm(fitted, centre[hole]).max() < 1.5
 
 
-@pytest.mark.parametrize("evaluations", [1, 35, 60])
-def test_a_budget_ends_the_fit_with_what_there_is(mask_model, mask_scan, evaluations):
-    fitted = fit(mask_scan.scan, mask_model, mask_scan.model_from_scan, Budget(evaluations=evaluations))
-    assert not fitted.converged
-    assert fitted.iterations == evaluations
-    assert np.isfinite(fitted.vertices).all()
+def test_a_budget_ends_the_fit_with_what_there_is_and_more_never_ends_worse(mask_fit, mask_model, mask_scan):
+    medians = []
+    for evaluations in (1, 5, 35, 60):
+        fitted = fit(mask_scan, mask_model, np.eye(4), Budget(evaluations=evaluations))
+        assert not fitted.converged
+        assert fitted.iterations == evaluations
+        medians.append(np.median(surface_error_mm(fitted, mask_scan.vertices)))
+    assert (np.diff([*medians, mask_fit.metrics["residual_median_mm"]]) < 0).all()
 
 
 def test_next_to_no_time_still_brings_the_model_nearer(mask_model, mask_scan):
-    scan = mask_scan.scan.vertices
-    fitted = fit(mask_scan.scan, mask_model, np.eye(4), 1e-6)
+    scan = mask_scan.vertices
+    fitted = fit(mask_scan, mask_model, np.eye(4), 1e-6)
     before = ClosestPointQuery(*mask_model.surface(1)).query(scan).distance
     assert np.median(surface_error_mm(fitted, scan)) < 0.8 * np.median(before)
     assert not fitted.converged
     assert fitted.iterations == 2
 
 
-def test_more_budget_never_ends_worse(mask_model, mask_scan, mask_fit):
-    def median(evaluations):
-        fitted = fit(mask_scan.scan, mask_model, np.eye(4), Budget(evaluations=evaluations))
-        return np.median(surface_error_mm(fitted, mask_scan.scan.vertices))
-
-    assert median(5) > median(50) > mask_fit.metrics["residual_median_mm"]
-
-
 def test_a_scan_elsewhere_and_a_pose_of_another_shape_are_refused_with_the_reason(mask_model, mask_scan):
     with pytest.raises(FitError, match=r"% of the model has scan"):
-        fit(mask_scan.scan, mask_model, compose(np.eye(3), [0.0, 0.0, 130.0]))
+        fit(mask_scan, mask_model, compose(np.eye(3), [0.0, 0.0, 130.0]))
     with pytest.raises(ValueError, match="model_from_scan"):
-        fit(mask_scan.scan, mask_model, np.eye(3))
-
-
-def pose_of(ict, shape):
-    """Rigid pose of a shape over its upper face, which expression hardly moves."""
-    generic = ict.shapes["generic_neutral"]
-    upper = np.flatnonzero(generic[: ict.inner_vertices, 1] > -10)
-    return procrustes(shape[upper], generic[upper] - ict.centroid)
+        fit(mask_scan, mask_model, np.eye(3))
 
 
 CEILINGS = {
@@ -161,31 +145,14 @@ CEILINGS = {
 def test_error_ceilings_on_raw_like_scans(ict, name):
     shape = ict.shapes[name]
     scan, scan_from_shape = raw_like(shape, ict.faces, 1)
-    fitted = fit(scan, ict.model, pose_of(ict, shape) @ invert_rigid(scan_from_shape))
-    inner = transform_points(scan_from_shape, shape)[: ict.inner_vertices]
+    pose = procrustes(shape[ict.landmarks[17:48]], ict.model.landmarks[17:48])
+    fitted = fit(scan, ict.model, pose @ invert_rigid(scan_from_shape))
+    inner = transform_points(scan_from_shape, shape[: ict.inner_vertices])
     error = surface_error_mm(fitted, inner)
-    laid = transform_points(fitted.model_from_scan, inner)
-    correspondence = np.linalg.norm(fitted.template_vertices[: ict.inner_vertices] - laid, axis=1)
-    mean, median, matched = CEILINGS[name]
-    assert error.mean() < mean
-    assert np.median(error) < median
-    assert correspondence.mean() < matched
+    apart = fitted.template_vertices[: len(inner)] - transform_points(fitted.model_from_scan, inner)
+    figures = error.mean(), np.median(error), row_lengths(apart).mean()
+    assert (np.array(figures) < CEILINGS[name]).all(), figures
     assert fitted.metrics["flipped_faces"] == 0
-
-
-@pytest.mark.slow
-def test_the_pose_given_may_be_off_by_ten_degrees_and_ten_millimetres(ict):
-    shape = ict.shapes["person1"]
-    scan, scan_from_shape = raw_like(shape, ict.faces, 1, spacing_mm=4.0)
-    pose = pose_of(ict, shape) @ invert_rigid(scan_from_shape)
-    axis = np.array([0.6, -0.64, 0.48])
-    off = compose(rotation_from_vector(np.deg2rad(10) * axis), [6.0, 4.8, -6.4])
-    near, far = (fit(scan, ict.model, start) for start in (pose, off @ pose))
-    between = near.model_from_scan @ invert_rigid(far.model_from_scan)
-    assert np.rad2deg(rotation_angle_rad(between[:3, :3])) < 1.0
-    assert np.linalg.norm(between[:3, 3]) < 1.5
-    gap = np.linalg.norm(transform_points(between, far.template_vertices) - near.template_vertices, axis=1)
-    assert gap.mean() < 1.2
 
 
 @pytest.mark.slow
@@ -196,33 +163,20 @@ def test_finer_samples_at_the_end_lower_the_error_of_fine_scans_and_cost_coarse_
         shape = vertices * [1.05, 0.97, 1.0]
         shape[:, 2] += 2 * np.sin(shape[:, 1] / 15)
         noise = np.random.default_rng(0).normal(0, 0.3, (len(shape), 1))
-        scan = RawScan(shape + noise * vertex_normals(shape, faces), faces, name=f"level {level}")
+        scan = RawScan(shape + noise * vertex_normals(shape, faces), faces)
         for finest in (0, 2):
             fitted = fit(scan, model, np.eye(4), options=FitOptions(finest_level=finest))
-            found[level, finest] = float(surface_error_mm(fitted, shape).mean()), fitted.iterations
+            found[level, finest] = surface_error_mm(fitted, shape).mean(), fitted.iterations
     assert found[2, 2] == found[2, 0]
     assert found[3, 2][0] < 0.9 * found[3, 0][0]
     assert found[3, 2][1] > found[3, 0][1]
 
 
-def test_the_count_of_crossing_triangles_sees_a_sheet_pushed_through_itself(mask_model):
-    vertices, faces = mask_model.surface(1)
-    pushed = vertices.copy()
-    pushed[np.argmin(np.linalg.norm(vertices[:, :2] - [30, 30], axis=1))] += [-60.0, -60.0, 0.0]
-    assert crossing_triangles(vertices, faces) == 0
-    assert crossing_triangles(pushed, faces) > 0
-
-
-def test_james_with_the_default_model(shared_data, model):
-    scan = load_scan(str(shared_data / "james.obj"))
+def test_a_measured_person_is_reached_without_crossings(shared_data, model):
     truth = np.loadtxt(shared_data / "james_ibug68.csv", delimiter=",")
     pose = procrustes(truth[27:], model.landmarks[27:])
-    fitted = fit(scan, model, pose)
-    error = np.linalg.norm(fitted.landmarks - transform_points(fitted.model_from_scan, truth), axis=1)[17:]
-    assert error.mean() < 3.7
+    fitted = fit(load_scan(shared_data / "james.obj"), model, pose)
     assert fitted.metrics["residual_mean_mm"] < 0.15
     assert fitted.metrics["coverage"] > 0.9
-    assert fitted.metrics["flipped_faces"] == 0
     coarse = model.subdivision(1)
-    assert crossing_triangles(coarse.matrix @ model.control_vertices, coarse.faces) == 0
     assert crossing_triangles(coarse.matrix @ fitted.control_points, coarse.faces) == 0

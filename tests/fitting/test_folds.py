@@ -1,4 +1,5 @@
 import numpy as np
+from helpers.measures import row_lengths
 
 from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
 from scan2albedo.fitting.stages import FoldFinder, guarded, turned_faces
@@ -19,7 +20,7 @@ def test_a_step_that_would_turn_a_triangle_is_shortened_there_only(mask_model):
     harmless = before * 1.1
     np.testing.assert_array_equal(guarded(before, harmless, normals, samples, faces), harmless)
     after = before + [0.0, 0.0, 1.0]
-    centre = int(np.argmin(np.linalg.norm(before[:, :2], axis=1)))
+    centre = np.argmin(row_lengths(before[:, :2]))
     after[centre, 0] += 40.0
     assert len(turned_faces(normals, samples.matrix @ after, samples.faces, 0.2))
     safe = guarded(before, after, normals, samples, faces)
@@ -33,5 +34,5 @@ def test_the_fold_finder_finds_a_vertex_pulled_through_its_neighbours(mask_model
     rest, faces = mask_model.surface(1)
     assert len(FoldFinder(rest, faces).find(rest)) == 0
     pulled = rest.copy()
-    pulled[np.argmin(np.linalg.norm(rest[:, :2] - [30, 30], axis=1)), 0] += 25
+    pulled[np.argmin(row_lengths(rest[:, :2] - [30, 30])), 0] += 25
     assert len(FoldFinder(rest, faces).find(pulled)) > 0

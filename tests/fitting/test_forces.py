@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 from helpers.face_mask import mask_surface
+from helpers.meshes import grid
 from numpy.testing import assert_allclose
 
-from scan2albedo import AnnotatedFaceModel
 from scan2albedo.fitting.forces import ForceGates, robust_weights, scan_forces, springs
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import scan_near_model
-from scan2albedo.geometry.mesh import boundary_vertex_mask
+from scan2albedo.geometry.mesh import boundary_vertex_mask, join
 
 GATES = ForceGates(10.0, 0.1, 0.5)
 
@@ -19,6 +19,11 @@ def plane_scan(size=21):
 
 
 UP = np.array([[0.0, 0.0, 1.0]])
+
+
+def packed(matrices):
+    """The six different numbers of symmetric matrices (N, 3, 3)."""
+    return matrices[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 
 def test_pull_is_one_across_and_a_tenth_along_the_surface():
@@ -34,10 +39,10 @@ def test_springs_are_the_plain_matrices():
     rng = np.random.default_rng(0)
     offset, normal, (across, along) = rng.normal(size=(7, 3)), rng.normal(size=(7, 3)), rng.random((2, 7))
     force, stiffness = springs(offset, normal, across, along)
-    for i in range(7):
-        matrix = across[i] * np.outer(normal[i], normal[i]) + along[i] * np.eye(3)
-        assert_allclose(force[i], matrix @ offset[i])
-        assert_allclose(stiffness[i], matrix[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]])
+    outer = normal[:, :, None] * normal[:, None]
+    matrix = across[:, None, None] * outer + along[:, None, None] * np.eye(3)
+    assert_allclose(force, np.einsum("nij,nj->ni", matrix, offset))
+    assert_allclose(stiffness, packed(matrix))
 
 
 def test_spring_product_is_the_plain_product(mask_model):
@@ -45,22 +50,19 @@ def test_spring_product_is_the_plain_product(mask_model):
     rng = np.random.default_rng(1)
     count = samples.matrix.shape[0]
     root = rng.normal(size=(count, 3, 3))
-    full = root @ root.transpose(0, 2, 1)
+    full = root + root.transpose(0, 2, 1)
     x = rng.normal(size=(samples.matrix.shape[1], 3))
     expected = samples.matrix.T @ np.einsum("nij,nj->ni", full, samples.matrix @ x)
-    packed = full[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    assert_allclose(samples.product(packed)(x), expected, atol=1e-9)
+    assert_allclose(samples.product(packed(full))(x), expected, atol=1e-9)
 
 
 def test_a_sheet_hidden_behind_another_is_not_pulled_through_it():
-    scan = plane_scan(41)
-    grid = np.stack(np.meshgrid(np.linspace(-30, 30, 13), np.linspace(-30, 30, 13)), -1).reshape(-1, 2)
-    front, behind = np.insert(grid, 2, 0.5, axis=1), np.insert(grid, 2, -4.0, axis=1)
-    samples = np.concatenate([front, behind])
-    forces = scan_forces(scan, samples, np.tile(UP, (len(samples), 1)), GATES)
-    mutual = forces.mutual(samples, np.full(len(samples), 25.0))
-    assert mutual[: len(front)].all()
-    assert not mutual[len(front) :].any()
+    sheet = 60 * grid(13, 13)[0] - [30, 30, 0]
+    samples = np.concatenate([sheet + 0.5 * UP, sheet - 4 * UP])
+    forces = scan_forces(plane_scan(41), samples, np.tile(UP, (len(samples), 1)), GATES)
+    front, behind = np.split(forces.mutual(samples, np.full(len(samples), 25.0)), 2)
+    assert front.all()
+    assert not behind.any()
 
 
 @pytest.mark.parametrize(
@@ -87,11 +89,9 @@ def test_robust_weights_fall_with_the_residual_and_forget_outliers():
 
 def test_seams_are_no_borders_and_floaters_pull_at_nothing():
     vertices, faces = mask_surface(41)
-    left = np.flatnonzero((vertices[faces, 0].mean(1)) < 0)
-    right = np.flatnonzero((vertices[faces, 0].mean(1)) >= 0)
-    split = np.concatenate([vertices, vertices, [[0, 0, 300], [1, 0, 300], [0, 1, 300]]])
-    count = len(vertices)
-    index = np.concatenate([faces[left], faces[right] + count, [[2 * count, 2 * count + 1, 2 * count + 2]]])
+    count, right = len(vertices), vertices[faces, 0].mean(1) >= 0
+    floater = np.eye(3) + [0, 0, 300], np.arange(3)[None]
+    split, index = join([(vertices, faces[~right]), (vertices, faces[right]), floater])
     surface = scan_near_model(split, index, np.eye(4), split.min(0), split.max(0))
     assert len(surface.vertices) == count
     assert surface.boundary.sum() == 4 * 40
@@ -104,25 +104,22 @@ def test_a_scan_elsewhere_gives_none():
 
 def test_at_the_rim_what_stands_before_the_model_hardly_pulls():
     """A sheet of hair 4 mm before the model, and skin 4 mm behind it, seen from rim and middle."""
-    points = np.tile([5.0, 5.0, -4.0], (40, 1))
-    points[20:, 2] = 4.0
-    near = np.tile([5.0, 5.0, 0.01], (200, 1))
-    everything = np.concatenate([points, near])
-    rim = np.zeros(len(everything))
+    points = np.tile([5.0, 5.0, 0.01], (240, 1))
+    points[:20, 2] = -4.0
+    points[20:40, 2] = 4.0
+    rim = np.zeros(240)
     rim[[*range(10), *range(20, 30)]] = 1.0
     gates = ForceGates(10.0, 0.1, 3.0)
-    weight = scan_forces(plane_scan(), everything, np.tile(UP, (len(everything), 1)), gates, rim=rim).weight
+    weight = scan_forces(plane_scan(), points, np.tile(UP, (240, 1)), gates, rim=rim).weight
     before_rim, before_middle, behind_rim, behind_middle = weight[:40].reshape(4, 10).mean(1)
     assert before_middle > 0.6
     assert before_rim < 0.01
     assert behind_rim == behind_middle == before_middle
 
 
-def test_the_rim_of_a_model_fades_inward():
-    vertices, faces = mask_surface(40)
-    model = AnnotatedFaceModel.from_mesh(vertices, faces, control_size=400, annotate=False)
-    samples = SurfaceSamples.of(model, model.control_vertices, 1)
-    points = samples.matrix @ model.control_vertices
+def test_the_rim_of_a_model_fades_inward(mask_model):
+    samples = SurfaceSamples.of(mask_model, mask_model.control_vertices, 1)
+    points = samples.matrix @ mask_model.control_vertices
     border = boundary_vertex_mask(len(points), samples.faces)
     assert (samples.rim[border] == 1).all()
     assert samples.rim[np.argmax(points[:, 2])] == 0

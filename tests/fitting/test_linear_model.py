@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.measures import rms, row_lengths
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo import AnnotatedFaceModel, Budget, RawScan, fit
@@ -12,26 +13,29 @@ from scan2albedo.errors import ModelError
 from scan2albedo.face_model.variation import EXPRESSION_BUMPS, IDENTITY_BUMPS, displacement
 from scan2albedo.fitting.linear_model import _State, _Term, fit_linear_model
 from scan2albedo.geometry.mesh import vertex_normals
-from scan2albedo.geometry.rigid import Similarity, invert_rigid, rotation_from_vector, transform_points
+from scan2albedo.geometry.rigid import (
+    Similarity,
+    compose,
+    invert_rigid,
+    rotation_from_vector,
+    transform_points,
+)
 from scan2albedo.io.linear_model_files import LinearFaceModel
 from scan2albedo.templates.annotated_face_model import linear_model_places
 
-JAW = np.array([0.0, -35.0, -60.0])
+MODEL = AnnotatedFaceModel.default()
 
 
 @pytest.fixture(scope="module")
 def linear():
     """The default model's surface with bumps of identities and expressions, upside down, in metres."""
-    model = AnnotatedFaceModel.default()
-    vertices, faces = model.surface(1)
-    identities = [displacement(bump, vertices, model.landmarks) for bump in IDENTITY_BUMPS[:12]]
-    expressions = [
-        sum(displacement(bump, vertices, model.landmarks) for bump in EXPRESSION_BUMPS[name])
-        for name in ("smile", "pout", "surprise")
-    ]
+    vertices, faces = MODEL.surface(1)
+    parts = [[bump] for bump in IDENTITY_BUMPS[:12]]
+    parts += [EXPRESSION_BUMPS[name] for name in ("smile", "pout", "surprise")]
+    basis = [sum(displacement(bump, vertices, MODEL.landmarks) for bump in bumps) for bumps in parts]
     turn = np.diag([-1.0, -1.0, 1.0]) / 1000
-    basis = np.moveaxis(np.array([*identities, *expressions]) @ turn, 0, -1)
-    return LinearFaceModel("bumps", "0" * 64, vertices @ turn, basis.astype(np.float32), 12, faces)
+    basis = np.moveaxis(basis @ turn, 0, -1).astype(np.float32)
+    return LinearFaceModel("bumps", "0" * 64, vertices @ turn, basis, 12, faces)
 
 
 @pytest.fixture(scope="module")
@@ -50,41 +54,36 @@ def jointed(linear):
     )
 
 
-def scanned(model, coefficients, rotations=None, noise_mm=0.1, seed=0):
+def scanned(model, coefficients, rotations=None):
     """Return a noisy scan in a pose of its own, its vertices without noise, and its pose."""
     true = 1000 * model.at(coefficients, rotations) @ np.diag([-1.0, -1.0, 1.0])
-    rng = np.random.default_rng(seed)
-    noisy = true + vertex_normals(true, model.faces) * rng.normal(0, noise_mm, (len(true), 1))
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation_from_vector([0.1, -0.1, 0.05]), [3.0, -4.0, 2.0]
-    return RawScan(transform_points(pose, noisy), model.faces, name="own"), true, invert_rigid(pose)
+    noise = np.random.default_rng(0).normal(0, 0.1, (len(true), 1))
+    pose = compose(rotation_from_vector([0.1, -0.1, 0.05]), [3.0, -4.0, 2.0])
+    noisy = transform_points(pose, true + noise * vertex_normals(true, model.faces))
+    return RawScan(noisy, model.faces), true, invert_rigid(pose)
 
 
-def fitted_to(scan, model_from_scan, linear, weight=None, **more):
-    default = AnnotatedFaceModel.default()
-    fitted = fit(scan, default, model_from_scan)
-    weight = np.ones(len(fitted.vertices)) if weight is None else weight(fitted)
-    places = linear_model_places(linear, default)
-    return fitted, fit_linear_model(scan, fitted, *places, weight, **more)
+def fitted_to(scan, model_from_scan, linear, weight=lambda fitted: np.ones(len(fitted.vertices)), **more):
+    fitted = fit(scan, MODEL, model_from_scan)
+    return fitted, fit_linear_model(scan, fitted, *linear_model_places(linear, MODEL), weight(fitted), **more)
 
 
 def vertex_errors(found, fitted, model_from_scan, true):
     scan_from_model = invert_rigid(fitted.model_from_scan)
     own = transform_points(model_from_scan @ scan_from_model, found.vertices)
-    return np.linalg.norm(own - true, axis=1)
+    return row_lengths(own - true)
 
 
 def test_the_mean_is_placed_whatever_its_axes_and_unit(linear):
-    placed, places = linear_model_places(linear, AnnotatedFaceModel.default())
+    placed, places = linear_model_places(linear, MODEL)
     assert placed.mm_per_unit == pytest.approx(1000)
     assert (places.face >= 0).all()
     assert places.barycentric.any(1).mean() > 0.8
     assert_array_equal(placed.faces, linear.faces)
     inside_out = replace(linear, faces=linear.faces[:, ::-1], uv=np.zeros((len(linear.faces), 3, 2)))
-    placed = linear_model_places(inside_out, AnnotatedFaceModel.default())[0]
-    assert_array_equal(placed.faces, linear.faces)
+    assert_array_equal(linear_model_places(inside_out, MODEL)[0].faces, linear.faces)
     with pytest.raises(ModelError, match="linear model: bumps"):
-        linear_model_places(replace(linear, mean=linear.mean * [1, 1, 0.01]), AnnotatedFaceModel.default())
+        linear_model_places(replace(linear, mean=linear.mean * [1, 1, 0.01]), MODEL)
 
 
 @pytest.mark.slow
@@ -95,8 +94,8 @@ def test_coefficients_of_its_own_shapes_come_back(linear):
     assert_array_equal(fitted_to(scan, pose, linear)[1].coefficients, found.coefficients)
     error = found.coefficients - truth
     assert found.converged
-    assert np.sqrt(np.mean(error**2)) < 0.1
-    assert np.sqrt(np.mean(np.square(error / found.deviation[7:]))) < 4
+    assert rms(error) < 0.1
+    assert rms(error / found.deviation[7:]) < 4
     assert np.median(vertex_errors(found, fitted, pose, true)) < 0.1
     assert found.noise_mm == pytest.approx(0.1, rel=0.5)
     assert np.nanmean(found.residual_mm) < 0.12
@@ -122,13 +121,11 @@ def test_a_jaw_that_is_open_is_turned(jointed):
 def test_hair_and_holes_hardly_count(linear):
     truth = np.random.default_rng(9).normal(size=15)
     _, true, pose = scanned(linear, truth)
-    points = true.copy()
-    normals = vertex_normals(points, linear.faces)
-    hair = points[:, 1] > np.percentile(points[:, 1], 90)
-    points[hair] += 12 * normals[hair]
+    hair = true[:, 1] > np.percentile(true[:, 1], 90)
+    points = true + 12 * hair[:, None] * vertex_normals(true, linear.faces)
     gone = np.hypot(true[:, 0] - 40, true[:, 1] + 20) < 12
     kept = linear.faces[~gone[linear.faces].any(1)]
-    hairy = RawScan(transform_points(invert_rigid(pose), points), kept, name="hairy")
+    hairy = RawScan(transform_points(invert_rigid(pose), points), kept)
 
     def skin(fitted):
         return (fitted.vertices[:, 1] < np.percentile(true[:, 1], 88)).astype(float)
@@ -162,15 +159,12 @@ def test_the_gradient_is_that_of_the_cost(jointed):
     point = replace(plane, axes=np.broadcast_to(np.eye(3), (len(index), 3, 3)), scale=2.0)
     pose = Similarity(rotation_from_vector([0.1, 0.2, 0.3]), np.array([1.0, 2.0, 3.0]), 1010.0)
     turns = np.array([[0, 0, 0], [0.1, 0.05, -0.1]])
-    meter = Meter("linear_model", "mm")
-    coefficients = rng.normal(size=15) * 0.3
-    state = _State(part, np.array([1]), meter, pose, coefficients, turns, (plane, point))
+    meter, start = Meter("linear_model", "mm"), rng.normal(size=15) * 0.3
+    state = _State(part, np.array([1]), meter, pose, start, turns, (plane, point))
     equations = state.normal_equations()
-    for number in range(len(equations.gradient)):
-        step = np.zeros(len(equations.gradient))
-        step[number] = 1e-5
-        slope = (state.moved(step).cost - state.moved(-step).cost) / 2e-5
-        assert equations.gradient[number] == pytest.approx(slope, rel=1e-3, abs=1e-3)
+    steps = 1e-5 * np.eye(len(equations.gradient))
+    slopes = [(state.moved(step).cost - state.moved(-step).cost) / 2e-5 for step in steps]
+    assert equations.gradient == pytest.approx(slopes, rel=1e-3, abs=1e-3)
 
 
 def test_correlated_errors_count_as_fewer_observations(linear):

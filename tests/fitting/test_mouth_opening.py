@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from scan2albedo.core import Budget, Meter
+from scan2albedo.core import Meter
 from scan2albedo.core.landmarks import PlacedLandmarks
 from scan2albedo.core.raw_scan import RawScan
 from scan2albedo.fitting import FitOptions, fit
@@ -12,7 +12,6 @@ from scan2albedo.fitting.mouth_opening import CHIN, MOVING, STILL, JawHinge, Mou
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import scan_near_model
 from scan2albedo.fitting.stages import Deformation
-from scan2albedo.geometry.rigid import transform_points
 
 
 def without_film(model, control_points):
@@ -30,8 +29,7 @@ def at_angle(model, angle_deg):
 def test_the_jaw_turns_and_the_upper_face_stays(ict):
     model = ict.model
     hinge = JawHinge.of(model, model.control_vertices)
-    assert hinge.weight.min() >= 0
-    assert hinge.weight.max() <= 1
+    assert 0 <= hinge.weight.min() < hinge.weight.max() <= 1
     moved = model.landmarks_of(hinge.opened(model.control_vertices, 15)) - model.landmarks
     assert np.abs(moved[list(STILL)]).max() < 2
     reach = np.linalg.norm(model.landmarks[CHIN, 1:] - hinge.center[1:])
@@ -50,8 +48,7 @@ def lip_gap(landmarks):
 def search_on(model, vertices, faces):
     """The search for the jaw of a model at rest, on a scan that lies in its frame."""
     scan = scan_near_model(vertices, faces, np.eye(4), vertices.min(0), vertices.max(0))
-    meter = Meter("fit", "mm", Budget.of(None), None)
-    deformation = Deformation(model, model.control_vertices, scan, FitOptions(), meter)
+    deformation = Deformation(model, model.control_vertices, scan, FitOptions(), Meter("fit", "mm"))
     return MouthSearch(deformation, JawHinge.of(model, model.control_vertices))
 
 
@@ -84,11 +81,10 @@ def test_a_mouth_is_open_where_the_scan_has_a_gap_alone(model):
 
 def test_the_lower_lip_shows_the_angle_and_the_upper_lip_does_not(model):
     opened = at_angle(model, 12.0)
-    vertices, faces = without_film(model, opened)
-    placed = np.full((68, 3), np.nan)
-    placed[[30, 51, 57]] = model.landmarks_of(opened)[[30, 51, 57]]
-    pull = LandmarkPull.of(model, PlacedLandmarks.of(placed), np.eye(4))
-    deformation = search_on(model, vertices, faces).deformation
+    scan = without_film(model, opened)
+    placed = PlacedLandmarks.of({number: model.landmarks_of(opened)[number] for number in (30, 51, 57)})
+    pull = LandmarkPull.of(model, placed, np.eye(4))
+    deformation = search_on(model, *scan).deformation
     assert mouth_opened(deformation, pull).jaw_deg == 12.0
     assert deformation.meter.evaluations == 0  # no trial
     unsure = replace(pull, sigma_mm=np.full(len(pull.numbers), 4.0))
@@ -96,36 +92,15 @@ def test_the_lower_lip_shows_the_angle_and_the_upper_lip_does_not(model):
         before = deformation.meter.evaluations
         mouth_opened(deformation, undecided)
         assert deformation.meter.evaluations > before
-    metrics = fit(RawScan(vertices, faces, landmarks=placed), model, np.eye(4)).metrics
+    metrics = fit(RawScan(*scan, landmarks=placed), model, np.eye(4)).metrics
     assert metrics["jaw_deg"] == 12.0
-    assert (metrics["corner_right_mm"], metrics["corner_left_mm"]) == (0.0, 0.0)
+    assert metrics["corner_right_mm"] == metrics["corner_left_mm"] == 0
 
 
 def test_landmarks_open_no_mouth_away_from_the_scan(model):
-    placed = np.full((68, 3), np.nan)
-    placed[57] = model.landmarks[57] - (0, 20, 0)
-    pull = LandmarkPull.of(model, PlacedLandmarks.of(placed), np.eye(4))
+    placed = PlacedLandmarks.of({57: model.landmarks[57] - (0, 20, 0)})
+    pull = LandmarkPull.of(model, placed, np.eye(4))
     assert mouth_opened(search_on(model, *model.surface(2)).deformation, pull).jaw_deg == 0.0
-
-
-@pytest.mark.slow
-def test_an_open_mouth_is_followed_only_with_the_search(ict, without_mouth_search):
-    model = ict.model
-    opened = at_angle(model, 16.0)
-    scan = RawScan(*without_film(model, opened))
-
-    def chin_error():
-        fitted = fit(scan, model, np.eye(4), options=FitOptions(levels=(0, 0, 1)))
-        goal = transform_points(fitted.model_from_scan, model.landmarks_of(opened))
-        return np.linalg.norm(fitted.landmarks - goal, axis=1)[list(MOVING)].mean()
-
-    assert chin_error() < 2.0
-    without_mouth_search()
-    assert chin_error() > 6.0
-
-
-def test_models_without_landmarks_stay_as_they_are(mask_model):
-    assert JawHinge.of(mask_model, mask_model.control_vertices) is None
 
 
 @pytest.mark.parametrize("angle", [8.0, 16.0])
@@ -150,16 +125,18 @@ def test_the_default_model_follows_open_mouths(ict, model, shape, ceiling_mm):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("person", ["generic_neutral", "person1", "person2", "person3", "person4"])
-def test_shut_mouths_stay_shut(ict, model, person):
+def test_shut_mouths_stay_shut_and_nobody_smiles_who_does_not(ict, model, person):
     for template in (ict.model, model):
         scan, pose, _ = ict.scan_of(person, template)
-        assert lip_gap(fit(scan, template, pose).landmarks).max() < 3.0
+        fitted = fit(scan, template, pose)
+        assert lip_gap(fitted.landmarks).max() < 3.0
+        assert fitted.metrics["corner_right_mm"] == fitted.metrics["corner_left_mm"] == 0
 
 
 def test_nothing_pulls_at_the_film_between_the_lips(model):
     samples = SurfaceSamples.of(model, model.control_vertices, 1)
-    film = samples.faces[model.in_region("between_lips")[samples.parent]]
-    inside = np.setdiff1d(film, samples.faces[~model.in_region("between_lips")[samples.parent]])
+    film = model.in_region("between_lips")[samples.parent]
+    inside = np.setdiff1d(samples.faces[film], samples.faces[~film])
     assert len(inside) > 0
     assert (samples.area[inside] == 0).all()
     assert (samples.area >= 0).all()

@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.fits import scan_surface
 from numpy.testing import assert_allclose
 
 from scan2albedo import fit
 from scan2albedo.fitting.landmark_pull import EYES, INNER_LIPS, openings
-from scan2albedo.fitting.scan_surface import ScanSurface
-from scan2albedo.geometry.mesh import boundary_vertex_mask, vertex_normals
 
 
 def surface_with_holes(model, *holes):
@@ -20,10 +19,7 @@ def surface_with_holes(model, *holes):
     for middle, across, up in holes:
         inside = (centre - middle)[:, :2] / (across, up)
         kept &= (inside**2).sum(1) > 1
-    faces = faces[kept]
-    return ScanSurface(
-        vertices, faces, vertex_normals(vertices, faces), boundary_vertex_mask(len(vertices), faces)
-    )
+    return scan_surface(vertices, faces[kept])
 
 
 @pytest.fixture(scope="module")
@@ -34,17 +30,18 @@ def middles(model):
 
 def test_a_pair_of_eyes_pulls_lids_to_their_holes(model, middles):
     beside = np.array([3.0, 4.0, 0.0])
-    surface = surface_with_holes(model, *((eye + beside, 13.0, 5.0) for eye in middles[:2]))
-    found = openings(surface, model)
+    holes = ((eye + beside, 13.0, 5.0) for eye in middles[:2])
+    found = openings(surface_with_holes(model, *holes), model)
     assert len(found.targets) == 6
     assert found.still.all()
     assert (found.axes == (1, 1, 0)).all()
-    assert_allclose(found.targets[[0, 3], :2], np.array(middles)[:2, :2] + beside[:2], atol=1.5)
-    rows = [[*EYES[0]], [36], [39], [*EYES[1]], [42], [45]]
-    points = [model.landmarks[row].mean(0) for row in rows]
+    assert_allclose(found.targets[::3, :2], (middles + beside)[:2, :2], atol=1.5)
+    right, left, *_ = middles
+    corners = model.landmarks[[36, 39, 42, 45]]
+    points = [right, *corners[:2], left, *corners[2:]]
     assert_allclose(found.matrix @ model.control_vertices, points, atol=1e-6)
-    ends = found.targets[[1, 2, 4, 5], 0] - np.repeat(found.targets[[0, 3], 0], 2)
-    assert_allclose(ends, [-13, 13, -13, 13], atol=2.0)
+    across = found.targets[:, 0].reshape(2, 3)
+    assert_allclose(across - across[:, :1], [[0, -13, 13]] * 2, atol=2.0)
 
 
 def test_a_mouth_shows_no_depth_and_does_not_move_the_pose(model, middles):
@@ -58,17 +55,18 @@ def test_a_mouth_shows_no_depth_and_does_not_move_the_pose(model, middles):
 def test_other_holes_say_nothing(model, middles):
     right, left, mouth = middles
     assert openings(surface_with_holes(model), model) is None
+    eye = right, 13.0, 5.0
     for holes in (
-        [(right, 13.0, 5.0)],  # one eye
-        [(right, 13.0, 5.0), (left + [0, 9, 0], 13.0, 5.0)],  # one far higher
-        [(right, 13.0, 5.0), (left, 3.0, 3.0)],  # one far smaller
-        [(right, 13.0, 5.0), (left, 13.0, 10.0)],  # more than an eye is missing
+        [eye],
+        [eye, (left + [0, 9, 0], 13.0, 5.0)],  # one far higher
+        [eye, (left, 3.0, 3.0)],  # one far smaller
+        [eye, (left, 13.0, 10.0)],  # more than an eye is missing
         [(right, 25.0, 16.0), (left, 25.0, 16.0)],  # the strips that glasses leave
         [(mouth + [14, 0, 0], 14.0, 8.0)],  # a corner of the mouth
         [(mouth, 5.0, 5.0)],
     ):
         assert openings(surface_with_holes(model, *holes), model) is None, holes
-    eyes = surface_with_holes(model, (right, 13.0, 5.0), (left, 13.0, 5.0))
+    eyes = surface_with_holes(model, eye, (left, 13.0, 5.0))
     assert openings(eyes, replace(model, landmark_points=None)) is None
 
 

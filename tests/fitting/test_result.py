@@ -34,16 +34,17 @@ def odds(strain, median_mm, p95_mm):
         (0.2, 0.07, 0.4),
         (0.15, 0.1, 0.4),
         (0.3, 0.5, 1.5),
+        (0.15, 0.85, 4.2),
         (0.0, 0.0, 0.0),
     ],
-    ids=["a face", "a foam head with a cap", "an infant", "an old laser scan", "noise", "the model itself"],
+    ids=["a face", "a foam head with a cap", "an infant", "an old laser scan", "noise", "raw stereo with 6 mm of it", "the model itself"],
 )
 def test_nothing_speaks_against_what_is_reached_or_hardly_stretched(figures):
     assert odds(*figures) == 0
 
 
 def test_steps_that_a_stretched_model_does_not_reach_are_no_face():
-    """Figures of a plate with bosses and ribs; the surest that the door lets in has odds of 8."""
-    assert odds(0.25, 0.12, 3.3) < -8
+    """Figures of a plate with bosses and ribs; the surest of 41 that the search took for a face has odds of 5.5."""
+    assert odds(0.25, 0.12, 3.3) < -7
     assert odds(0.25, 0.12, 3.3) < odds(0.25, 0.12, 2.0) < odds(0.25, 0.12, 1.5)
     assert odds(0.25, 0.12, 3.3) < odds(0.15, 0.12, 3.3) < odds(0.12, 0.12, 3.3)

@@ -1,6 +1,8 @@
 import numpy as np
 import pytest
 from helpers.face_mask import mask_surface
+from helpers.measures import row_lengths
+from helpers.meshes import grid
 
 from scan2albedo.fitting.scan_surface import smoothed
 from scan2albedo.geometry.mesh import boundary_vertex_mask, neighbour_lists
@@ -14,9 +16,8 @@ def smoothed_alone(vertices, faces, border, scale_mm, **options):
 
 def noisy_plane(size, noise_mm):
     vertices, faces = mask_surface(size)
-    flat = vertices * [1, 1, 0]
-    noise = np.random.default_rng(0).normal(scale=noise_mm, size=len(flat))
-    return flat + noise[:, None] * [0, 0, 1], faces, boundary_vertex_mask(len(flat), faces)
+    vertices[:, 2] = np.random.default_rng(0).normal(scale=noise_mm, size=len(vertices))
+    return vertices, faces, boundary_vertex_mask(len(vertices), faces)
 
 
 def test_a_coarse_scan_stays_as_it_is():
@@ -34,7 +35,7 @@ def test_noise_of_a_fine_scan_averages_out(keep_curvature, left_mm):
 
 def test_a_spike_has_no_say_and_is_drawn_in():
     vertices, faces, border = noisy_plane(161, 0.1)
-    spike = int(np.argmin(np.linalg.norm(vertices[:, :2], axis=1)))
+    spike = int(np.argmin(row_lengths(vertices[:, :2])))
     vertices[spike, 2] = 20.0
     fair = smoothed_alone(vertices, faces, border, 2.0)
     assert np.abs(fair[~border, 2]).max() < 0.4
@@ -43,18 +44,18 @@ def test_a_spike_has_no_say_and_is_drawn_in():
 @pytest.mark.parametrize("radius", [80.0, 200.0])
 def test_curvature_loses_no_more_than_theory_says(radius):
     vertices, faces, border = noisy_plane(161, 0.0)
-    middle = np.linalg.norm(vertices[:, :2], axis=1) < 30
-    vertices[:, 2] = -(vertices[:, :2] ** 2).sum(1) / (2 * radius)
+    square = (vertices[:, :2] ** 2).sum(1)
+    vertices[:, 2] = -square / (2 * radius)
     fair = smoothed_alone(vertices, faces, border, 1.0)
-    assert np.abs(fair - vertices)[middle, 2].max() < 1.5 * 1.0**2 / radius
+    assert np.abs(fair - vertices)[square < 30**2, 2].max() < 1.5 * 1.0**2 / radius
 
 
 @pytest.mark.parametrize("radius", [10.0, 30.0])
 def test_curvature_stays_when_asked(radius):
     vertices, faces, border = noisy_plane(161, 0.0)
-    distance = np.linalg.norm(vertices[:, :2], axis=1)
-    vertices[:, 2] = np.sqrt(np.maximum(radius**2 - distance**2, 0))
-    cap = distance < 0.4 * radius
+    square = (vertices[:, :2] ** 2).sum(1)
+    vertices[:, 2] = np.sqrt(np.maximum(radius**2 - square, 0))
+    cap = square < (0.4 * radius) ** 2
     lost, kept = (
         np.abs(smoothed_alone(vertices, faces, border, 1.5, keep_curvature=keep) - vertices)[cap, 2].max()
         for keep in (False, True)
@@ -63,11 +64,8 @@ def test_curvature_stays_when_asked(radius):
 
 
 def test_a_mesh_of_uneven_density_does_not_shrink():
-    size = 121
-    radius = 80.0
-    u = 2 * np.linspace(0, 1, size) - 1
-    x, y = np.meshgrid(45 * u**3, 45 * u**3)
-    dome = np.column_stack([x.ravel(), y.ravel(), np.sqrt(radius**2 - x.ravel() ** 2 - y.ravel() ** 2)])
-    _, faces = mask_surface(size)
+    flat, faces = grid(121, 121)
+    dome = 45 * (2 * flat - 1) ** 3
+    dome[:, 2] = np.sqrt(80**2 - (dome[:, :2] ** 2).sum(1))
     fair = smoothed_alone(dome, faces, boundary_vertex_mask(len(dome), faces), 0.8)
-    assert np.abs(np.linalg.norm(fair, axis=1) - radius).max() < 3 * 0.8**2 / radius
+    assert np.abs(row_lengths(fair) - 80).max() < 3 * 0.8**2 / 80

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.measures import rms
 
 from scan2albedo.fitting.tracking import smoothed_in_time
 
@@ -12,10 +13,9 @@ def test_noise_on_a_smooth_motion_is_taken_off_and_its_deviation_stated():
     rng, time = np.random.default_rng(0), np.arange(COUNT)
     truth = 5 * np.sin(2 * np.pi * time / 40)[:, None] * np.ones(50)
     curves, deviation = smoothed_in_time(truth + 0.3 * rng.normal(size=truth.shape), np.ones(COUNT, bool))
-    error = np.sqrt(np.mean((curves - truth) ** 2))
-    assert error < 0.2
-    assert np.sqrt(np.mean(deviation**2)) == pytest.approx(error, rel=0.25)
-    jitter = np.sqrt(np.mean(np.diff(curves - truth, 2, axis=0) ** 2))
+    assert rms(curves - truth) < 0.2
+    assert rms(deviation) == pytest.approx(rms(curves - truth), rel=0.25)
+    jitter = rms(np.diff(curves - truth, 2, axis=0))
     assert jitter < 0.1 * 0.3 * np.sqrt(6)
 
 
