@@ -10,7 +10,7 @@ from helpers.lit_scenes import angle_deg, lit_scene, percent_off
 from scan2albedo.albedo import EstimateOptions, albedo_error, estimate_albedo
 from scan2albedo.albedo.division import divide_light
 from scan2albedo.core import Budget
-from scan2albedo.synthetic import face, light_at
+from scan2albedo.synthetic import Material, face, light_at
 
 PAPER = EstimateOptions(objective="albedo-deviation")
 
@@ -43,7 +43,7 @@ def test_one_light(shape, kind, percent, off_deg, azimuth_deg):
 
 def test_plain_albedo_under_oren_nayar_comes_out_flat_and_upright():
     """A flipped v axis, or a wrong sign of an angle, cannot pass: T/A must follow cos(theta)."""
-    scene = lit_scene("hemisphere", "plain", (35, 25), size=96, sigma=0.3)
+    scene = lit_scene("hemisphere", "plain", (35, 25), size=96, material=Material(0.3))
     estimate = estimate_albedo(scene.image, 1)
     albedo = estimate.albedo_linear[scene.image.mask]
     assert albedo.std(0) / albedo.mean(0) == pytest.approx(0, abs=0.01)
@@ -62,7 +62,7 @@ def test_near_lamp_gets_its_distance():
 @pytest.mark.slow
 def test_two_lamps_are_two_and_one_is_one():
     lamps = [(50, 10, 2.0, 600), (-40, 15, 1.5, 600)]
-    scene = lit_scene("hemisphere", "skin", *lamps, size=96, specular=0.1)
+    scene = lit_scene("hemisphere", "skin", *lamps, size=96, material=Material(0.0, 0.1))
     estimate = estimate_albedo(scene.image)
     assert len(estimate.lights) == 2
     assert estimate.lights[0].intensity >= estimate.lights[1].intensity

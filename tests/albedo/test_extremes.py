@@ -35,7 +35,7 @@ def test_specular_scale_of_the_annotation_multiplies_the_highlight(plain):
 
 @pytest.mark.parametrize("depth", ["16 bits", "float"])
 def test_finer_quantisation_is_no_worse_than_8_bits(plain, depth):
-    image = lit_scene("hemisphere", "skin", (30, 0), quantize=False).image
+    image = lit_scene("hemisphere", "skin", (30, 0), bits=None).image
     if depth == "16 bits":
         texture = np.round(image.texture_linear.astype(np.float64) * 65535) / 65535
         image = replace(image, texture_linear=texture.astype(np.float32))

@@ -40,7 +40,7 @@ GREY = [0.55 + contrast * (SKIN - 0.55) for contrast in (0.25, 0.5, 1.0)]
 def contrasts():
     """Estimates of hemispheres of grey texture."""
     geometry = hemisphere_geometry(96)
-    colors = [render(geometry, grey[..., None] * np.ones(3), [LIGHT], quantize=False) for grey in GREY]
+    colors = [render(geometry, grey[..., None] * np.ones(3), [LIGHT], bits=None) for grey in GREY]
     return [estimate_albedo(GeometryImage(*geometry, texture_linear=color), 1) for color in colors]
 
 
