@@ -17,7 +17,7 @@ from scan2albedo.applications import (
 from scan2albedo.core import PointLight
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.synthetic import light_at
-from stability.case import REFUSES, RIGHT, below, each, rows, table
+from stability.case import below, each, refuses, right, table
 
 SIZE = 48
 LEFT = np.arange(SIZE)[None, :] < SIZE // 2
@@ -193,29 +193,19 @@ MAKERS = {"blend": blended, "swap": swap_texture}
 
 CASES = table(
     "applications",
-    ("relight from behind", lambda: lit_part(light_at(180)), RIGHT, below(0.02, "{:.1%} of the texels lit")),
-    (
+    right(below(0.02, "{:.1%} of the texels lit"), "relight from behind", lambda: lit_part(light_at(180))),
+    right(
+        below(0.8, "upper over lower half: {:.2f} from below, {:.1f} from above"),
         "relight at the poles (elevation +-90)",
         poles,
-        RIGHT,
-        below(0.8, "upper over lower half: {:.2f} from below, {:.1f} from above"),
     ),
-    ("relight with intensity 0, 1e-12 and 1e12", not_linear, RIGHT, WITHIN),
-    (
-        "a picture under intensity 1e12",
-        exposed,
-        RIGHT,
-        below(105, "exposed by itself: median {1:.0f} of 255"),
+    right(WITHIN, "relight with intensity 0, 1e-12 and 1e12", not_linear),
+    right(below(105, "exposed by itself: median {1:.0f} of 255"), "a picture under intensity 1e12", exposed),
+    right(WITHIN, "lamp at 1e9 mm", far_lamp),
+    right(
+        below(0.1, "{:.0%} of the front not lit, at most {:.0e}"), "environment HDR 1e6 in one direction", sun
     ),
-    ("lamp at 1e9 mm", far_lamp, RIGHT, WITHIN),
-    (
-        "environment HDR 1e6 in one direction",
-        sun,
-        RIGHT,
-        below(0.1, "{:.0%} of the front not lit, at most {:.0e}"),
-    ),
-    *rows(
-        RIGHT,
+    right(
         seen,
         {
             "picture of 3 x 500": lambda: pictured((3, 500)),
@@ -223,13 +213,11 @@ CASES = table(
             "camera inside the head": lambda: from_place(person().mesh.vertices.mean(0) - [0, 0, 30], False),
         },
     ),
-    *rows(
-        RIGHT,
+    right(
         below(0.02, "shadows differ at {:.1%} of the texels"),
         each("head scaled by {}", ("1e3", "1e-3"), other_size),
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "",
         {
             "relight with intensity 1e300": lambda: lit(light_at(30, intensity=1e300)),
@@ -245,40 +233,28 @@ CASES = table(
             "mask of one texel": lambda: on(MIDDLE),
         },
     ),
-    (
+    refuses(
+        "the albedo is .* or holds NaN",
         "albedo NaN",
         lambda: replace(
             person(), albedo_linear=np.where(MIDDLE[..., None], math.nan, person().albedo_linear)
         ),
-        REFUSES,
-        "the albedo is .* or holds NaN",
     ),
-    ("blend with a black face", black, RIGHT, below(0.01, "half as bright within {:.2f}")),
-    (
+    right(below(0.01, "half as bright within {:.2f}"), "blend with a black face", black),
+    right(
+        below(1e-9, "a point within {:.0e} mm: finite, ambient light alone"),
         "blend of opposite faces: normals cancel",
         opposite,
-        RIGHT,
-        below(1e-9, "a point within {:.0e} mm: finite, ambient light alone"),
     ),
-    *rows(
-        RIGHT,
+    right(
         below(30, "whole skin, its level within {:.0f} % of the one of faces seen whole"),
         each("{}: seen texels of A and B disjoint", MAKERS, halves),
     ),
-    *rows(
-        RIGHT,
-        below(0.5, "finite, mean {1:.2f}"),
-        each("{}: nothing seen of either", MAKERS, unseen),
-    ),
-    *rows(
-        REFUSES,
-        "",
-        each("{}: charts disjoint", MAKERS, apart),
-    ),
-    (
+    right(below(0.5, "finite, mean {1:.2f}"), each("{}: nothing seen of either", MAKERS, unseen)),
+    refuses("", each("{}: charts disjoint", MAKERS, apart)),
+    right(
+        below(1.6, "moves by {1:.0f} mm at most, A by {2:.0f}"),
         "expression on a face 1e3 times larger",
         giant,
-        RIGHT,
-        below(1.6, "moves by {1:.0f} mm at most, A by {2:.0f}"),
     ),
 )

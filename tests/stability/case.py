@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass
 from functools import partial
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,6 @@ from scan2albedo.errors import Scan2AlbedoError
 RIGHT = "right answer"
 WARNS = "measured warning"
 REFUSES = "named error"
-SLOW = True
 MAY_BE_NAN = {"residual_mm", "distance_mm", "landmark_error_px", "condition", "misfit", "radiance_linear"}
 """Fields that hold NaN where nothing was measured or seen, or infinity: a distant lamp's distance."""
 
@@ -58,14 +58,18 @@ class Case:
         return f"{self.stage}: {self.name}"
 
 
-def table(stage, *rows):
-    """Return the cases of rows `(name, call, ends in, figure)`, those that take long with `SLOW` behind."""
-    return [Case(stage, *row) for row in rows]
+def table(stage, *groups):
+    """Return the cases of a stage: groups of rows."""
+    return [Case(stage, *row) for row in chain(*groups)]
 
 
-def rows(ends_in, figure, calls, slow=False):
-    """Return the rows of calls by name that all end alike."""
+def rows(ends_in, figure, named, call=None, slow=False):
+    """Return the rows of calls by name that all end alike, or the row of one name and its call."""
+    calls = {named: call} if call else named
     return [(name, call, ends_in, figure, slow) for name, call in calls.items()]
+
+
+right, warns, refuses = (partial(rows, ending) for ending in (RIGHT, WARNS, REFUSES))
 
 
 def each(name, values, call):

@@ -25,19 +25,7 @@ from scan2albedo.eyeglasses.lenses.inserted_lenses import lens_mesh
 from scan2albedo.geometry.pinhole import look_at
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
 from scan2albedo.synthetic import GlassesBend, GlassesShape, eyeglasses
-from stability.case import (
-    BUDGETS,
-    REFUSES,
-    RIGHT,
-    SLOW,
-    WARNS,
-    below,
-    each,
-    measured,
-    rows,
-    table,
-    unfinished,
-)
+from stability.case import BUDGETS, below, each, measured, refuses, right, table, unfinished, warns
 
 SPACING = 3.0
 NAN = math.nan
@@ -263,58 +251,46 @@ SHAPELESS = {
 
 CASES = table(
     "eyeglasses",
-    *rows(
-        REFUSES,
-        "",
-        each("weights: {}", SHAPELESS, lambda mesh: weighted(*mesh)),
-    ),
-    (
+    refuses("", each("weights: {}", SHAPELESS, lambda mesh: weighted(*mesh))),
+    right(
+        below(1e-12, "takes everything but {:.0f}"),
         "weights: one key point",
         lambda: own_share(FRAME.vertices, FRAME.faces, FRAME.keypoints[:1]),
-        RIGHT,
-        below(1e-12, "takes everything but {:.0f}"),
     ),
-    ("weights: one triangle", lambda: own_share(TRIANGLE, [[0, 1, 2]], TRIANGLE), RIGHT, HELD),
-    ("weights: a wire frame of 0.5 mm", wire, RIGHT, HELD),
-    ("weights: slivers and flat triangles", with_slivers, RIGHT, below(1e-6, "as without, within {:.0e}")),
-    (
+    right(HELD, "weights: one triangle", lambda: own_share(TRIANGLE, [[0, 1, 2]], TRIANGLE)),
+    right(HELD, "weights: a wire frame of 0.5 mm", wire),
+    right(below(1e-6, "as without, within {:.0e}"), "weights: slivers and flat triangles", with_slivers),
+    right(
+        below(1e-6, "as in mm, within {:.0e}"),
         "weights: glasses in kilometres",
         lambda: weights_off(1e-6),
-        RIGHT,
-        below(1e-6, "as in mm, within {:.0e}"),
-        SLOW,
+        slow=True,
     ),
-    *rows(
-        RIGHT,
+    right(
         below(1e-3, "as at the origin, within {:.0e}"),
         each("weights: glasses {} mm off the origin", ("1e6", "1e7"), lambda far: weights_off(shift=far)),
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "",
         {
             "skinning: weights NaN": lambda: skin(np.ones((2, 3)), np.full((2, 1), NAN), [np.eye(4)]),
             "skinning: transforms NaN": lambda: skin(np.ones((2, 3)), np.ones((2, 1)), [NAN * np.eye(4)]),
         },
     ),
-    (
+    right(
+        below(1, "{} vertices"),
         "skinning: no vertex",
         lambda: len(skin(np.zeros((0, 3)), np.zeros((0, 1)), [np.eye(4)])),
-        RIGHT,
-        below(1, "{} vertices"),
     ),
-    *rows(
-        RIGHT,
+    right(
         below(0.15, "off by {:.2f} mm rms"),
         each("canonical: glasses {} mm off the origin", ("1e6", "1e7"), unbent_far_away),
     ),
-    *rows(
-        WARNS,
+    warns(
         measured("residual {:.0f} mm says how bent it was; the way back within {:.0e} mm, off by {:.1f} mm"),
         each("canonical: temples folded by {} degrees", ("90", "180"), folded),
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "frame 0: .* key points",
         each(
             "canonical: key points {}",
@@ -328,25 +304,17 @@ CASES = table(
             lambda points: straightened(FRAME.vertices, points),
         ),
     ),
-    (
+    refuses(
+        "",
         "canonical: weights NaN",
         lambda: straightened(FRAME.vertices, FRAME.keypoints, weights=[NAN * plain()]),
-        REFUSES,
-        "",
     ),
-    (
-        "triangulation: all labels outliers (1e5 px)",
-        outliers,
-        WARNS,
-        measured("inliers in {} view at most"),
-    ),
-    *rows(
-        RIGHT,
+    warns(measured("inliers in {} view at most"), "triangulation: all labels outliers (1e5 px)", outliers),
+    right(
         below(1e-4, "points within {:.0e} mm"),
         each("triangulation: focal length {} px", ("1", "1e6"), triangulated),
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "",
         {
             "registration: all labels outliers (1e5 px)": lambda: worn(labels=labels(1e5, -1e5)),
@@ -357,76 +325,66 @@ CASES = table(
                 lambda focal: worn(cameras=zoomed(wearer().cameras, focal / 450)),
             ),
         },
-        SLOW,
+        slow=True,
     ),
-    (
+    refuses(
+        "no key point is labelled.*no head.*give a start",
         "registration: no labels",
         lambda: worn(labels=NAN * labels(1), head=None),
-        REFUSES,
-        "no key point is labelled.*no head.*give a start",
     ),
-    ("registration: labels infinite", lambda: worn(labels=math.inf + labels(1), head=None), REFUSES, ""),
-    *rows(
-        WARNS,
+    refuses("", "registration: labels infinite", lambda: worn(labels=math.inf + labels(1), head=None)),
+    warns(
         measured("{:.0f} % of its labels fit, the other views decide: off by {:.1f} mm"),
         {
             "registration: a camera said to be inside the glasses": lambda: moved_camera(0.0),
             "registration: a camera said to be behind the head": lambda: moved_camera(600.0),
         },
-        SLOW,
+        slow=True,
     ),
-    (
+    refuses(
+        "labels of view 0 lie outside its mask of 128 x 128",
         "registration: masks of another size",
         lambda: worn(masks=wearer().masks[:, ::2, ::2]),
-        REFUSES,
-        "labels of view 0 lie outside its mask of 128 x 128",
     ),
-    ("registration: masks of 1 x 1", lambda: worn(masks=np.ones((3, 1, 1), bool)), REFUSES, ""),
-    *rows(
-        REFUSES,
+    refuses("", "registration: masks of 1 x 1", lambda: worn(masks=np.ones((3, 1, 1), bool))),
+    refuses(
         r"e\+0[36] times as large.*same unit",
         each("registration: glasses times {}, cameras in mm", ("1e-3", "1e-6"), worn),
     ),
-    ("registration: head with NaN", lambda: worn(head=NAN), REFUSES, ""),
-    (
+    refuses("", "registration: head with NaN", lambda: worn(head=NAN)),
+    right(
+        below(1.0, "visible vertices off by {:.2f} mm rms"),
         "registration: scene 1e6 mm off the origin",
         far_scene,
-        RIGHT,
-        below(1.0, "visible vertices off by {:.2f} mm rms"),
-        SLOW,
+        slow=True,
     ),
-    (
+    warns(
+        measured("converged=False, {:.0f} % counts as observed; off by {:.0f} mm"),
         "registration with a budget of 0.001 s",
         out_of_time,
-        WARNS,
-        measured("converged=False, {:.0f} % counts as observed; off by {:.0f} mm"),
-        SLOW,
+        slow=True,
     ),
-    *rows(
-        RIGHT,
+    right(
         below(1e-9, "within {:.0e} degrees of the exact thin lens"),
         each("lens of {} dioptres", ("-20", "0", "20", "1e3", "1.66667"), bend_error),
     ),
-    *rows(REFUSES, "not finite", each("lens of {} dioptres", ("nan", "inf"), bend_error)),
-    ("lens without a normal", lambda: bend_error(4.0, (0, 0, 0)), REFUSES, "normal is zero"),
-    *rows(
-        RIGHT,
+    refuses("not finite", each("lens of {} dioptres", ("nan", "inf"), bend_error)),
+    refuses("normal is zero", "lens without a normal", lambda: bend_error(4.0, (0, 0, 0))),
+    right(
         below(1e-12, "finite, {1} pixels of lens"),
         {
             "picture through lenses of 1000 dioptres": lambda: pictured(1e3, (48, 64)),
             "picture of 1 x 1": lambda: pictured(-3.0, (1, 1)),
         },
     ),
-    (
+    refuses(
+        "no closed rim",
         "rim sought far from the frame",
         lambda: find_lens_rim(
             FRAME.vertices, FRAME.faces, FRAME.lens_centers[0] + [0, 0, 500.0], normal=[0, 0, 1]
         ),
-        REFUSES,
-        "no closed rim",
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "",
         {
             "lens mesh in a rim of two points": lambda: lens_mesh([0, 0, 0], TRIANGLE[:2]),

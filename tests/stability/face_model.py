@@ -7,7 +7,7 @@ from scan2albedo import AnnotatedFaceModel
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.operators import linear_refinement
 from scan2albedo.geometry.rigid import transform_points
-from stability.case import REFUSES, RIGHT, SLOW, WARNS, Measured, below, each, rows, table
+from stability.case import Measured, below, each, refuses, right, table, warns
 from stability.scenes import mixed, model, moebius, plane
 
 VERTICES, FACES = model().surface(0)
@@ -91,18 +91,16 @@ BROKEN = "{} of .* vertices are NaN or infinite; repair"
 
 CASES = table(
     "from_mesh",
-    *rows(
-        RIGHT,
+    right(
         NEAR,
         {
             **each("face times {}", ("1e3", "0.1", "1e-3"), lambda factor: modelled(factor * VERTICES)),
             **each("{} mm away", ("1e6", "1e7", "1e9"), lambda far: modelled(VERTICES + far)),
             "100,000 vertices": fine,
         },
-        SLOW,
+        slow=True,
     ),
-    *rows(
-        RIGHT,
+    right(
         NEAR,
         {
             "a plane": lambda: modelled(*plane(20, 200)),
@@ -116,27 +114,23 @@ CASES = table(
             ),
         },
     ),
-    (
+    warns(
+        noted("faces cut off the back of a closed surface", 20.0),
         "a torus: cut open",
         lambda: modelled(TORUS.vertices, TORUS.faces),
-        WARNS,
-        noted("faces cut off the back of a closed surface", 20.0),
     ),
-    (
+    warns(
+        noted("faces dropped at edges with three faces"),
         "non-manifold edges, slivers, zero-area faces",
         damaged,
-        WARNS,
-        noted("faces dropped at edges with three faces"),
     ),
-    ("one vertex at 1e5 mm", far_vertex, WARNS, noted("vertices far from the rest")),
-    (
+    warns(noted("vertices far from the rest"), "one vertex at 1e5 mm", far_vertex),
+    warns(
+        noted("a greater control_size follows it better", 4.0),
         "a control mesh of 25 vertices",
         lambda: modelled(control_size=25),
-        WARNS,
-        noted("a greater control_size follows it better", 4.0),
     ),
-    *rows(
-        WARNS,
+    warns(
         noted("a new chart was drawn"),
         {
             "uv with a flipped triangle": lambda: modelled(control_size=1000, uv=flipped()),
@@ -145,35 +139,31 @@ CASES = table(
             "uv all in one place": lambda: modelled(control_size=1000, uv=0 * model().uv),
         },
     ),
-    (
+    refuses(
+        "which is not a head in mm, cm, m or um.*scale it to millimetres",
         "kilometres",
         lambda: modelled(1e-6 * VERTICES),
-        REFUSES,
-        "which is not a head in mm, cm, m or um.*scale it to millimetres",
     ),
-    (
+    refuses(
+        "template: only 4 vertices in faces, at least 100 needed",
         "4 vertices",
         lambda: modelled(
             [[0, 0, 0], [100, 0, 0], [0, 120, 0], [50, 50, 50]], [[0, 1, 3], [1, 2, 3], [2, 0, 3]]
         ),
-        REFUSES,
-        "template: only 4 vertices in faces, at least 100 needed",
     ),
-    (
+    refuses(
+        "control_size is 4, but fewer than 20 control vertices hold no face",
         "a control mesh of 4 vertices",
         lambda: modelled(control_size=4),
-        REFUSES,
-        "control_size is 4, but fewer than 20 control vertices hold no face",
     ),
-    (
+    refuses(
+        "template: every face has zero area",
         "a line of points",
         lambda: modelled(
             np.linspace(0, 200, 200)[:, None] * [1, 0, 0], np.arange(198)[:, None] + np.arange(3)
         ),
-        REFUSES,
-        "template: every face has zero area",
     ),
-    ("one vertex NaN", lambda: modelled(with_one(np.nan)), REFUSES, BROKEN.format(1)),
-    ("all vertices NaN", lambda: modelled(np.nan * VERTICES), REFUSES, BROKEN.format(len(VERTICES))),
-    ("a Moebius strip", lambda: modelled(*moebius()), REFUSES, "cannot be oriented.*use an orientable mesh"),
+    refuses(BROKEN.format(1), "one vertex NaN", lambda: modelled(with_one(np.nan))),
+    refuses(BROKEN.format(len(VERTICES)), "all vertices NaN", lambda: modelled(np.nan * VERTICES)),
+    refuses("cannot be oriented.*use an orientable mesh", "a Moebius strip", lambda: modelled(*moebius())),
 )

@@ -8,7 +8,7 @@ import numpy as np
 from scan2albedo import RawScan, fit
 from scan2albedo.fitting import FitOptions
 from scan2albedo.geometry.rigid import compose, rotation_from_vector
-from stability.case import REFUSES, RIGHT, SLOW, WARNS, Measured, below, each, rows, said, table
+from stability.case import Measured, below, each, refuses, right, said, table, warns
 from stability.scenes import (
     at_random,
     model,
@@ -137,36 +137,28 @@ MASSES = (
 
 CASES = table(
     "fit",
-    ("stiffness 1", lambda: as_stiff(1.0), RIGHT, near(0.4), SLOW),
-    ("stiffness 1e8", lambda: as_stiff(1e8), RIGHT, near(0.7), SLOW),
-    ("stiffness 1e-6", lambda: as_stiff(1e-6, levels=FINER), WARNS, folded(0.4)),
-    (
+    right(near(0.4), "stiffness 1", lambda: as_stiff(1.0), slow=True),
+    right(near(0.7), "stiffness 1e8", lambda: as_stiff(1e8), slow=True),
+    warns(folded(0.4), "stiffness 1e-6", lambda: as_stiff(1e-6, levels=FINER)),
+    warns(
+        folded(0.6),
         "no stiffness at all",
         lambda: with_constants({"bending_mm": (0.0, 0.0), "levels": FINER}, MEMBRANE_MM=(0.0, 0.0)),
-        WARNS,
-        folded(0.6),
     ),
-    (
+    right(
+        near(0.7),
         "stiffness beyond doubles (lengths of 1e8 mm)",
         lambda: with_constants({"bending_mm": (1e8, 1e8)}, MEMBRANE_MM=(1e6, 1e6)),
-        RIGHT,
-        near(0.7),
     ),
-    *rows(
-        RIGHT,
-        near(0.4),
-        each("time step {}", ("1", "1e3", "1e30"), lambda step: with_constants(TIME_STEP=step)),
-    ),
-    *rows(
-        WARNS,
+    right(near(0.4), each("time step {}", ("1", "1e3", "1e30"), lambda step: with_constants(TIME_STEP=step))),
+    warns(
         unfinished(0.7),
         {
             **each("time step {}", ("1e-6", "1e-3"), lambda step: with_constants(TIME_STEP=step)),
             "mass 1e6": lambda: with_constants(MASS=1e6),
         },
     ),
-    *rows(
-        RIGHT,
+    right(
         near(0.5),
         {
             ", ".join(f"{name.lower()} {value:g}" for name, value in values.items()): (
@@ -175,8 +167,7 @@ CASES = table(
             for values in MASSES
         },
     ),
-    *rows(
-        RIGHT,
+    right(
         near(0.5),
         {
             "forces without gates (reach 1e6 mm)": without_gates,
@@ -189,75 +180,61 @@ CASES = table(
             "inside out": lambda: fitted(person().with_mesh(person().scan.faces[:, ::-1])),
         },
     ),
-    *rows(
-        RIGHT,
+    right(
         near(0.5),
         each(
             "{} of the triangles left",
             ("0.4", "0.2", "0.05"),
             lambda share: fitted(person().kept(at_random(person(), share))),
         ),
-        SLOW,
+        slow=True,
     ),
-    ("noise of 1 mm", lambda: fitted(noisy(person(), 1.0)), RIGHT, near(0.6)),
-    ("noise of 3 mm", lambda: fitted(noisy(person(), 3.0)), WARNS, unfinished(1.3)),
-    (
-        "1.5 times too large, in the model's pose",
-        lambda: fitted(person().scaled(1.5)),
-        RIGHT,
-        near(1.5),
-    ),
-    *rows(
-        RIGHT,
+    right(near(0.6), "noise of 1 mm", lambda: fitted(noisy(person(), 1.0))),
+    warns(unfinished(1.3), "noise of 3 mm", lambda: fitted(noisy(person(), 3.0))),
+    right(near(1.5), "1.5 times too large, in the model's pose", lambda: fitted(person().scaled(1.5))),
+    right(
         below(0.02, "{:.1e} mm from the fit at the origin"),
         each("offset {} mm", ("1e6", "1e7", "1e9"), moved_off),
-        SLOW,
+        slow=True,
     ),
-    (
+    warns(
+        covered(0.3, 0.7, 0.4),
         "half of the triangles wound the wrong way",
         lambda: fitted(person().wound(at_random(person(), 0.5))),
-        WARNS,
-        covered(0.3, 0.7, 0.4),
     ),
-    (
+    warns(
+        near(99),
         "upside down in the model's frame",
         lambda: fitted(
             grey(),
             compose(rotation_from_vector([0, 0, np.pi]), np.zeros(3)) @ person().model_from_scan,
             levels=FINER,
         ),
-        WARNS,
-        near(99),
     ),
-    (
+    warns(
+        strained,
         "a plane in place of the face",
         lambda: alone(plane(40, 250)[0] - [125, 125, 0], plane(40, 250)[1], **QUICK),
-        WARNS,
-        strained,
     ),
-    (
+    refuses(
+        "levels must be.*0 to 5",
         "refinements that would fill the memory",
         lambda: fitted(person(), levels=(9,)),
-        REFUSES,
-        "levels must be.*0 to 5",
     ),
-    ("negative steps", lambda: FitOptions(steps=-1), REFUSES, "steps must be finite and 0 or more"),
-    ("stiffness NaN", lambda: FitOptions(bending_mm=(np.nan, 1.0)), REFUSES, "bending_mm must be"),
-    ("sizes exchanged", lambda: FitOptions(scale_range=(2.0, 1.0)), REFUSES, "scale_range must be"),
-    ("an empty schedule", lambda: FitOptions(levels=()), REFUSES, "levels must be one or more"),
-    (
+    refuses("steps must be finite and 0 or more", "negative steps", lambda: FitOptions(steps=-1)),
+    refuses("bending_mm must be", "stiffness NaN", lambda: FitOptions(bending_mm=(np.nan, 1.0))),
+    refuses("scale_range must be", "sizes exchanged", lambda: FitOptions(scale_range=(2.0, 1.0))),
+    refuses("levels must be one or more", "an empty schedule", lambda: FitOptions(levels=())),
+    refuses(
+        "scan: only .* % of the (fitted )?model has scan.*the scan holds",
         "a single triangle",
         lambda: alone([[-9.0, -9, 0], [9, -9, 0], [0, 9, 0]], [[0, 1, 2]]),
-        REFUSES,
-        "scan: only .* % of the (fitted )?model has scan.*the scan holds",
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "unit|wrong|face",
         each("units of {} mm taken for mm", ("1e-3", "1e3", "1e6"), lambda unit: in_unit(1 / unit)),
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "must be a rigid transform",
         {
             "a pose of NaN": lambda: fitted(person(), np.full((4, 4), np.nan)),

@@ -8,7 +8,7 @@ from scan2albedo.geometry.loop_subdivision import LoopSubdivision
 from scan2albedo.geometry.mesh import turned_against_neighbours
 from scan2albedo.geometry.operators import surface_diffusion
 from scan2albedo.geometry.rigid import compose, procrustes, random_rotation, transform_points
-from stability.case import REFUSES, RIGHT, below, each, rows, table
+from stability.case import below, each, refuses, right, table
 from stability.scenes import mixed, moebius
 
 BALL = trimesh.creation.icosphere(3, 100.0)
@@ -101,18 +101,15 @@ FINS = np.column_stack([FACES[:9, :2], FACES[100:109, 0]])
 
 CASES = table(
     "geometry",
-    *rows(
-        RIGHT,
+    right(
         below(1e-6, "{:.0e} mm off"),
         each("closest points: offset {} mm", ("1e6", "1e7", "1e9"), lambda far: distance_gap(offset=far)),
     ),
-    *rows(
-        RIGHT,
+    right(
         below(1e-9, "{:.0e} of 100 off"),
         each("closest points: size of {} times 100 mm", ("1e-9", "1e9"), distance_gap),
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "^1 of 500 points are NaN, infinite",
         {
             f"{kind.__name__}: a point of {value}": lambda kind=kind, value=value: kind(
@@ -122,14 +119,12 @@ CASES = table(
             for value in (np.nan, 1e200)
         },
     ),
-    (
+    refuses(
+        "a surface without faces has no closest points",
         "closest points: no faces",
         lambda: ClosestPointQuery(VERTICES, FACES[:0]),
-        REFUSES,
-        "a surface without faces has no closest points",
     ),
-    *rows(
-        RIGHT,
+    right(
         below(1e-9, "rows sum to 1 within {:.0e}, no extrapolation"),
         {
             "subdivision: double faces": lambda: subdivided(VERTICES, np.concatenate([FACES, FACES[:3]])),
@@ -139,20 +134,17 @@ CASES = table(
             "subdivision: mixed orientation": lambda: subdivided(VERTICES, mixed(FACES)),
         },
     ),
-    (
+    right(
+        below(1e-12, "tip {:.0e} off its axis"),
         "subdivision: a vertex of valence 1000",
         lambda: float(np.abs(subdivided(*fan())[1][0, :2]).max()),
-        RIGHT,
-        below(1e-12, "tip {:.0e} off its axis"),
     ),
-    ("subdivision: coordinates of 1e9 mm", far_subdivision, RIGHT, below(1e-5, "{:.0e} mm off at 1e9")),
-    *rows(
-        RIGHT,
+    right(below(1e-5, "{:.0e} mm off at 1e9"), "subdivision: coordinates of 1e9 mm", far_subdivision),
+    right(
         below(0.01, "mean within {:.4f}, range kept"),
         each("diffusion: distance of {} mm", ("1e-6", "1", "1e3", "1e6", "1e12"), spread),
     ),
-    *rows(
-        RIGHT,
+    right(
         below(1e-8, "{:.0e} apart"),
         {
             **each("diffusion: {} times as large", ("1e-6", "1e3", "1e6"), diffusion_gap),
@@ -160,20 +152,17 @@ CASES = table(
             "diffusion: zero-area faces": flat_diffusion,
         },
     ),
-    (
+    refuses(
+        "1 values are not finite, and would spread",
         "diffusion: a NaN value",
         lambda: surface_diffusion(VERTICES, FACES, 5.0)(with_one(VALUES, np.nan)),
-        REFUSES,
-        "1 values are not finite, and would spread",
     ),
-    (
+    refuses(
+        "1 vertices are NaN or infinite",
         "diffusion: a NaN vertex",
         lambda: surface_diffusion(with_one(VERTICES, np.nan), FACES, 5.0),
-        REFUSES,
-        "1 vertices are NaN or infinite",
     ),
-    *rows(
-        RIGHT,
+    right(
         below(1e-9, "{:.0e} mm off, no mirror"),
         {
             "rigid transforms: points on a plane": lambda: rigid_gap(CLOUD * [1, 1, 0]),
@@ -182,8 +171,7 @@ CASES = table(
             "rigid transforms: one point alone": lambda: rigid_gap(CLOUD[:1]),
         },
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "place nothing",
         {
             "rigid transforms: no points": lambda: procrustes(CLOUD[:0], CLOUD[:0]),
@@ -191,22 +179,17 @@ CASES = table(
             "rigid transforms: weights of zero": lambda: procrustes(CLOUD, CLOUD, weights=np.zeros(20)),
         },
     ),
-    (
+    refuses(
+        "coincide have no size",
         "rigid transforms: a size of coincident points",
         lambda: procrustes(0 * CLOUD, 0 * CLOUD, scale=True),
-        REFUSES,
-        "coincide have no size",
     ),
-    (
-        "orientation: half of the faces reversed",
-        half_reversed,
-        RIGHT,
-        below(1, "{} of {} reversed faces mistaken"),
+    right(
+        below(1, "{} of {} reversed faces mistaken"), "orientation: half of the faces reversed", half_reversed
     ),
-    (
+    right(
+        below(1, "{} faces mistaken"),
         "orientation: a Moebius strip",
         lambda: int(turned_against_neighbours(moebius()[1]).sum()),
-        RIGHT,
-        below(1, "{} faces mistaken"),
     ),
 )

@@ -11,7 +11,7 @@ from scan2albedo.fitting import FitOptions
 from scan2albedo.geometry.mesh import face_areas
 from scan2albedo.geometry.rigid import compose
 from scan2albedo.sampling import geometry_image_of_scan
-from stability.case import REFUSES, RIGHT, SLOW, WARNS, Measured, below, each, rows, table
+from stability.case import Measured, below, each, refuses, right, table, warns
 from stability.scenes import mixed, model, person, spoilt, stray
 
 SIZE = 64
@@ -160,20 +160,15 @@ COLOURS = "colours {:.0e} apart"
 CASES = [
     *table(
         "geometry_image",
-        (
-            "a size of 8",
-            lambda: area_gap(8),
-            RIGHT,
-            below(0.1, "{:.0%} off {:.0f} cm2 of surface in the square"),
+        right(
+            below(0.1, "{:.0%} off {:.0f} cm2 of surface in the square"), "a size of 8", lambda: area_gap(8)
         ),
-        *rows(
-            REFUSES,
+        refuses(
             "size .* does not suit",
             {f"a size of {size:g}": lambda size=size: sampled(size=size) for size in (7, 64.5, 10**9)},
         ),
-        *rows(RIGHT, below(1e-4, COLOURS), each("scan and pose {} mm away", ("1e6", "1e7", "1e9"), moved)),
-        *rows(
-            RIGHT,
+        right(below(1e-4, COLOURS), each("scan and pose {} mm away", ("1e6", "1e7", "1e9"), moved)),
+        right(
             below(2e-3, COLOURS),
             each(
                 "uv moved by {} periods",
@@ -181,8 +176,7 @@ CASES = [
                 lambda by: colour_gap(sampled(uv=scan().uv + by)),
             ),
         ),
-        *rows(
-            RIGHT,
+        right(
             below(0.06, "seen: {1:.0%} of the texels"),
             {
                 "slivers, coincident vertices, zero-area and non-manifold faces": lambda: seen_gap(
@@ -191,13 +185,11 @@ CASES = [
                 "vertices at 1e20 mm": lambda: seen_gap(stray(person(), 5, 1e20)),
             },
         ),
-        *rows(
-            RIGHT,
+        right(
             lambda image: "geometry only" if image.texture_linear is None else "",
             {"no uv": lambda: sampled(uv=None), "no texture": lambda: sampled(texture_linear=None)},
         ),
-        *rows(
-            RIGHT,
+        right(
             below(0.2, "not skin: {:.0%} of the seen texels"),
             {
                 "skin: all hair": lambda: not_skin(hair),
@@ -207,8 +199,7 @@ CASES = [
                 ),
             },
         ),
-        *rows(
-            RIGHT,
+        right(
             below(1e-3, "within {:.0e} on the {:.0%} seen"),
             {
                 "a texture of 1 x 1": lambda: even(1, 1),
@@ -217,55 +208,45 @@ CASES = [
                 "vertex colours all black": black,
             },
         ),
-        *rows(
-            WARNS,
+        warns(
             hardly_seen,
             {
                 "uv that span a million periods": lambda: sampled(uv=1e6 * scan().uv),
                 "uv all in one place": lambda: sampled(uv=0 * scan().uv + 0.5),
             },
         ),
-        (
-            "a chart with a flipped triangle",
-            flipped_triangle,
-            RIGHT,
-            below(0.01, "{:.2%} of the texels differ"),
+        right(
+            below(0.01, "{:.2%} of the texels differ"), "a chart with a flipped triangle", flipped_triangle
         ),
-        (
+        refuses(
+            r"a texture coordinate is .*, beyond 1e\+12.*leave uv out",
             "uv of 1e300",
             lambda: sampled(uv=1e300 * scan().uv),
-            REFUSES,
-            r"a texture coordinate is .*, beyond 1e\+12.*leave uv out",
         ),
-        (
+        refuses(
+            r"uv holds 2 values that are NaN or infinite, first at \(0, 0, 0\).*repair or re-export",
             "NaN uv",
             lambda: sampled(uv=nan_uv()),
-            REFUSES,
-            r"uv holds 2 values that are NaN or infinite, first at \(0, 0, 0\).*repair or re-export",
         ),
-        (
+        refuses(
+            r"chart leaves the unit square at \d+ of.*scale its uv",
             "a chart outside the unit square",
             lambda: sampled(fitted=replace(face(), uv=face().uv + 0.5)),
-            REFUSES,
-            r"chart leaves the unit square at \d+ of.*scale its uv",
         ),
-        (
+        refuses(
+            "chart covers no texel",
             "a chart of one point",
             lambda: sampled(fitted=replace(face(), uv=0 * face().uv)),
-            REFUSES,
-            "chart covers no texel",
         ),
-        (
+        refuses(
+            r"has \d+ vertices whose uv are NaN.*check the model",
             "a chart of NaN",
             lambda: sampled(fitted=replace(face(), uv=np.nan * face().uv)),
-            REFUSES,
-            r"has \d+ vertices whose uv are NaN.*check the model",
         ),
     ),
     *table(
         "geometry_image (no model)",
-        *rows(
-            RIGHT,
+        right(
             below(0.02, "{:.1%} off the ball, {:.0%} of its area missing"),
             {
                 **each("offset {} mm", ("1e6", "1e7", "1e9"), lambda far: on_ball(shift=far)),
@@ -275,8 +256,7 @@ CASES = [
                 "inside out": lambda: on_ball(faces=BALL.faces[:, ::-1]),
             },
         ),
-        *rows(
-            RIGHT,
+        right(
             below(0.2, "{:.0%} of the area missing"),
             {
                 "a size of 512": lambda: charted(size=512),
@@ -286,31 +266,27 @@ CASES = [
                 ),
             },
         ),
-        (
+        right(
+            below(0.65, "{:.0%} of both copies' area missing"),
             "every face twice",
             lambda: charted(faces=np.concatenate([BALL.faces, BALL.faces])),
-            RIGHT,
-            below(0.65, "{:.0%} of both copies' area missing"),
         ),
-        (
+        right(
+            below(0.6, "{:.0%} of its area missing"),
             "a head of 32,000 faces, pinched and in pieces",
             lambda: charted(scan().vertices, scan().faces, 96),
-            RIGHT,
-            below(0.6, "{:.0%} of its area missing"),
-            SLOW,
+            slow=True,
         ),
-        (
+        refuses(
+            "every face has zero area",
             "a line of points",
             lambda: charted(np.arange(30.0)[:, None] * [1, 0, 0], np.arange(30).reshape(-1, 3)),
-            REFUSES,
-            "every face has zero area",
         ),
-        (
+        refuses(
+            "no chart that covers a texel.*remove vertices that lie far",
             "one vertex at 1e11 mm",
             lambda: charted(BALL.vertices * np.where(np.arange(len(BALL.vertices)) == 0, 1e9, 1)[:, None]),
-            REFUSES,
-            "no chart that covers a texel.*remove vertices that lie far",
         ),
-        ("2000 loose triangles", soup, WARNS, lambda figure: figure),
+        warns(lambda figure: figure, "2000 loose triangles", soup),
     ),
 ]

@@ -11,7 +11,7 @@ from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.lighting.shading import Reflectance, light_from_direction, shade_points
 from scan2albedo.lighting.shadow_map import ShadowMap
-from stability.case import REFUSES, RIGHT, below, each, rows, table
+from stability.case import below, each, refuses, right, table
 
 UP = np.array([0.0, 0.0, 1.0])
 LAMP = PointLight(0.3, 0.2)
@@ -123,32 +123,27 @@ NO_SHADOW_ERROR = below(1e-12, "{:.1%} of a ball's points wrong, 6 degrees about
 
 CASES = table(
     "lighting",
-    *rows(
-        RIGHT,
+    right(
         below(1.0 + 1e-9, "up to {:.2f} of the light, none behind"),
         each("roughness {}", ("1e-6", "1", "1e3"), lambda sigma: brightest(Reflectance(roughness=sigma))),
     ),
-    *rows(
-        RIGHT,
+    right(
         below(1e4, "finite, up to {:.0e}, none behind"),
         each("Minnaert exponent {}", ("0.1", "1e4"), lambda m: brightest(Reflectance("minnaert", m))),
     ),
-    (
+    right(
+        below(1e-15, "one direction whatever the azimuth, within {:.0e}"),
         "light at the poles (elevation +-90)",
         pole_error,
-        RIGHT,
-        below(1e-15, "one direction whatever the azimuth, within {:.0e}"),
     ),
-    (
+    right(
+        below(1e-6, "as a distant one: light within {:.0e}, shadows differ at {} points"),
         "lamp at 1e9 mm",
         far_lamp,
-        RIGHT,
-        below(1e-6, "as a distant one: light within {:.0e}, shadows differ at {} points"),
     ),
-    ("lamp on the surface itself", touching, RIGHT, below(math.inf, "finite, at most {:.1e}")),
-    ("intensity 0, 1e-12 and 1e12", not_linear, RIGHT, LINEAR),
-    *rows(
-        RIGHT,
+    right(below(math.inf, "finite, at most {:.1e}"), "lamp on the surface itself", touching),
+    right(LINEAR, "intensity 0, 1e-12 and 1e12", not_linear),
+    right(
         AMBIENT_ALONE,
         {
             "lamp at 1 mm, inside the head": lambda: dark(*sphere()[:2], PointLight(0.3, 0.2, 1.0, 1.0)),
@@ -156,8 +151,7 @@ CASES = table(
             "no point": lambda: dark(np.zeros((0, 3)), np.zeros((0, 3)), LAMP),
         },
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "",
         {
             "lamp at distance 0": lambda: shaded(PointLight(0.0, 0.0, 0.0)),
@@ -181,21 +175,12 @@ CASES = table(
             "shadow map, faces beyond the vertices": lambda: spoilt_caster(face_shift=10**6),
         },
     ),
-    *rows(
-        RIGHT,
-        NO_SHADOW_ERROR,
-        each("shadow map, head {} mm off the origin", ("1e6", "1e7"), wrong_shadows),
-    ),
-    ("shadow map, the surface itself twice (coincident)", twice, RIGHT, below(1, "{} points differ")),
-    (
+    right(NO_SHADOW_ERROR, each("shadow map, head {} mm off the origin", ("1e6", "1e7"), wrong_shadows)),
+    right(below(1, "{} points differ"), "shadow map, the surface itself twice (coincident)", twice),
+    right(
+        below(1, "hides {} points"),
         "shadow map, one point as a mesh",
         lambda: 1 - ShadowMap(RayCaster(np.ones((3, 3)), [[0, 1, 2]]), 0 * UP[None], UP[None]).visible(UP)[0],
-        RIGHT,
-        below(1, "hides {} points"),
     ),
-    *rows(
-        RIGHT,
-        LINEAR,
-        each("environment times {}", ("0", "-1"), environment_error),
-    ),
+    right(LINEAR, each("environment times {}", ("0", "-1"), environment_error)),
 )

@@ -7,7 +7,7 @@ import trimesh
 
 from scan2albedo import Budget, RawScan, process
 from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_from_vector, transform_points
-from stability.case import BUDGETS, REFUSES, RIGHT, SLOW, WARNS, Measured, below, each, noted, rows, table
+from stability.case import BUDGETS, Measured, below, each, noted, refuses, right, table, warns
 from stability.scenes import person
 
 FEW = Budget(evaluations=30)
@@ -77,65 +77,53 @@ SEED = "seed is {}, expected"
 
 CASES = table(
     "process",
-    *rows(
-        WARNS,
-        out_of_time,
-        each("a budget of {}", BUDGETS, lambda budget: landmarks(person(), budget=budget)),
-    ),
-    *rows(
-        RIGHT,
+    warns(out_of_time, each("a budget of {}", BUDGETS, lambda budget: landmarks(person(), budget=budget))),
+    right(
         below(3, "landmarks {:.1f} mm off"),
         {
             "seed 0": lambda: landmarks(person(), seed=0, budget=FEW),
             "seed 2**32 - 1": lambda: landmarks(person(), seed=2**32 - 1, budget=FEW),
         },
-        SLOW,
+        slow=True,
     ),
-    (
+    right(
+        below(2, "landmarks {:.2f} mm off"),
         "scan 1e9 mm away",
         lambda: landmarks(person().shifted(1e9), skip=["albedo"]),
-        RIGHT,
-        below(2, "landmarks {:.2f} mm off"),
     ),
-    ("a seed of -1", lambda: processed(seed=-1), REFUSES, SEED.format(-1)),
-    ("no seed", lambda: processed(seed=None), REFUSES, SEED.format(None)),
-    (
+    refuses(SEED.format(-1), "a seed of -1", lambda: processed(seed=-1)),
+    refuses(SEED.format(None), "no seed", lambda: processed(seed=None)),
+    refuses(
+        "only 0 of .* texels can be used to find the light.*black",
         "vertex colours all black",
         lambda: processed(uncoloured(vertex_color_linear=0 * person().scan.vertices), budget=FEW),
-        REFUSES,
-        "only 0 of .* texels can be used to find the light.*black",
     ),
-    (
+    warns(
+        noted("another size than adults'"),
         "1.5 times too large",
         lambda: without_albedo(person().scaled(1.5).scan),
-        WARNS,
-        noted("another size than adults'"),
-        SLOW,
+        slow=True,
     ),
-    (
+    warns(
+        noted("stretched the model's edges"),
         "not registered, and upside down",
         lambda: without_albedo(upside_down(), "register"),
-        WARNS,
-        noted("stretched the model's edges"),
-        SLOW,
+        slow=True,
     ),
-    (
+    refuses(
+        "no part of the scan lies within .* mm of the model.*register the scan first",
         "not registered, and in any pose",
         lambda: without_albedo(person().scan, "register"),
-        REFUSES,
-        "no part of the scan lies within .* mm of the model.*register the scan first",
     ),
-    (
+    right(
+        below(1e-3, "{:.0e} mm from the same object at the origin"),
         "an object 1e7 mm away, without a model",
         far_object,
-        RIGHT,
-        below(1e-3, "{:.0e} mm from the same object at the origin"),
     ),
-    (
+    right(
+        below(0.1, "{:.0%} of the texels not seen, coverage {:.0%}"),
         "a head without a model",
         head_without_model,
-        RIGHT,
-        below(0.1, "{:.0%} of the texels not seen, coverage {:.0%}"),
-        SLOW,
+        slow=True,
     ),
 )

@@ -15,7 +15,7 @@ from scan2albedo.recognition import (
     identify_by_similarity,
     roc_curve,
 )
-from stability.case import REFUSES, RIGHT, WARNS, below, each, measured, rows, table
+from stability.case import below, each, measured, refuses, right, table, warns
 
 SHAPE = (128, 128)
 albedo = cache(build_albedo)
@@ -80,8 +80,7 @@ def one_texel(value, others):
 
 CASES = table(
     "recognition",
-    *rows(
-        RIGHT,
+    right(
         below(1e-3, "similarity 1 within {:.0e}"),
         {
             "constant images": lambda: unlike(everywhere(0.5), everywhere(0.2)),
@@ -97,24 +96,17 @@ CASES = table(
             ),
         },
     ),
-    ("a constant image and an albedo", lambda: like(everywhere(0.5)), RIGHT, below(0.5, "similarity {:.3f}")),
-    ("constant image in a gallery", wall, RIGHT, below(2, "rank {}, similarities {:.3f} and {:.3f}")),
-    ("image black", lambda: like(everywhere(0.0)), REFUSES, "mean 0 in its mask"),
-    ("image negative", lambda: like(everywhere(-1.0)), REFUSES, "mean -1 in its mask"),
-    (
+    right(below(0.5, "similarity {:.3f}"), "a constant image and an albedo", lambda: like(everywhere(0.5))),
+    right(below(2, "rank {}, similarities {:.3f} and {:.3f}"), "constant image in a gallery", wall),
+    refuses("mean 0 in its mask", "image black", lambda: like(everywhere(0.0))),
+    refuses("mean -1 in its mask", "image negative", lambda: like(everywhere(-1.0))),
+    refuses(
+        r"image 0 \(a\): 1 of 16384 pixels",
         "image with a NaN in its mask",
         lambda: templates(one_texel(math.nan, albedo(0))),
-        REFUSES,
-        r"image 0 \(a\): 1 of 16384 pixels",
     ),
-    (
-        "image infinite",
-        lambda: like(everywhere(math.inf)),
-        REFUSES,
-        "the second image: 16384 of 16384 pixels",
-    ),
-    *rows(
-        REFUSES,
+    refuses("the second image: 16384 of 16384 pixels", "image infinite", lambda: like(everywhere(math.inf))),
+    refuses(
         "",
         {
             "image of 1e300": lambda: like(1e300 * (1 + 1e7 * albedo(0))),
@@ -126,27 +118,19 @@ CASES = table(
             "templates size=4": lambda: templates(albedo(0), options=TemplateOptions(size=4)),
         },
     ),
-    ("mask empty", lambda: templates(albedo(0), masks=[everywhere(False)]), REFUSES, "masked everywhere"),
-    (
-        "gallery of one",
-        alone,
-        RIGHT,
-        below(2, "rank {}, 95 % interval from {:.3f}: one probe tells little"),
-    ),
-    (
+    refuses("masked everywhere", "mask empty", lambda: templates(albedo(0), masks=[everywhere(False)])),
+    right(below(2, "rank {}, 95 % interval from {:.3f}: one probe tells little"), "gallery of one", alone),
+    refuses(
+        "one person only",
         "gallery of one, ROC",
         lambda: roc_curve(identify(templates(albedo(0)), templates(albedo(0)))),
-        REFUSES,
-        "one person only",
     ),
-    (
+    right(
+        below(1e-12, "{:.0e} from chance, right {:.0%}"),
         "all similarities equal",
         lambda: curves(np.full((4, 4), 0.5), "abcd", "abcd"),
-        RIGHT,
-        below(1e-12, "{:.0e} from chance, right {:.0%}"),
     ),
-    *rows(
-        RIGHT,
+    right(
         below(1.5, "intervals of 50 resamples: {1:.0%} right"),
         {
             "one probe alone, two persons": lambda: curves([[0.9, 0.1]], "ab", "a"),
@@ -155,5 +139,5 @@ CASES = table(
             ),
         },
     ),
-    ("probes of 400 % noise", noisy, WARNS, measured("rate {:.2f}, 95 % interval {:.2f} to {:.2f}")),
+    warns(measured("rate {:.2f}, 95 % interval {:.2f} to {:.2f}"), "probes of 400 % noise", noisy),
 )

@@ -33,17 +33,15 @@ from scan2albedo.reflectance import (
 from scan2albedo.synthetic import face_shape
 from stability.case import (
     BUDGETS,
-    REFUSES,
-    RIGHT,
-    SLOW,
-    WARNS,
     Measured,
     below,
     each,
     measured,
-    rows,
+    refuses,
+    right,
     table,
     unfinished,
+    warns,
 )
 
 
@@ -315,36 +313,31 @@ NAN = math.nan
 
 CASES = table(
     "reflectance",
-    ("olat: flash and room exchanged", lambda: flashes(0.2, 0.6), REFUSES, "pair 0: 100 % .* exchanged"),
-    ("olat: values negative", lambda: flashes(-0.5, 0.1), REFUSES, "pair 0: 100 % .* exchanged"),
-    (
+    refuses("pair 0: 100 % .* exchanged", "olat: flash and room exchanged", lambda: flashes(0.2, 0.6)),
+    refuses("pair 0: 100 % .* exchanged", "olat: values negative", lambda: flashes(-0.5, 0.1)),
+    refuses(
+        r"flash picture 0 reaches 1e\+06.* white = 1",
         "olat: values beyond white (HDR 1e6)",
         lambda: flashes(1e6, 0.1),
-        REFUSES,
-        r"flash picture 0 reaches 1e\+06.* white = 1",
     ),
-    ("olat: NaN everywhere", lambda: flashes(NAN, 0.2), REFUSES, "no number"),
-    ("olat: saturated everywhere", lambda: flashes(1.0, 0.2), WARNS, complaint),
-    (
+    refuses("no number", "olat: NaN everywhere", lambda: flashes(NAN, 0.2)),
+    warns(complaint, "olat: saturated everywhere", lambda: flashes(1.0, 0.2)),
+    warns(
+        measured("light {:.0e} standard deviations: sigma {:.3f} says so"),
         "olat: flash as dark as the room",
         no_light,
-        WARNS,
-        measured("light {:.0e} standard deviations: sigma {:.3f} says so"),
     ),
-    (
+    right(
+        below(1e-6, "right within {:.0e}"),
         "olat: images of 1 pixel",
         lambda: float(np.abs(flashes(0.5, 0.1, 1).linear - (0.5**1.2 - 0.1**1.2)).max()),
-        RIGHT,
-        below(1e-6, "right within {:.0e}"),
     ),
-    (
+    warns(
+        measured("{:.0f} % of the lobes identified, albedo off by {:.0f} %"),
         "99 pairs, all of one pose",
         one_pose,
-        WARNS,
-        measured("{:.0f} % of the lobes identified, albedo off by {:.0f} %"),
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "none of 400 vertices is seen",
         {
             "flash behind the head": lambda: fit_reflectance(lobes_of([0.0, 0.0, -1000.0])),
@@ -355,8 +348,7 @@ CASES = table(
             ),
         },
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "vertex 1 is said to be valid in picture 0",
         {
             "sigma 0": lambda: replace(samples(), sigma=0 * samples().sigma),
@@ -366,22 +358,19 @@ CASES = table(
             ),
         },
     ),
-    (
+    warns(
+        measured("albedo off by {:.0f} %, {:.0f} % within the intervals, {:.0f} % identified"),
         "noise 100 %",
         noise,
-        WARNS,
-        measured("albedo off by {:.0f} %, {:.0f} % within the intervals, {:.0f} % identified"),
-        SLOW,
+        slow=True,
     ),
-    *rows(RIGHT, ALBEDO_OFF, each("pictures times {}", ("1e-9", "1e9"), exposed)),
-    ("one vertex", one_vertex, RIGHT, below(10, "albedo off by {:.1f} %")),
-    *rows(
-        RIGHT,
+    right(ALBEDO_OFF, each("pictures times {}", ("1e-9", "1e9"), exposed)),
+    right(below(10, "albedo off by {:.1f} %"), "one vertex", one_vertex),
+    right(
         below(5, "albedo off by {:.1f} %, {:.0f} % within the intervals"),
         each("normals off by {} degrees", ("1", "3", "10"), tilted),
     ),
-    *rows(
-        WARNS,
+    warns(
         measured("converged=False, albedo off by {:.1f} %"),
         each(
             "vertex fit with a budget of {}",
@@ -389,8 +378,7 @@ CASES = table(
             lambda budget: albedo_percent(unfinished(fit_reflectance(samples(), budget=budget))),
         ),
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "vertices are NaN or infinite|of length nan|none of 1024 vertices is seen",
         {
             "sampling: vertices NaN": lambda: looked_up(vertices=NAN),
@@ -399,96 +387,80 @@ CASES = table(
             "sampling: head scaled by 1e3, out of all pictures": lambda: looked_up(vertices=1e3),
         },
     ),
-    (
+    warns(
+        measured("{} directions; `support` says that each vertex was seen of {} subject"),
         "subjects of which none shares a vertex",
         strangers,
-        WARNS,
-        measured("{} directions; `support` says that each vertex was seen of {} subject"),
     ),
-    (
+    right(
+        below(4, "all there are: {} of 4 subjects"),
         "more directions asked than subjects tell",
         lambda: len(at(0.0).coefficients),
-        RIGHT,
-        below(4, "all there are: {} of 4 subjects"),
     ),
-    ("model coefficients NaN", lambda: at(NAN), REFUSES, "NaN or infinite"),
-    ("light with NaN", lambda: shot(np.full((81, 3), NAN)), REFUSES, "light.* NaN or infinite"),
-    (
+    refuses("NaN or infinite", "model coefficients NaN", lambda: at(NAN)),
+    refuses("light.* NaN or infinite", "light with NaN", lambda: shot(np.full((81, 3), NAN))),
+    warns(
+        measured("albedo off by {:.0f} %, colours off by {:.0f} %: the fit says so"),
         "photograph under one direction of light",
         one_direction,
-        WARNS,
-        measured("albedo off by {:.0f} %, colours off by {:.0f} %: the fit says so"),
-        SLOW,
+        slow=True,
     ),
-    (
+    warns(
+        measured("the mean face: coefficients up to {:.2f} deviations"),
         "photograph that shows one vertex",
         one_seen,
-        WARNS,
-        measured("the mean face: coefficients up to {:.2f} deviations"),
-        SLOW,
+        slow=True,
     ),
-    ("photograph black", lambda: shot(scale=0.0), REFUSES, "black where the face is"),
-    (
+    refuses("black where the face is", "photograph black", lambda: shot(scale=0.0)),
+    refuses(
+        "black where the face is",
         "photograph half negative",
         lambda: shot(scale=(1 - 2 * (np.arange(len(NORMALS)) % 2 == 0))[:, None]),
-        REFUSES,
-        "black where the face is",
     ),
-    ("photograph with NaN where seen", lambda: shot(scale=NAN), REFUSES, "vertex 10 holds NaN"),
-    ("photograph that shows nothing", lambda: shot(seen=SEEN & False), REFUSES, "no vertex of the face"),
-    *rows(
-        WARNS,
+    refuses("vertex 10 holds NaN", "photograph with NaN where seen", lambda: shot(scale=NAN)),
+    refuses("no vertex of the face", "photograph that shows nothing", lambda: shot(seen=SEEN & False)),
+    warns(
         measured("converged=False, colours off by {:.0f} %"),
         each(
             "image fit with a budget of {}",
             BUDGETS,
             lambda budget: 100 * unfinished(fitted(budget=budget)[2]).relative_rmse,
         ),
-        SLOW,
+        slow=True,
     ),
-    ("observing a photograph of 1 pixel", lambda: observed(side=1), REFUSES, "0 inside the picture"),
-    ("observing a photograph saturated", lambda: observed(1.0), REFUSES, "0 not saturated"),
-    ("observing a photograph black", lambda: observed(0.0), REFUSES, "black where the face is"),
-    ("observing a photograph NaN", lambda: observed(NAN), REFUSES, "0 with finite colours"),
-    ("observing a photograph HDR 1e6", lambda: observed(1e6), REFUSES, "white = 1"),
-    (
+    refuses("0 inside the picture", "observing a photograph of 1 pixel", lambda: observed(side=1)),
+    refuses("0 not saturated", "observing a photograph saturated", lambda: observed(1.0)),
+    refuses("black where the face is", "observing a photograph black", lambda: observed(0.0)),
+    refuses("0 with finite colours", "observing a photograph NaN", lambda: observed(NAN)),
+    refuses("white = 1", "observing a photograph HDR 1e6", lambda: observed(1e6)),
+    refuses(
+        "singular",
         "observing a photograph whose camera is singular",
         lambda: observed(camera=np.zeros((3, 4))),
-        REFUSES,
-        "singular",
     ),
-    (
+    refuses(
+        "0 are seen by the camera",
         "observing a photograph of a head scaled by 1e3",
         lambda: observed(scale=1e3),
-        REFUSES,
-        "0 are seen by the camera",
     ),
-    (
+    refuses(
+        "vertices are NaN or infinite",
         "observing a photograph of a head with NaN",
         lambda: observed(scale=NAN),
-        REFUSES,
-        "vertices are NaN or infinite",
     ),
-    ("geometry: no landmark", lambda: placed(only(0)), REFUSES, "give initial_scene_from_model"),
-    ("geometry: 3 landmarks", lambda: placed(only(3)), REFUSES, ""),
-    ("geometry: landmarks coincident", lambda: placed(np.full((68, 2), 120.0)), REFUSES, "one point"),
-    ("geometry: landmarks infinite", lambda: placed(np.full((68, 2), math.inf)), REFUSES, ""),
-    (
+    refuses("give initial_scene_from_model", "geometry: no landmark", lambda: placed(only(0))),
+    refuses("", "geometry: 3 landmarks", lambda: placed(only(3))),
+    refuses("one point", "geometry: landmarks coincident", lambda: placed(np.full((68, 2), 120.0))),
+    refuses("", "geometry: landmarks infinite", lambda: placed(np.full((68, 2), math.inf))),
+    refuses(
+        "behind the camera",
         "geometry: start behind the camera",
         lambda: placed(initial_scene_from_model=behind_the_camera()),
-        REFUSES,
-        "behind the camera",
     ),
-    ("geometry: camera NaN", lambda: placed(camera=NAN * CAMERA), REFUSES, ""),
-    (
-        "geometry: landmarks on a line",
-        lambda: placed(shapes()[1] * [0, 1] + [110.0, 0]),
-        WARNS,
-        far_off(2),
-    ),
-    ("geometry: landmarks 1e9 px off", lambda: placed(shapes()[1] + 1e9), WARNS, far_off(1e5)),
-    *rows(
-        WARNS,
+    refuses("", "geometry: camera NaN", lambda: placed(camera=NAN * CAMERA)),
+    warns(far_off(2), "geometry: landmarks on a line", lambda: placed(shapes()[1] * [0, 1] + [110.0, 0])),
+    warns(far_off(1e5), "geometry: landmarks 1e9 px off", lambda: placed(shapes()[1] + 1e9)),
+    warns(
         measured("converged=False, landmarks off by {:.1f} px"),
         each(
             "geometry with a budget of {}",

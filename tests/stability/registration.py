@@ -7,7 +7,7 @@ from scan2albedo import AnnotatedFaceModel, RawScan, register
 from scan2albedo.face_model import Region
 from scan2albedo.geometry.rigid import compose, rotation_from_vector
 from scan2albedo.registration import RegistrationOptions
-from stability.case import BUDGETS, REFUSES, RIGHT, SLOW, WARNS, each, rows, said, table
+from stability.case import BUDGETS, each, refuses, right, said, table, warns
 from stability.scenes import (
     Scanned,
     at_random,
@@ -113,8 +113,7 @@ NO_FACE = "no face found.*probability.*of the face.*box"
 
 CASES = table(
     "register",
-    *rows(
-        RIGHT,
+    right(
         pose,
         {
             **each("offset {} mm", ("1e6", "1e7", "1e9"), lambda far: found(person().shifted(far))),
@@ -137,58 +136,47 @@ CASES = table(
             "seed 2**32 - 1": lambda: found(person(), seed=2**32 - 1),
         },
     ),
-    *rows(
-        RIGHT,
-        pose_out_of_time,
-        each("a budget of {}", BUDGETS, lambda budget: found(person(), budget=budget)),
-    ),
-    ("two heads", two_heads, WARNS, one_of_them, SLOW),
-    *rows(
-        WARNS,
+    right(pose_out_of_time, each("a budget of {}", BUDGETS, lambda budget: found(person(), budget=budget))),
+    warns(one_of_them, "two heads", two_heads, slow=True),
+    warns(
         size,
         {
             "1.5 times too large": lambda: (1.5, found(person().scaled(1.5))[1]),
             "1.5 times too small": lambda: (1 / 1.5, found(person().scaled(1 / 1.5))[1]),
         },
-        SLOW,
+        slow=True,
     ),
-    (
+    refuses(
+        r"\d+ of \d+ triangles are wound against their neighbours.*load_scan does it",
         "one side of the face inside out",
         lambda: found(person().wound(person().centres[:, 0] > 0)),
-        REFUSES,
-        r"\d+ of \d+ triangles are wound against their neighbours.*load_scan does it",
     ),
-    (
+    refuses(
+        "inside out.*Reverse the order",
         "mirrored, so that triangles face inward",
         lambda: found(person().with_vertices(person().scan.vertices * [-1, 1, 1])),
-        REFUSES,
-        "inside out.*Reverse the order",
-        SLOW,
+        slow=True,
     ),
-    (
+    refuses(
+        "scan: 3 vertices cannot show a face.*scan the whole face",
         "a single triangle",
         lambda: alone([[0.0, 0, 0], [90, 0, 0], [0, 120, 0]], [[0, 1, 2]]),
-        REFUSES,
-        "scan: 3 vertices cannot show a face.*scan the whole face",
     ),
-    (
+    refuses(
+        "scan: its surface of 0 mm2.*Scan the whole face",
         "a line of points",
         lambda: alone(np.linspace(0, 200, 200)[:, None] * [1, 0, 0], np.arange(198)[:, None] + np.arange(3)),
-        REFUSES,
-        "scan: its surface of 0 mm2.*Scan the whole face",
     ),
-    ("a plane", lambda: alone(*plane(40, 250)), REFUSES, NO_FACE, SLOW),
-    ("a seed of -1", lambda: found(person(), seed=-1), REFUSES, "seed is -1, expected a whole number"),
-    (
+    refuses(NO_FACE, "a plane", lambda: alone(*plane(40, 250)), slow=True),
+    refuses("seed is -1, expected a whole number", "a seed of -1", lambda: found(person(), seed=-1)),
+    refuses(
+        "anchor_spacing_mm must be finite and above 0",
         "options without a spacing",
         lambda: RegistrationOptions(anchor_spacing_mm=0.0),
-        REFUSES,
-        "anchor_spacing_mm must be finite and above 0",
     ),
-    (
+    refuses(
+        "tetrahedron: .* 4 control vertices.*at least",
         "a model of 4 control vertices",
         lambda: register(person().scan, tetrahedron()),
-        REFUSES,
-        "tetrahedron: .* 4 control vertices.*at least",
     ),
 )

@@ -9,7 +9,7 @@ from helpers.meshes import obj_text
 from helpers.square import write_square_obj
 
 from scan2albedo import RawScan, load_scan, register
-from stability.case import REFUSES, RIGHT, WARNS, Measured, below, each, noted, rows, table
+from stability.case import Measured, below, each, noted, refuses, right, table, warns
 from stability.scenes import model, person
 
 
@@ -95,50 +95,41 @@ ONE_NAN = np.where(np.arange(len(CHART))[:, None] == 3, np.nan, CHART)
 
 CASES = table(
     "load_scan",
-    *rows(
-        RIGHT,
-        below(2e-7, "{:.1e} mm off"),
-        each("{} mm away, double precision", ("1e6", "1e7", "1e9"), far_away),
+    right(
+        below(2e-7, "{:.1e} mm off"), each("{} mm away, double precision", ("1e6", "1e7", "1e9"), far_away)
     ),
-    (
+    warns(
+        noted("positions are rounded to 1 mm"),
         "1e7 mm away, single precision",
         lambda: loaded(person().scan.vertices + 1e7, kind="ply"),
-        WARNS,
-        noted("positions are rounded to 1 mm"),
     ),
-    (
+    refuses(
+        "scan.ply: positions are rounded to 64 mm.*move the scan to the origin",
         "1e9 mm away, single precision",
         lambda: loaded(person().scan.vertices + 1e9, kind="ply"),
-        REFUSES,
-        "scan.ply: positions are rounded to 64 mm.*move the scan to the origin",
     ),
-    (
+    right(
+        lambda scan: f"{len(scan.vertices)} vertices, {scan.notes[0]}",
         "a single triangle, 3 vertices",
         lambda: loaded([[0, 0, 0], [100, 0, 0], [0, 120, 0]], [[0, 1, 2]]),
-        RIGHT,
-        lambda scan: f"{len(scan.vertices)} vertices, {scan.notes[0]}",
     ),
-    (
+    refuses(
+        "every face has zero area",
         "a line of points",
         lambda: loaded(5.0 * np.arange(30)[:, None] * [1, 0, 0], np.arange(30).reshape(-1, 3)),
-        REFUSES,
-        "every face has zero area",
     ),
-    (
+    warns(
+        wrongly_wound,
         "half of the faces wound the wrong way",
         lambda: turned(np.random.default_rng(0).random(len(person().scan.faces)) < 0.4),
-        WARNS,
-        wrongly_wound,
     ),
-    (
+    right(
+        below(3, "{1:.1f} degrees, {2:.1f} mm off"),
         "one side of the face inside out, then registered",
         registered,
-        RIGHT,
-        below(3, "{1:.1f} degrees, {2:.1f} mm off"),
     ),
-    ("non-manifold edges", with_fins, RIGHT, below(10, "kept, all but {} of 50 faces")),
-    *rows(
-        RIGHT,
+    right(below(10, "kept, all but {} of 50 faces"), "non-manifold edges", with_fins),
+    right(
         below(1e-3, "0.216 linear within {:.0e}"),
         {
             "a texture of 1 x 1": lambda: even(1, 1),
@@ -146,19 +137,12 @@ CASES = table(
             "a texture of 10000 x 1": lambda: even(10000, 1),
         },
     ),
-    *rows(
-        WARNS,
+    warns(
         noted("clamped to one"),
         each("texture coordinates of {}", ("1e9", "1e300"), lambda factor: textured(factor * CHART)),
     ),
-    (
-        "texture coordinates NaN at one vertex",
-        lambda: textured(ONE_NAN),
-        WARNS,
-        noted("faces without texture"),
-    ),
-    *rows(
-        WARNS,
+    warns(noted("faces without texture"), "texture coordinates NaN at one vertex", lambda: textured(ONE_NAN)),
+    warns(
         without_colour,
         {
             "texture coordinates all NaN": lambda: textured(np.nan * CHART),
@@ -166,16 +150,14 @@ CASES = table(
             "no picture": lambda: textured(picture=False),
         },
     ),
-    (
+    refuses(
+        "texture_linear has shape .* no pixel.*leave it out",
         "RawScan with a texture of no pixels",
         lambda: RawScan(np.eye(3), [[0, 1, 2]], uv=np.zeros((1, 3, 2)), texture_linear=np.zeros((0, 0, 3))),
-        REFUSES,
-        "texture_linear has shape .* no pixel.*leave it out",
     ),
-    (
+    refuses(
+        r"a coordinate is 1e\+200, beyond 1e\+30.*re-export",
         "RawScan with coordinates of 1e200",
         lambda: RawScan(1e200 * np.eye(3), [[0, 1, 2]]),
-        REFUSES,
-        r"a coordinate is 1e\+200, beyond 1e\+30.*re-export",
     ),
 )

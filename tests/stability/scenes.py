@@ -3,8 +3,8 @@
 from dataclasses import dataclass, replace
 from functools import cache
 
-import igl
 import numpy as np
+from helpers.meshes import grid
 
 from scan2albedo import AnnotatedFaceModel, RawScan
 from scan2albedo.geometry.closest_points import ClosestPointQuery
@@ -93,22 +93,29 @@ def person(seed=0):
 
 def plane(cells, side_mm):
     """Return vertices and faces of a flat square with a corner in the origin."""
-    grid, faces = igl.triangulated_grid(cells, cells)
-    return np.column_stack([side_mm * grid, np.zeros(len(grid))]), faces
+    vertices, faces = grid(cells, cells)
+    return side_mm * vertices, faces
+
+
+def line():
+    """Return vertices and faces of a line of 200 points."""
+    return np.linspace(0, 200, 200)[:, None] * [1, 0, 0], np.arange(198)[:, None] + np.arange(3)
 
 
 def moebius():
-    """Return vertices and faces of a Moebius strip."""
-    angle, across = np.meshgrid(np.linspace(0, 2 * np.pi, 80, endpoint=False), np.linspace(-30, 30, 5))
-    angle, across = angle.T.ravel(), across.T.ravel()
+    """Return vertices and faces of a Moebius strip: a band whose last row is the first one, turned over."""
+    band, faces = grid(5, 81)
+    across, angle = 60 * band[:400, 0] - 30, 2 * np.pi * band[:400, 1]
     radius = 100 + across * np.cos(angle / 2)
     points = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), across * np.sin(angle / 2)])
-    start = (5 * np.arange(80)[:, None] + np.arange(4)).ravel()
-    step, column = np.divmod(start, 5)
-    near = np.where(step < 79, start + 5, 4 - column)
-    far = np.where(step < 79, start + 6, 3 - column)
-    corners = [[start, near, start + 1], [start + 1, near, far]]
-    return points, np.concatenate([np.stack(three, 1) for three in corners])
+    return points, np.where(faces < 400, faces, 404 - faces)
+
+
+def with_one(array, value, at=3):
+    """Return an array with another value at one place."""
+    changed = array.copy()
+    changed[at] = value
+    return changed
 
 
 def mixed(faces, every=2):
