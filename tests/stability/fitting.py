@@ -1,13 +1,12 @@
 """Extremes of `fit`: the surface is near the truth, or a note, a figure or an error says why not."""
 
-from functools import cache
+from functools import cache, partial
 from unittest.mock import patch
 
 import numpy as np
 
 from scan2albedo import RawScan, fit
 from scan2albedo.fitting import FitOptions
-from scan2albedo.geometry.rigid import compose, rotation_from_vector
 from stability.case import Measured, below, each, refuses, right, said, table, warns
 from stability.scenes import (
     at_random,
@@ -120,11 +119,6 @@ def strained(face):
     return Measured(f"strain {face.metrics['strain']:.2f}")
 
 
-def in_unit(factor):
-    """Fit the model to the person in the model's frame, in another unit."""
-    return alone(factor * person().in_model_frame, person().scan.faces)
-
-
 MASSES = (
     {"MASS": 0.0},
     {"MASS": 1e-6},
@@ -161,8 +155,8 @@ CASES = table(
     right(
         near(0.5),
         {
-            ", ".join(f"{name.lower()} {value:g}" for name, value in values.items()): (
-                lambda values=values: with_constants(**values)
+            ", ".join(f"{name.lower()} {value:g}" for name, value in values.items()): partial(
+                with_constants, **values
             )
             for values in MASSES
         },
@@ -205,16 +199,12 @@ CASES = table(
     warns(
         near(99),
         "upside down in the model's frame",
-        lambda: fitted(
-            grey(),
-            compose(rotation_from_vector([0, 0, np.pi]), np.zeros(3)) @ person().model_from_scan,
-            levels=FINER,
-        ),
+        lambda: fitted(grey().turned([0, 0, np.pi]), np.eye(4), levels=FINER),
     ),
     warns(
         strained,
         "a plane in place of the face",
-        lambda: alone(plane(40, 250)[0] - [125, 125, 0], plane(40, 250)[1], **QUICK),
+        lambda: alone(*plane(40, 250), **QUICK),
     ),
     refuses(
         "levels must be.*0 to 5",
@@ -232,7 +222,11 @@ CASES = table(
     ),
     refuses(
         "unit|wrong|face",
-        each("units of {} mm taken for mm", ("1e-3", "1e3", "1e6"), lambda unit: in_unit(1 / unit)),
+        each(
+            "units of {} mm taken for mm",
+            ("1e-3", "1e3", "1e6"),
+            lambda unit: alone(person().in_model_frame / unit, person().scan.faces),
+        ),
     ),
     refuses(
         "must be a rigid transform",

@@ -1,5 +1,7 @@
 """Extremes of what all stages stand on: closest points, subdivision, diffusion, rigid transforms."""
 
+from functools import partial
+
 import numpy as np
 import trimesh
 
@@ -9,7 +11,7 @@ from scan2albedo.geometry.mesh import turned_against_neighbours
 from scan2albedo.geometry.operators import surface_diffusion
 from scan2albedo.geometry.rigid import compose, procrustes, random_rotation, transform_points
 from stability.case import below, each, refuses, right, table
-from stability.scenes import mixed, moebius
+from stability.scenes import mixed, moebius, with_one
 
 BALL = trimesh.creation.icosphere(3, 100.0)
 VERTICES = np.array(BALL.vertices)
@@ -21,24 +23,15 @@ CLOUD = np.random.default_rng(3).normal(scale=50, size=(20, 3))
 QUERIES = (ClosestPointQuery, NearestSurface)
 
 
-def distance_gap(factor=1.0, offset=0.0, faces=FACES):
+def distance_gap(factor=1.0, offset=0.0):
     """Return how far distances of a scaled and shifted ball are from those of the plain one, in mm."""
-    gaps = []
-    for kind in QUERIES:
-        plain = kind(VERTICES, FACES).query(POINTS).distance
-        placed = kind(factor * VERTICES + offset, faces).query(factor * POINTS + offset)
-        gaps.append((float(np.abs(placed.distance / factor - plain).max()), placed))
-    return max(gap for gap, _ in gaps), gaps
+    plain = [kind(VERTICES, FACES).query(POINTS).distance for kind in QUERIES]
+    placed = [kind(factor * VERTICES + offset, FACES).query(factor * POINTS + offset) for kind in QUERIES]
+    gaps = [np.abs(there.distance / factor - here).max() for here, there in zip(plain, placed, strict=True)]
+    return max(gaps), placed
 
 
-def with_one(array, value):
-    """Return an array with a value in its fourth row."""
-    spoilt = array.copy()
-    spoilt[3] = value
-    return spoilt
-
-
-def subdivided(vertices, faces):
+def subdivided(faces, vertices=VERTICES):
     """Return how far rows of weights are from a sum of 1, and the limit vertices."""
     limit = LoopSubdivision.of(len(vertices), faces, 2)
     points = limit.matrix @ vertices
@@ -46,19 +39,17 @@ def subdivided(vertices, faces):
     return float(np.abs(np.asarray(limit.matrix.sum(1)) - 1).max()), points
 
 
-def fan():
-    """Return a flat cone of 1000 triangles about one vertex."""
-    angle = np.linspace(0, 2 * np.pi, 1000, endpoint=False)
-    ring = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
-    index = np.arange(1000)
-    faces = np.column_stack([0 * index, index + 1, (index + 1) % 1000 + 1])
-    return np.concatenate([[[0.0, 0, 1]], ring]), faces
-
-
 def far_subdivision():
     """Return by how much limit vertices at 1e9 mm differ from those at the origin."""
-    far = subdivided(VERTICES + 1e9, FACES)[1] - 1e9
-    return float(np.abs(far - subdivided(VERTICES, FACES)[1]).max())
+    far = subdivided(FACES, VERTICES + 1e9)[1] - 1e9
+    return float(np.abs(far - subdivided(FACES)[1]).max())
+
+
+def valence_1000():
+    """Return how far the tip of a cone of 1000 triangles leaves its axis."""
+    cone = trimesh.creation.cone(1.0, 1.0, sections=1000)
+    tip = cone.vertices[:, 2].argmax()
+    return float(np.abs(subdivided(cone.faces, cone.vertices)[1][tip, :2]).max())
 
 
 def spread(distance):
@@ -112,9 +103,9 @@ CASES = table(
     refuses(
         "^1 of 500 points are NaN, infinite",
         {
-            f"{kind.__name__}: a point of {value}": lambda kind=kind, value=value: kind(
-                VERTICES, FACES
-            ).query(with_one(POINTS, value))
+            f"{kind.__name__}: a point of {value}": partial(
+                kind(VERTICES, FACES).query, with_one(POINTS, value)
+            )
             for kind in QUERIES
             for value in (np.nan, 1e200)
         },
@@ -126,18 +117,22 @@ CASES = table(
     ),
     right(
         below(1e-9, "rows sum to 1 within {:.0e}, no extrapolation"),
-        {
-            "subdivision: double faces": lambda: subdivided(VERTICES, np.concatenate([FACES, FACES[:3]])),
-            "subdivision: zero-area faces": lambda: subdivided(VERTICES, FLAT_FACES),
-            "subdivision: non-manifold faces": lambda: subdivided(VERTICES, np.concatenate([FACES, FINS])),
-            "subdivision: a single triangle": lambda: subdivided(VERTICES, FACES[:1]),
-            "subdivision: mixed orientation": lambda: subdivided(VERTICES, mixed(FACES)),
-        },
+        each(
+            "subdivision: {}",
+            {
+                "double faces": np.concatenate([FACES, FACES[:3]]),
+                "zero-area faces": FLAT_FACES,
+                "non-manifold faces": np.concatenate([FACES, FINS]),
+                "a single triangle": FACES[:1],
+                "mixed orientation": mixed(FACES),
+            },
+            subdivided,
+        ),
     ),
     right(
         below(1e-12, "tip {:.0e} off its axis"),
         "subdivision: a vertex of valence 1000",
-        lambda: float(np.abs(subdivided(*fan())[1][0, :2]).max()),
+        valence_1000,
     ),
     right(below(1e-5, "{:.0e} mm off at 1e9"), "subdivision: coordinates of 1e9 mm", far_subdivision),
     right(
@@ -164,12 +159,16 @@ CASES = table(
     ),
     right(
         below(1e-9, "{:.0e} mm off, no mirror"),
-        {
-            "rigid transforms: points on a plane": lambda: rigid_gap(CLOUD * [1, 1, 0]),
-            "rigid transforms: points on a line": lambda: rigid_gap(CLOUD * [1, 0, 0]),
-            "rigid transforms: points all in one place": lambda: rigid_gap(0 * CLOUD + 5),
-            "rigid transforms: one point alone": lambda: rigid_gap(CLOUD[:1]),
-        },
+        each(
+            "rigid transforms: {}",
+            {
+                "points on a plane": CLOUD * [1, 1, 0],
+                "points on a line": CLOUD * [1, 0, 0],
+                "points all in one place": 0 * CLOUD + 5,
+                "one point alone": CLOUD[:1],
+            },
+            rigid_gap,
+        ),
     ),
     refuses(
         "place nothing",

@@ -1,7 +1,7 @@
 """Extremes of `geometry_image`, with a model and without one (`--model none`)."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import trimesh
@@ -11,8 +11,8 @@ from scan2albedo.fitting import FitOptions
 from scan2albedo.geometry.mesh import face_areas
 from scan2albedo.geometry.rigid import compose
 from scan2albedo.sampling import geometry_image_of_scan
-from stability.case import Measured, below, each, refuses, right, table, warns
-from stability.scenes import mixed, model, person, spoilt, stray
+from stability.case import Measured, below, each, measured, refuses, right, table, warns
+from stability.scenes import TEXTURE_SHAPES, line, mixed, model, person, spoilt, stray, with_one
 
 SIZE = 64
 
@@ -58,15 +58,9 @@ def moved(distance):
     return colour_gap(sampled(person().shifted(distance).scan, fitted=posed))
 
 
-def bare(scene):
-    """Return a scan with grey vertex colours in place of its texture."""
-    grey = np.full((len(scene.scan.vertices), 3), 0.5, np.float32)
-    return RawScan(scene.scan.vertices, scene.scan.faces, vertex_color_linear=grey, name=scene.scan.name)
-
-
 def seen_gap(scene):
     """Return by how much the part seen differs from that of the scan as it is, and the part."""
-    shares = [sampled(bare(one)).figures()["seen"] for one in (scene, person())]
+    shares = [sampled(one.painted(0.5)).figures()["seen"] for one in (scene, person())]
     return abs(shares[0] - shares[1]), shares[0]
 
 
@@ -91,7 +85,7 @@ def hair(texture):
     return (0.1 * np.exp(grain) * np.ones(3)).clip(0, 1)
 
 
-def even(*shape):
+def even(shape):
     """Return how far an even texture of a shape is from even on the face, and the part seen."""
     image = sampled(texture_linear=np.full((*shape, 3), 0.3, np.float32))
     return float(np.abs(image.texture_linear[image.seen] - 0.3).max()), image.figures()["seen"]
@@ -99,7 +93,7 @@ def even(*shape):
 
 def black():
     """Return the brightest texel of black vertex colours, and the part seen."""
-    image = sampled(RawScan(scan().vertices, scan().faces, vertex_color_linear=0 * scan().vertices))
+    image = sampled(person().painted(0))
     return float(image.texture_linear.max()), image.figures()["seen"]
 
 
@@ -109,19 +103,16 @@ def hardly_seen(image):
     return Measured(f"seen: {image.figures()['seen']:.0%} of the texels")
 
 
+def on_chart(uv):
+    """Sample the person's scan with another chart."""
+    return sampled(fitted=replace(face(), uv=uv))
+
+
 def flipped_triangle():
     """Return which part of the texels differs by a chart with a flipped triangle."""
-    uv = face().uv.copy()
-    uv[face().faces[100]] = uv[face().faces[100]][[0, 2, 1]]
-    image = sampled(fitted=replace(face(), uv=uv))
+    uv, corner = face().uv, face().faces[100]
+    image = on_chart(with_one(uv, uv[corner[[0, 2, 1]]], corner))
     return float((np.linalg.norm(image.position - plain().position, axis=2) > 0.5).mean())
-
-
-def nan_uv():
-    """Return texture coordinates of which one is NaN."""
-    uv = scan().uv.copy()
-    uv[0, 0] = np.nan
-    return uv
 
 
 # Without a model.
@@ -150,7 +141,7 @@ def soup():
     corners = rng.uniform(0, 200, (2000, 1, 3)) + rng.normal(0, 3, (2000, 3, 3))
     missing, image = charted(corners.reshape(-1, 3), np.arange(6000).reshape(-1, 3))
     assert missing > 0.9
-    return Measured(f"coverage {image.figures()['coverage']:.0%}: gaps between charts take the rest")
+    return image.figures()["coverage"]
 
 
 CORNERS = np.array([[0.0, 0, 0], [100, 0, 0], [50, 1e-4, 0], [50, 80, 0]])
@@ -165,7 +156,7 @@ CASES = [
         ),
         refuses(
             "size .* does not suit",
-            {f"a size of {size:g}": lambda size=size: sampled(size=size) for size in (7, 64.5, 10**9)},
+            {f"a size of {size:g}": partial(sampled, size=size) for size in (7, 64.5, 10**9)},
         ),
         right(below(1e-4, COLOURS), each("scan and pose {} mm away", ("1e6", "1e7", "1e9"), moved)),
         right(
@@ -202,9 +193,7 @@ CASES = [
         right(
             below(1e-3, "within {:.0e} on the {:.0%} seen"),
             {
-                "a texture of 1 x 1": lambda: even(1, 1),
-                "a texture of 1 x 10000": lambda: even(1, 10000),
-                "a texture of 10000 x 1": lambda: even(10000, 1),
+                **each("a texture of {}", TEXTURE_SHAPES, even),
                 "vertex colours all black": black,
             },
         ),
@@ -226,22 +215,22 @@ CASES = [
         refuses(
             r"uv holds 2 values that are NaN or infinite, first at \(0, 0, 0\).*repair or re-export",
             "NaN uv",
-            lambda: sampled(uv=nan_uv()),
+            lambda: sampled(uv=with_one(scan().uv, np.nan, (0, 0))),
         ),
         refuses(
             r"chart leaves the unit square at \d+ of.*scale its uv",
             "a chart outside the unit square",
-            lambda: sampled(fitted=replace(face(), uv=face().uv + 0.5)),
+            lambda: on_chart(face().uv + 0.5),
         ),
         refuses(
             "chart covers no texel",
             "a chart of one point",
-            lambda: sampled(fitted=replace(face(), uv=0 * face().uv)),
+            lambda: on_chart(0 * face().uv),
         ),
         refuses(
             r"has \d+ vertices whose uv are NaN.*check the model",
             "a chart of NaN",
-            lambda: sampled(fitted=replace(face(), uv=np.nan * face().uv)),
+            lambda: on_chart(np.nan * face().uv),
         ),
     ),
     *table(
@@ -269,7 +258,7 @@ CASES = [
         right(
             below(0.65, "{:.0%} of both copies' area missing"),
             "every face twice",
-            lambda: charted(faces=np.concatenate([BALL.faces, BALL.faces])),
+            lambda: charted(faces=np.concatenate(2 * [BALL.faces])),
         ),
         right(
             below(0.6, "{:.0%} of its area missing"),
@@ -280,13 +269,13 @@ CASES = [
         refuses(
             "every face has zero area",
             "a line of points",
-            lambda: charted(np.arange(30.0)[:, None] * [1, 0, 0], np.arange(30).reshape(-1, 3)),
+            lambda: charted(*line()),
         ),
         refuses(
             "no chart that covers a texel.*remove vertices that lie far",
             "one vertex at 1e11 mm",
-            lambda: charted(BALL.vertices * np.where(np.arange(len(BALL.vertices)) == 0, 1e9, 1)[:, None]),
+            lambda: charted(with_one(BALL.vertices, 1e11)),
         ),
-        warns(lambda figure: figure, "2000 loose triangles", soup),
+        warns(measured("coverage {:.0%}: gaps between charts take the rest"), "2000 loose triangles", soup),
     ),
 ]

@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 
 from scan2albedo import Budget, RawScan, process
-from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_from_vector, transform_points
+from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from stability.case import BUDGETS, Measured, below, each, noted, refuses, right, table, warns
 from stability.scenes import person
 
@@ -23,17 +23,12 @@ def without_albedo(scan, *skip, **settings):
     return processed(scan, skip=[*skip, "albedo"], **settings)
 
 
-def landmarks_off(result, scene):
-    """Return how far the fitted landmarks are from the true ones in mm, mean."""
+def landmarks(scene, **settings):
+    """Process a scene; return how far the fitted landmarks are from the true ones in mm (mean), and all."""
+    result = processed(scene.scan, **settings)
     model_from_truth = result.fitted.model_from_scan @ invert_rigid(scene.model_from_scan)
     off = transform_points(model_from_truth, scene.landmarks) - result.fitted.landmarks
-    return float(np.linalg.norm(off, axis=1).mean())
-
-
-def landmarks(scene, **settings):
-    """Process a scene; return how far its landmarks are off, and the result."""
-    result = processed(scene.scan, **settings)
-    return landmarks_off(result, scene), result
+    return float(np.linalg.norm(off, axis=1).mean()), result
 
 
 def out_of_time(found):
@@ -42,17 +37,6 @@ def out_of_time(found):
     assert off < 4
     assert not any(stage.converged for stage in (result.registration, result.fitted, result.albedo))
     return Measured(f"landmarks {off:.1f} mm off, converged False in every stage")
-
-
-def uncoloured(**colour):
-    """Return the person's scan without its texture."""
-    return RawScan(person().scan.vertices, person().scan.faces, **colour)
-
-
-def upside_down():
-    """Return the person's scan upside down in the model's frame."""
-    turned = compose(rotation_from_vector([0.0, 0, np.pi]), np.zeros(3))
-    return person().moved(turned @ person().model_from_scan).scan
 
 
 def far_object():
@@ -96,7 +80,7 @@ CASES = table(
     refuses(
         "only 0 of .* texels can be used to find the light.*black",
         "vertex colours all black",
-        lambda: processed(uncoloured(vertex_color_linear=0 * person().scan.vertices), budget=FEW),
+        lambda: processed(person().painted(0), budget=FEW),
     ),
     warns(
         noted("another size than adults'"),
@@ -107,7 +91,7 @@ CASES = table(
     warns(
         noted("stretched the model's edges"),
         "not registered, and upside down",
-        lambda: without_albedo(upside_down(), "register"),
+        lambda: without_albedo(person().turned([0, 0, np.pi]).scan, "register"),
         slow=True,
     ),
     refuses(

@@ -10,7 +10,7 @@ from helpers.square import write_square_obj
 
 from scan2albedo import RawScan, load_scan, register
 from stability.case import Measured, below, each, noted, refuses, right, table, warns
-from stability.scenes import model, person
+from stability.scenes import TEXTURE_SHAPES, at_random, line, model, person, with_one
 
 
 def loaded(vertices=None, faces=None, kind="obj"):
@@ -83,15 +83,13 @@ def without_colour(scan):
     return Measured("; ".join(scan.notes[1:]))
 
 
-def even(*shape):
+def even(shape):
     """Return how far an even texture of a shape is from its colour."""
     with tempfile.TemporaryDirectory() as folder:
         scan = load_scan(write_square_obj(Path(folder), image=np.full((*shape, 3), 128, np.uint8)))
     assert scan.texture_linear.shape == (*shape, 3)
     return float(np.abs(scan.texture_linear - 0.2159).max())
 
-
-ONE_NAN = np.where(np.arange(len(CHART))[:, None] == 3, np.nan, CHART)
 
 CASES = table(
     "load_scan",
@@ -116,12 +114,12 @@ CASES = table(
     refuses(
         "every face has zero area",
         "a line of points",
-        lambda: loaded(5.0 * np.arange(30)[:, None] * [1, 0, 0], np.arange(30).reshape(-1, 3)),
+        lambda: loaded(*line()),
     ),
     warns(
         wrongly_wound,
         "half of the faces wound the wrong way",
-        lambda: turned(np.random.default_rng(0).random(len(person().scan.faces)) < 0.4),
+        lambda: turned(at_random(person(), 0.4)),
     ),
     right(
         below(3, "{1:.1f} degrees, {2:.1f} mm off"),
@@ -131,17 +129,17 @@ CASES = table(
     right(below(10, "kept, all but {} of 50 faces"), "non-manifold edges", with_fins),
     right(
         below(1e-3, "0.216 linear within {:.0e}"),
-        {
-            "a texture of 1 x 1": lambda: even(1, 1),
-            "a texture of 1 x 10000": lambda: even(1, 10000),
-            "a texture of 10000 x 1": lambda: even(10000, 1),
-        },
+        each("a texture of {}", TEXTURE_SHAPES, even),
     ),
     warns(
         noted("clamped to one"),
         each("texture coordinates of {}", ("1e9", "1e300"), lambda factor: textured(factor * CHART)),
     ),
-    warns(noted("faces without texture"), "texture coordinates NaN at one vertex", lambda: textured(ONE_NAN)),
+    warns(
+        noted("faces without texture"),
+        "texture coordinates NaN at one vertex",
+        lambda: textured(with_one(CHART, np.nan)),
+    ),
     warns(
         without_colour,
         {
