@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from helpers.faces import painted, unseen
 from helpers.processed_faces import processed_person
 
 from scan2albedo.applications import (
@@ -18,11 +19,11 @@ from scan2albedo.core import PointLight
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.synthetic import light_at
 from stability.case import below, each, refuses, right, table
+from stability.scenes import with_one
 
 SIZE = 48
 LEFT = np.arange(SIZE)[None, :] < SIZE // 2
-MIDDLE = np.zeros((SIZE, SIZE), bool)
-MIDDLE[24, 24] = True
+MIDDLE = with_one(np.zeros((SIZE, SIZE), bool), True, (24, 24))
 
 
 def person(seed=0, expression="neutral"):
@@ -141,7 +142,7 @@ def blended(a, b):
 def black():
     """Return how far a blend with a black face is from half as bright."""
     one = person()
-    made = blended(one, replace(person(1), albedo_linear=np.zeros((SIZE, SIZE, 3), np.float32)))
+    made = blended(one, painted(person(1), person(1).mask, 0))
     return abs(float(made.albedo_linear[one.mask].mean() / one.albedo_linear[one.mask].mean()) - 0.5)
 
 
@@ -158,15 +159,14 @@ def opposite():
 def halves(make):
     """Return how far the level of a skin, each face having seen a half, is from the whole one."""
     a, b = person(), person(1)
-    hidden = changed(a, texture_valid=a.mask & LEFT), changed(b, texture_valid=b.mask & ~LEFT)
+    hidden = unseen(a, ~LEFT), unseen(b, LEFT)
     parts, whole = (make(*faces).albedo_linear[a.mask].mean() for faces in (hidden, (a, b)))
     return 100 * float(np.abs(np.log(parts / whole)))
 
 
-def unseen(make):
+def nothing_seen(make):
     """Return how far a skin that nobody saw is from grey, and its mean."""
-    none = np.zeros((SIZE, SIZE), bool)
-    made = make(*(changed(person(seed), texture_valid=none) for seed in (0, 1))).albedo_linear[person().mask]
+    made = make(*(unseen(person(seed), person().mask) for seed in (0, 1))).albedo_linear[person().mask]
     return abs(made.mean() - 0.5), made.mean(), made
 
 
@@ -236,9 +236,7 @@ CASES = table(
     refuses(
         "the albedo is .* or holds NaN",
         "albedo NaN",
-        lambda: replace(
-            person(), albedo_linear=np.where(MIDDLE[..., None], math.nan, person().albedo_linear)
-        ),
+        lambda: painted(person(), MIDDLE, math.nan),
     ),
     right(below(0.01, "half as bright within {:.2f}"), "blend with a black face", black),
     right(
@@ -250,7 +248,7 @@ CASES = table(
         below(30, "whole skin, its level within {:.0f} % of the one of faces seen whole"),
         each("{}: seen texels of A and B disjoint", MAKERS, halves),
     ),
-    right(below(0.5, "finite, mean {1:.2f}"), each("{}: nothing seen of either", MAKERS, unseen)),
+    right(below(0.5, "finite, mean {1:.2f}"), each("{}: nothing seen of either", MAKERS, nothing_seen)),
     refuses("", each("{}: charts disjoint", MAKERS, apart)),
     right(
         below(1.6, "moves by {1:.0f} mm at most, A by {2:.0f}"),

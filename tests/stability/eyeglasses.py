@@ -4,7 +4,7 @@ import math
 from functools import cache
 
 import numpy as np
-from helpers.wearers import small_wearer
+from helpers.wearers import rest_frame, small_wearer
 
 from scan2albedo.eyeglasses import (
     CanonicalizationOptions,
@@ -22,10 +22,11 @@ from scan2albedo.eyeglasses import (
     triangulate,
 )
 from scan2albedo.eyeglasses.lenses.inserted_lenses import lens_mesh
-from scan2albedo.geometry.pinhole import look_at
+from scan2albedo.geometry.pinhole import look_at, project
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
 from scan2albedo.synthetic import GlassesBend, GlassesShape, eyeglasses
 from stability.case import BUDGETS, below, each, measured, refuses, right, table, unfinished, warns
+from stability.scenes import plane
 
 SPACING = 3.0
 NAN = math.nan
@@ -33,7 +34,7 @@ FRAME = eyeglasses()
 COUNT = len(FRAME.vertices)
 
 
-def weighted(vertices, faces, handles, spacing=SPACING):
+def weighted(handles=FRAME.keypoints, vertices=FRAME.vertices, faces=FRAME.faces, spacing=SPACING):
     """Return weights, which are shares."""
     weights = bounded_biharmonic_weights(vertices, faces, handles, spacing)
     assert np.abs(weights.sum(1) - 1).max() <= 1e-12
@@ -41,39 +42,34 @@ def weighted(vertices, faces, handles, spacing=SPACING):
     return weights
 
 
-@cache
-def plain():
-    """Return the weights of the frame as it is."""
-    return weighted(FRAME.vertices, FRAME.faces, FRAME.keypoints)
+plain = cache(weighted)
 
 
 def weights_off(scale=1.0, shift=0.0):
     """Return by how much weights change with the unit and the place."""
-    points = scale * FRAME.keypoints + shift
-    weights = weighted(scale * FRAME.vertices + shift, FRAME.faces, points, scale * SPACING)
-    return float(np.abs(weights - plain()).max())
+    points, vertices = (scale * place + shift for place in (FRAME.keypoints, FRAME.vertices))
+    return float(np.abs(weighted(points, vertices, spacing=scale * SPACING) - plain()).max())
 
 
 def with_slivers():
     """Return by how much slivers and flat triangles change the weights."""
     a, b, c = FRAME.faces[::7].T
-    near_c = COUNT + np.arange(len(c))
-    slivers = [np.stack(corners, 1) for corners in ((a, b, a), (a, b, b), (a, c, near_c))]
+    slivers = [np.stack(corners, 1) for corners in ((a, b, a), (a, b, b), (a, c, COUNT + np.arange(len(c))))]
     vertices = np.vstack([FRAME.vertices, FRAME.vertices[c] + 1e-12])
-    weights = weighted(vertices, np.vstack([FRAME.faces, *slivers]), FRAME.keypoints)
+    weights = weighted(vertices=vertices, faces=np.vstack([FRAME.faces, *slivers]))
     return float(np.abs(weights[:COUNT] - plain()).max())
 
 
-def own_share(vertices, faces, handles, at=slice(None)):
+def own_share(*mesh, at=slice(None)):
     """Return how much of a key point's vertex others move."""
-    return 1 - float(np.diag(weighted(vertices, faces, handles)[at]).min())
+    return 1 - float(np.diag(weighted(*mesh)[at]).min())
 
 
 def wire():
     """Return how much of a key point's vertex others move on a wire of 0.5 mm."""
     names = ("rim_width", "rim_depth", "bridge_height", "temple_height", "temple_width")
     thin = eyeglasses(shape=GlassesShape(**dict.fromkeys(names, 0.5)))
-    return own_share(thin.vertices, thin.faces, thin.keypoints, thin.keypoint_vertices)
+    return own_share(thin.keypoints, thin.vertices, thin.faces, at=thin.keypoint_vertices)
 
 
 TRIANGLE = np.array([[0.0, 0, 0], [60, 0, 0], [0, 60, 0]])
@@ -89,7 +85,7 @@ def straightened(vertices, points, rest=FRAME.keypoints, **options):
 
 def rms(off):
     """Return the root mean square length of differences (N, 3)."""
-    return float(np.sqrt((np.linalg.norm(off, axis=1) ** 2).mean()))
+    return float(np.sqrt((off**2).sum(1).mean()))
 
 
 def unbent_far_away(shift):
@@ -135,8 +131,7 @@ def zoomed(cameras, factor):
 def triangulated(focal_px):
     """Return how far key points are off that cameras of a focal length see."""
     cameras = zoomed(THREE, focal_px / 900)
-    image = np.einsum("cij,kj->cki", cameras[:, :, :3], FRAME.keypoints) + cameras[:, None, :, 3]
-    labels = image[..., :2] / image[..., 2:]
+    labels = np.stack([project(camera, FRAME.keypoints)[0] for camera in cameras])
     found = triangulate(labels, cameras, noise_px=max(focal_px / 900, 1e-3))
     return float(np.abs(found.points - FRAME.keypoints).max())
 
@@ -156,18 +151,10 @@ def wearer():
     return small_wearer(1, noise_px=0.5)
 
 
-@cache
-def own_glasses():
-    """Return the person's glasses at rest, with their weights."""
-    glasses = wearer().glasses
-    rest = glasses.rest_vertices, glasses.faces, glasses.rest_keypoints
-    return *rest, bounded_biharmonic_weights(*rest, SPACING)
-
-
 def worn(glasses=1.0, labels=None, cameras=None, head=0.0, masks=None, **options):
     """Put the glasses, multiplied, on the head, moved; none where it is None."""
     person = wearer()
-    vertices, faces, points, weights = own_glasses()
+    vertices, faces, points, weights = rest_frame(1)
     return register_on_face(
         (glasses * vertices, faces, glasses * points, weights),
         person.labels if labels is None else labels,
@@ -226,12 +213,12 @@ def bend_error(dioptres, normal=(0, 0, 1)):
 def pictured(dioptres, shape):
     """Return the darkest value of a picture of lenses before a wall, negated, and the pixels of lens."""
     center = FRAME.lens_centers[0]
-    corners = 80 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1.0]])
+    wall, faces = plane(2, 160)
     picture = insert_lenses(
         Surface(FRAME.vertices, FRAME.faces, albedo_linear=(0.1, 0.1, 0.1)),
         FRAME.keypoints,
         LensMaterial(dioptres),
-        surfaces=[Surface(np.column_stack([corners, np.full(4, -40.0)]), [[0, 1, 2], [0, 2, 3]])],
+        surfaces=[Surface(wall - [0, 0, 40], faces)],
         camera=look_at(center + [0, 0, 600], center, focal_px=300, shape=(48, 64)),
         shape=shape,
         lights=DistantLights([[0, 0, 1]], [np.pi]),
@@ -241,12 +228,12 @@ def pictured(dioptres, shape):
 
 HELD = below(0.1, "others move {:.2f} of a key point's vertex")
 SHAPELESS = {
-    "no vertex": (np.zeros((0, 3)), np.zeros((0, 3), int), np.zeros((1, 3))),
-    "no key point": (np.eye(3), [[0, 1, 2]], np.zeros((0, 3))),
-    "shrunk to a point": (np.zeros((9, 3)), [[0, 1, 2]], [[0, 0, 0]]),
-    "coincident key points": (FRAME.vertices, FRAME.faces, FRAME.keypoints[[*range(20), 2]]),
-    "key points far off the mesh": (FRAME.vertices, FRAME.faces, FRAME.keypoints + [0, 90, 0]),
-    "spacing 0.001": (FRAME.vertices, FRAME.faces, FRAME.keypoints, 1e-3),
+    "no vertex": (np.zeros((1, 3)), np.zeros((0, 3)), np.zeros((0, 3), int)),
+    "no key point": (np.zeros((0, 3)), np.eye(3), [[0, 1, 2]]),
+    "shrunk to a point": ([[0, 0, 0]], np.zeros((9, 3)), [[0, 1, 2]]),
+    "coincident key points": (FRAME.keypoints[[*range(20), 2]],),
+    "key points far off the mesh": (FRAME.keypoints + [0, 90, 0],),
+    "spacing 0.001": (FRAME.keypoints, FRAME.vertices, FRAME.faces, 1e-3),
 }
 
 CASES = table(
@@ -255,9 +242,9 @@ CASES = table(
     right(
         below(1e-12, "takes everything but {:.0f}"),
         "weights: one key point",
-        lambda: own_share(FRAME.vertices, FRAME.faces, FRAME.keypoints[:1]),
+        lambda: own_share(FRAME.keypoints[:1]),
     ),
-    right(HELD, "weights: one triangle", lambda: own_share(TRIANGLE, [[0, 1, 2]], TRIANGLE)),
+    right(HELD, "weights: one triangle", lambda: own_share(TRIANGLE, TRIANGLE, [[0, 1, 2]])),
     right(HELD, "weights: a wire frame of 0.5 mm", wire),
     right(below(1e-6, "as without, within {:.0e}"), "weights: slivers and flat triangles", with_slivers),
     right(

@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-import trimesh
+from helpers.meshes import ball
 
-from scan2albedo import Budget, RawScan, process
+from scan2albedo import Budget, process
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from stability.case import BUDGETS, Measured, below, each, noted, refuses, right, table, warns
 from stability.scenes import person
@@ -41,9 +41,7 @@ def out_of_time(found):
 
 def far_object():
     """Return by how much the geometry image of an object 1e7 mm away differs from the one at the origin."""
-    ball = trimesh.creation.icosphere(3, 100.0)
-    colour = np.full((len(ball.vertices), 3), 0.5, np.float32)
-    scan = RawScan(ball.vertices, ball.faces, vertex_color_linear=colour)
+    scan = ball(3, 100.0)
     here, there = (
         without_albedo(replace(scan, vertices=scan.vertices + away), model="none").geometry_image.position
         for away in (0.0, 1e7)

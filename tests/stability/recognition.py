@@ -16,6 +16,7 @@ from scan2albedo.recognition import (
     roc_curve,
 )
 from stability.case import below, each, measured, refuses, right, table, warns
+from stability.scenes import with_one
 
 SHAPE = (128, 128)
 albedo = cache(build_albedo)
@@ -47,9 +48,14 @@ def wall():
     return found.ranks[0], *found.similarities[0].round(3)
 
 
+def one_person():
+    """Identify the only person of a gallery."""
+    return identify(templates(albedo(0)), templates(albedo(0)))
+
+
 def alone():
     """Return the rank of the only person of a gallery, the rate's interval and the curve."""
-    found = identify(templates(albedo(0)), templates(albedo(0)))
+    found = one_person()
     curve = cmc_curve(found)
     assert curve.rate.tolist() == [1.0]
     return found.ranks[0], curve.low[0], curve
@@ -69,13 +75,6 @@ def noisy():
     curve = cmc_curve(identify(templates(*map(albedo, range(4))), seen))
     assert curve.low[0] < 0.4
     return curve.rate[0], curve.low[0], curve.high[0]
-
-
-def one_texel(value, others):
-    """Return an array of one value that has another value in one texel."""
-    image = np.array(others)
-    image[5, 5] = value
-    return image
 
 
 CASES = table(
@@ -103,7 +102,7 @@ CASES = table(
     refuses(
         r"image 0 \(a\): 1 of 16384 pixels",
         "image with a NaN in its mask",
-        lambda: templates(one_texel(math.nan, albedo(0))),
+        lambda: templates(with_one(albedo(0), math.nan, (5, 5))),
     ),
     refuses("the second image: 16384 of 16384 pixels", "image infinite", lambda: like(everywhere(math.inf))),
     refuses(
@@ -113,7 +112,9 @@ CASES = table(
             "image of one texel": lambda: templates(np.ones((1, 1)), options=TemplateOptions(size=None)),
             "image of 8 x 8, smaller than the pyramid": lambda: cw_ssim(np.ones((8, 8)), np.ones((8, 8))),
             "image of 3 x 500": lambda: cw_ssim(np.ones((3, 500)), np.ones((3, 500))),
-            "mask of one texel": lambda: templates(albedo(0), masks=[one_texel(True, everywhere(False))]),
+            "mask of one texel": lambda: templates(
+                albedo(0), masks=[with_one(everywhere(False), True, (5, 5))]
+            ),
             "similarity window=nan": lambda: like(albedo(1), window=math.nan),
             "templates size=4": lambda: templates(albedo(0), options=TemplateOptions(size=4)),
         },
@@ -123,7 +124,7 @@ CASES = table(
     refuses(
         "one person only",
         "gallery of one, ROC",
-        lambda: roc_curve(identify(templates(albedo(0)), templates(albedo(0)))),
+        lambda: roc_curve(one_person()),
     ),
     right(
         below(1e-12, "{:.0e} from chance, right {:.0%}"),
