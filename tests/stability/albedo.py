@@ -371,11 +371,9 @@ CASES = table(
     right(below(2, "albedo constant within {:.2f} %, {} light"), "texture constant", constant),
     right(
         red_off,
-        each(
-            "blue channel {}",
-            ("0", "0.002"),
-            lambda blue: painted([1, 1, 0], [0, 0, blue], ball(size=128), "auto"),
-        ),
+        "blue channel {}",
+        lambda blue: painted([1, 1, 0], [0, 0, blue], ball(size=128), "auto"),
+        ("0", "0.002"),
         slow=True,
     ),
     right(red_alone, "one channel alone", lambda: painted([1, 0, 0])),

@@ -63,9 +63,9 @@ def table(stage, *groups):
     return [Case(stage, *row) for row in chain(*groups)]
 
 
-def rows(ends_in, figure, named, call=None, slow=False):
-    """Return the rows of calls by name that all end alike, or the row of one name and its call."""
-    calls = {named: call} if call else named
+def rows(ends_in, figure, named, call=None, values=None, slow=False):
+    """Return the rows of calls by name that all end alike, or of one call, perhaps for `each` value."""
+    calls = each(named, values, call) if values else {named: call} if call else named
     return [(name, call, ends_in, figure, slow) for name, call in calls.items()]
 
 
@@ -76,6 +76,11 @@ def each(name, values, call):
     """Return calls by name, one for each value: numbers as text, or values by name."""
     named = values if isinstance(values, dict) else {value: float(value) for value in values}
     return {name.format(key): partial(call, value) for key, value in named.items()}
+
+
+def gap(one, other):
+    """Return the largest difference of arrays."""
+    return float(np.abs(one - other).max())
 
 
 class Measured(str):

@@ -25,7 +25,7 @@ from scan2albedo.eyeglasses.lenses.inserted_lenses import lens_mesh
 from scan2albedo.geometry.pinhole import look_at, project
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
 from scan2albedo.synthetic import GlassesBend, GlassesShape, eyeglasses
-from stability.case import BUDGETS, below, each, measured, refuses, right, table, unfinished, warns
+from stability.case import BUDGETS, below, each, gap, measured, refuses, right, table, unfinished, warns
 from stability.scenes import plane
 
 SPACING = 3.0
@@ -37,7 +37,7 @@ COUNT = len(FRAME.vertices)
 def weighted(handles=FRAME.keypoints, vertices=FRAME.vertices, faces=FRAME.faces, spacing=SPACING):
     """Return weights, which are shares."""
     weights = bounded_biharmonic_weights(vertices, faces, handles, spacing)
-    assert np.abs(weights.sum(1) - 1).max() <= 1e-12
+    assert gap(weights.sum(1), 1) <= 1e-12
     assert weights.min() >= 0
     return weights
 
@@ -48,7 +48,7 @@ plain = cache(weighted)
 def weights_off(scale=1.0, shift=0.0):
     """Return by how much weights change with the unit and the place."""
     points, vertices = (scale * place + shift for place in (FRAME.keypoints, FRAME.vertices))
-    return float(np.abs(weighted(points, vertices, spacing=scale * SPACING) - plain()).max())
+    return gap(weighted(points, vertices, spacing=scale * SPACING), plain())
 
 
 def with_slivers():
@@ -57,7 +57,7 @@ def with_slivers():
     slivers = [np.stack(corners, 1) for corners in ((a, b, a), (a, b, b), (a, c, COUNT + np.arange(len(c))))]
     vertices = np.vstack([FRAME.vertices, FRAME.vertices[c] + 1e-12])
     weights = weighted(vertices=vertices, faces=np.vstack([FRAME.faces, *slivers]))
-    return float(np.abs(weights[:COUNT] - plain()).max())
+    return gap(weights[:COUNT], plain())
 
 
 def own_share(*mesh, at=slice(None)):
@@ -106,7 +106,7 @@ def folded(angle_deg):
             moved[side] = transform_points(compose(turn, hinge - turn @ hinge), moved[side])
     found = straightened(vertices, points)
     assert found.residual > 10
-    back = float(np.abs(found.uncanonicalize(found.vertices) - vertices).max())
+    back = gap(found.uncanonicalize(found.vertices), vertices)
     assert back < 1e-4
     return found.residual, back, rms(found.vertices - FRAME.vertices)
 
@@ -133,7 +133,7 @@ def triangulated(focal_px):
     cameras = zoomed(THREE, focal_px / 900)
     labels = np.stack([project(camera, FRAME.keypoints)[0] for camera in cameras])
     found = triangulate(labels, cameras, noise_px=max(focal_px / 900, 1e-3))
-    return float(np.abs(found.points - FRAME.keypoints).max())
+    return gap(found.points, FRAME.keypoints)
 
 
 def outliers():
@@ -238,7 +238,7 @@ SHAPELESS = {
 
 CASES = table(
     "eyeglasses",
-    refuses("", each("weights: {}", SHAPELESS, lambda mesh: weighted(*mesh))),
+    refuses("", "weights: {}", lambda mesh: weighted(*mesh), SHAPELESS),
     right(
         below(1e-12, "takes everything but {:.0f}"),
         "weights: one key point",
@@ -255,7 +255,9 @@ CASES = table(
     ),
     right(
         below(1e-3, "as at the origin, within {:.0e}"),
-        each("weights: glasses {} mm off the origin", ("1e6", "1e7"), lambda far: weights_off(shift=far)),
+        "weights: glasses {} mm off the origin",
+        lambda far: weights_off(shift=far),
+        ("1e6", "1e7"),
     ),
     refuses(
         "",
@@ -271,25 +273,27 @@ CASES = table(
     ),
     right(
         below(0.15, "off by {:.2f} mm rms"),
-        each("canonical: glasses {} mm off the origin", ("1e6", "1e7"), unbent_far_away),
+        "canonical: glasses {} mm off the origin",
+        unbent_far_away,
+        ("1e6", "1e7"),
     ),
     warns(
         measured("residual {:.0f} mm says how bent it was; the way back within {:.0e} mm, off by {:.1f} mm"),
-        each("canonical: temples folded by {} degrees", ("90", "180"), folded),
+        "canonical: temples folded by {} degrees",
+        folded,
+        ("90", "180"),
     ),
     refuses(
         "frame 0: .* key points",
-        each(
-            "canonical: key points {}",
-            {
-                "all at one place": 0 * LINE,
-                "on a line": LINE * [1, 0, 0],
-                "two known": np.where(np.arange(20)[:, None] < 2, 1.0, NAN) * LINE,
-                "none known": NAN * LINE,
-                "infinite": math.inf + LINE,
-            },
-            lambda points: straightened(FRAME.vertices, points),
-        ),
+        "canonical: key points {}",
+        lambda points: straightened(FRAME.vertices, points),
+        {
+            "all at one place": 0 * LINE,
+            "on a line": LINE * [1, 0, 0],
+            "two known": np.where(np.arange(20)[:, None] < 2, 1.0, NAN) * LINE,
+            "none known": NAN * LINE,
+            "infinite": math.inf + LINE,
+        },
     ),
     refuses(
         "",
@@ -299,7 +303,9 @@ CASES = table(
     warns(measured("inliers in {} view at most"), "triangulation: all labels outliers (1e5 px)", outliers),
     right(
         below(1e-4, "points within {:.0e} mm"),
-        each("triangulation: focal length {} px", ("1", "1e6"), triangulated),
+        "triangulation: focal length {} px",
+        triangulated,
+        ("1", "1e6"),
     ),
     refuses(
         "",
@@ -336,7 +342,9 @@ CASES = table(
     refuses("", "registration: masks of 1 x 1", lambda: worn(masks=np.ones((3, 1, 1), bool))),
     refuses(
         r"e\+0[36] times as large.*same unit",
-        each("registration: glasses times {}, cameras in mm", ("1e-3", "1e-6"), worn),
+        "registration: glasses times {}, cameras in mm",
+        worn,
+        ("1e-3", "1e-6"),
     ),
     refuses("", "registration: head with NaN", lambda: worn(head=NAN)),
     right(
@@ -353,9 +361,11 @@ CASES = table(
     ),
     right(
         below(1e-9, "within {:.0e} degrees of the exact thin lens"),
-        each("lens of {} dioptres", ("-20", "0", "20", "1e3", "1.66667"), bend_error),
+        "lens of {} dioptres",
+        bend_error,
+        ("-20", "0", "20", "1e3", "1.66667"),
     ),
-    refuses("not finite", each("lens of {} dioptres", ("nan", "inf"), bend_error)),
+    refuses("not finite", "lens of {} dioptres", bend_error, ("nan", "inf")),
     refuses("normal is zero", "lens without a normal", lambda: bend_error(4.0, (0, 0, 0))),
     right(
         below(1e-12, "finite, {1} pixels of lens"),

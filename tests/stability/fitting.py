@@ -7,7 +7,7 @@ import numpy as np
 
 from scan2albedo import RawScan, fit
 from scan2albedo.fitting import FitOptions
-from stability.case import Measured, below, each, refuses, right, said, table, warns
+from stability.case import Measured, below, each, gap, refuses, right, said, table, warns
 from stability.scenes import (
     at_random,
     model,
@@ -110,7 +110,7 @@ def folded(bound):
 def moved_off(distance):
     """Return by how much a fit far from the origin differs from that at the origin."""
     (_, here), (_, far) = (fitted(scene) for scene in (person(), person().shifted(distance)))
-    return float(np.abs(far.vertices - here.vertices).max())
+    return gap(far.vertices, here.vertices)
 
 
 def strained(face):
@@ -144,7 +144,7 @@ CASES = table(
         "stiffness beyond doubles (lengths of 1e8 mm)",
         lambda: with_constants({"bending_mm": (1e8, 1e8)}, MEMBRANE_MM=(1e6, 1e6)),
     ),
-    right(near(0.4), each("time step {}", ("1", "1e3", "1e30"), lambda step: with_constants(TIME_STEP=step))),
+    right(near(0.4), "time step {}", lambda step: with_constants(TIME_STEP=step), ("1", "1e3", "1e30")),
     warns(
         unfinished(0.7),
         {
@@ -176,11 +176,9 @@ CASES = table(
     ),
     right(
         near(0.5),
-        each(
-            "{} of the triangles left",
-            ("0.4", "0.2", "0.05"),
-            lambda share: fitted(person().kept(at_random(person(), share))),
-        ),
+        "{} of the triangles left",
+        lambda share: fitted(person().kept(at_random(person(), share))),
+        ("0.4", "0.2", "0.05"),
         slow=True,
     ),
     right(near(0.6), "noise of 1 mm", lambda: fitted(noisy(person(), 1.0))),
@@ -188,7 +186,9 @@ CASES = table(
     right(near(1.5), "1.5 times too large, in the model's pose", lambda: fitted(person().scaled(1.5))),
     right(
         below(0.02, "{:.1e} mm from the fit at the origin"),
-        each("offset {} mm", ("1e6", "1e7", "1e9"), moved_off),
+        "offset {} mm",
+        moved_off,
+        ("1e6", "1e7", "1e9"),
         slow=True,
     ),
     warns(
@@ -222,11 +222,9 @@ CASES = table(
     ),
     refuses(
         "unit|wrong|face",
-        each(
-            "units of {} mm taken for mm",
-            ("1e-3", "1e3", "1e6"),
-            lambda unit: alone(person().in_model_frame / unit, person().scan.faces),
-        ),
+        "units of {} mm taken for mm",
+        lambda unit: alone(person().in_model_frame / unit, person().scan.faces),
+        ("1e-3", "1e3", "1e6"),
     ),
     refuses(
         "must be a rigid transform",

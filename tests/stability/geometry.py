@@ -10,7 +10,7 @@ from scan2albedo.geometry.loop_subdivision import LoopSubdivision
 from scan2albedo.geometry.mesh import turned_against_neighbours
 from scan2albedo.geometry.operators import surface_diffusion
 from scan2albedo.geometry.rigid import compose, procrustes, random_rotation, transform_points
-from stability.case import below, each, refuses, right, table
+from stability.case import below, each, gap, refuses, right, table
 from stability.scenes import mixed, moebius, with_one
 
 BALL = trimesh.creation.icosphere(3, 100.0)
@@ -27,7 +27,7 @@ def distance_gap(factor=1.0, offset=0.0):
     """Return how far distances of a scaled and shifted ball are from those of the plain one, in mm."""
     plain = [kind(VERTICES, FACES).query(POINTS).distance for kind in QUERIES]
     placed = [kind(factor * VERTICES + offset, FACES).query(factor * POINTS + offset) for kind in QUERIES]
-    gaps = [np.abs(there.distance / factor - here).max() for here, there in zip(plain, placed, strict=True)]
+    gaps = [gap(there.distance / factor, here) for here, there in zip(plain, placed, strict=True)]
     return max(gaps), placed
 
 
@@ -35,21 +35,20 @@ def subdivided(faces, vertices=VERTICES):
     """Return how far rows of weights are from a sum of 1, and the limit vertices."""
     limit = LoopSubdivision.of(len(vertices), faces, 2)
     points = limit.matrix @ vertices
-    assert np.abs(points).max() <= np.abs(vertices).max() * 1.0001, "extrapolated"
-    return float(np.abs(np.asarray(limit.matrix.sum(1)) - 1).max()), points
+    assert gap(points, 0) <= gap(vertices, 0) * 1.0001, "extrapolated"
+    return gap(np.asarray(limit.matrix.sum(1)), 1), points
 
 
 def far_subdivision():
     """Return by how much limit vertices at 1e9 mm differ from those at the origin."""
-    far = subdivided(FACES, VERTICES + 1e9)[1] - 1e9
-    return float(np.abs(far - subdivided(FACES)[1]).max())
+    return gap(subdivided(FACES, VERTICES + 1e9)[1] - 1e9, subdivided(FACES)[1])
 
 
 def valence_1000():
     """Return how far the tip of a cone of 1000 triangles leaves its axis."""
     cone = trimesh.creation.cone(1.0, 1.0, sections=1000)
     tip = cone.vertices[:, 2].argmax()
-    return float(np.abs(subdivided(cone.faces, cone.vertices)[1][tip, :2]).max())
+    return gap(subdivided(cone.faces, cone.vertices)[1][tip, :2], 0)
 
 
 def spread(distance):
@@ -63,7 +62,7 @@ def diffusion_gap(factor=1.0, offset=0.0):
     """Return by how much diffusion over 5 mm differs from that of a ball of another unit or place."""
     plain = surface_diffusion(VERTICES, FACES, 5.0)(VALUES)
     placed = surface_diffusion(factor * VERTICES + offset, FACES, 5.0 * factor)(VALUES)
-    return float(np.abs(placed - plain).max())
+    return gap(placed, plain)
 
 
 def flat_diffusion():
@@ -78,7 +77,7 @@ def rigid_gap(source):
     target = transform_points(compose(random_rotation(rng), [1.0, 2, 3]), source)
     found = procrustes(source, target)
     assert abs(np.linalg.det(found[:3, :3]) - 1) < 1e-9
-    return float(np.abs(transform_points(found, source) - target).max())
+    return gap(transform_points(found, source), target)
 
 
 def half_reversed():
@@ -94,11 +93,15 @@ CASES = table(
     "geometry",
     right(
         below(1e-6, "{:.0e} mm off"),
-        each("closest points: offset {} mm", ("1e6", "1e7", "1e9"), lambda far: distance_gap(offset=far)),
+        "closest points: offset {} mm",
+        lambda far: distance_gap(offset=far),
+        ("1e6", "1e7", "1e9"),
     ),
     right(
         below(1e-9, "{:.0e} of 100 off"),
-        each("closest points: size of {} times 100 mm", ("1e-9", "1e9"), distance_gap),
+        "closest points: size of {} times 100 mm",
+        distance_gap,
+        ("1e-9", "1e9"),
     ),
     refuses(
         "^1 of 500 points are NaN, infinite",
@@ -117,17 +120,15 @@ CASES = table(
     ),
     right(
         below(1e-9, "rows sum to 1 within {:.0e}, no extrapolation"),
-        each(
-            "subdivision: {}",
-            {
-                "double faces": np.concatenate([FACES, FACES[:3]]),
-                "zero-area faces": FLAT_FACES,
-                "non-manifold faces": np.concatenate([FACES, FINS]),
-                "a single triangle": FACES[:1],
-                "mixed orientation": mixed(FACES),
-            },
-            subdivided,
-        ),
+        "subdivision: {}",
+        subdivided,
+        {
+            "double faces": np.concatenate([FACES, FACES[:3]]),
+            "zero-area faces": FLAT_FACES,
+            "non-manifold faces": np.concatenate([FACES, FINS]),
+            "a single triangle": FACES[:1],
+            "mixed orientation": mixed(FACES),
+        },
     ),
     right(
         below(1e-12, "tip {:.0e} off its axis"),
@@ -137,7 +138,9 @@ CASES = table(
     right(below(1e-5, "{:.0e} mm off at 1e9"), "subdivision: coordinates of 1e9 mm", far_subdivision),
     right(
         below(0.01, "mean within {:.4f}, range kept"),
-        each("diffusion: distance of {} mm", ("1e-6", "1", "1e3", "1e6", "1e12"), spread),
+        "diffusion: distance of {} mm",
+        spread,
+        ("1e-6", "1", "1e3", "1e6", "1e12"),
     ),
     right(
         below(1e-8, "{:.0e} apart"),
@@ -159,16 +162,14 @@ CASES = table(
     ),
     right(
         below(1e-9, "{:.0e} mm off, no mirror"),
-        each(
-            "rigid transforms: {}",
-            {
-                "points on a plane": CLOUD * [1, 1, 0],
-                "points on a line": CLOUD * [1, 0, 0],
-                "points all in one place": 0 * CLOUD + 5,
-                "one point alone": CLOUD[:1],
-            },
-            rigid_gap,
-        ),
+        "rigid transforms: {}",
+        rigid_gap,
+        {
+            "points on a plane": CLOUD * [1, 1, 0],
+            "points on a line": CLOUD * [1, 0, 0],
+            "points all in one place": 0 * CLOUD + 5,
+            "one point alone": CLOUD[:1],
+        },
     ),
     refuses(
         "place nothing",

@@ -11,7 +11,7 @@ from scan2albedo.fitting import FitOptions
 from scan2albedo.geometry.mesh import face_areas
 from scan2albedo.geometry.rigid import compose
 from scan2albedo.sampling import geometry_image_of_scan
-from stability.case import Measured, below, each, measured, refuses, right, table, warns
+from stability.case import Measured, below, each, gap, measured, refuses, right, table, warns
 from stability.scenes import TEXTURE_SHAPES, line, mixed, model, person, spoilt, stray, with_one
 
 SIZE = 64
@@ -88,7 +88,7 @@ def hair(texture):
 def even(shape):
     """Return how far an even texture of a shape is from even on the face, and the part seen."""
     image = sampled(texture_linear=np.full((*shape, 3), 0.3, np.float32))
-    return float(np.abs(image.texture_linear[image.seen] - 0.3).max()), image.figures()["seen"]
+    return gap(image.texture_linear[image.seen], 0.3), image.figures()["seen"]
 
 
 def black():
@@ -131,8 +131,7 @@ def on_ball(scale=1.0, shift=0.0, faces=BALL.faces):
     """Return how far texels are off a ball about their origin, and the part of its area not shown."""
     missing, image = charted(scale * BALL.vertices + shift, faces)
     assert missing < 0.25
-    off = np.linalg.norm(image.position[image.mask], axis=1) / (100 * scale) - 1
-    return float(np.abs(off).max()), missing
+    return gap(np.linalg.norm(image.position[image.mask], axis=1) / (100 * scale), 1), missing
 
 
 def soup():
@@ -158,14 +157,12 @@ CASES = [
             "size .* does not suit",
             {f"a size of {size:g}": partial(sampled, size=size) for size in (7, 64.5, 10**9)},
         ),
-        right(below(1e-4, COLOURS), each("scan and pose {} mm away", ("1e6", "1e7", "1e9"), moved)),
+        right(below(1e-4, COLOURS), "scan and pose {} mm away", moved, ("1e6", "1e7", "1e9")),
         right(
             below(2e-3, COLOURS),
-            each(
-                "uv moved by {} periods",
-                ("1", "-5", "1e6"),
-                lambda by: colour_gap(sampled(uv=scan().uv + by)),
-            ),
+            "uv moved by {} periods",
+            lambda by: colour_gap(sampled(uv=scan().uv + by)),
+            ("1", "-5", "1e6"),
         ),
         right(
             below(0.06, "seen: {1:.0%} of the texels"),

@@ -12,7 +12,7 @@ from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.lighting.shading import Reflectance, light_from_direction, shade_points
 from scan2albedo.lighting.shadow_map import ShadowMap
-from stability.case import below, each, refuses, right, table
+from stability.case import below, gap, refuses, right, table
 
 UP = np.array([0.0, 0.0, 1.0])
 LAMP = PointLight(0.3, 0.2)
@@ -48,7 +48,7 @@ def brightest(reflectance):
 def pole_error():
     """Return how far a lamp at a pole is from straight above or below, whatever its azimuth."""
     return max(
-        float(np.abs(light_from_direction(lamp.direction, math.inf, 1.0).direction - [0, sign, 0]).max())
+        gap(light_from_direction(lamp.direction, math.inf, 1.0).direction, [0, sign, 0])
         for sign in (1, -1)
         for lamp in (PointLight(azimuth, sign * math.pi / 2) for azimuth in (0.0, 1.0, -3.0))
     )
@@ -60,7 +60,7 @@ def far_lamp():
     far, distant = (shaded(lamp).light for lamp in lamps)
     seen, seen_distant = (shadows().visible(LAMP.direction, lamp.distance_mm) for lamp in lamps)
     assert np.mean(seen != seen_distant) < 1e-3
-    return float(np.abs(far - distant).max()), int((seen != seen_distant).sum())
+    return gap(far, distant), int((seen != seen_distant).sum())
 
 
 def touching():
@@ -74,8 +74,7 @@ def not_linear():
     """Return how far light is from being linear in the lamp's intensity."""
     unit = shaded(PointLight(0.3, 0.2, 500.0, 1.0)).light - 1
     return max(
-        float(np.abs(shaded(PointLight(0.3, 0.2, 500.0, strength)).light - 1 - strength * unit).max())
-        / max(strength, 1)
+        gap(shaded(PointLight(0.3, 0.2, 500.0, strength)).light - 1, strength * unit) / max(strength, 1)
         for strength in (0.0, 1e-12, 1e12)
     )
 
@@ -113,7 +112,7 @@ def environment_error(scale):
     """Return how far the lamps of a scaled environment are from scaled lamps."""
     sky = np.random.default_rng(0).random((4, 8, 3))
     plain, scaled = (DistantLights.from_environment(s * sky).irradiance_linear for s in (1.0, scale))
-    return float(np.abs(scaled - scale * plain).max())
+    return gap(scaled, scale * plain)
 
 
 AMBIENT_ALONE = below(1e-15, "ambient light alone, within {:.0e}")
@@ -124,11 +123,15 @@ CASES = table(
     "lighting",
     right(
         below(1.0 + 1e-9, "up to {:.2f} of the light, none behind"),
-        each("roughness {}", ("1e-6", "1", "1e3"), lambda sigma: brightest(Reflectance(roughness=sigma))),
+        "roughness {}",
+        lambda sigma: brightest(Reflectance(roughness=sigma)),
+        ("1e-6", "1", "1e3"),
     ),
     right(
         below(1e4, "finite, up to {:.0e}, none behind"),
-        each("Minnaert exponent {}", ("0.1", "1e4"), lambda m: brightest(Reflectance("minnaert", m))),
+        "Minnaert exponent {}",
+        lambda m: brightest(Reflectance("minnaert", m)),
+        ("0.1", "1e4"),
     ),
     right(
         below(1e-15, "one direction whatever the azimuth, within {:.0e}"),
@@ -174,12 +177,12 @@ CASES = table(
             "shadow map, faces beyond the vertices": lambda: spoilt_caster(face_shift=10**6),
         },
     ),
-    right(NO_SHADOW_ERROR, each("shadow map, head {} mm off the origin", ("1e6", "1e7"), wrong_shadows)),
+    right(NO_SHADOW_ERROR, "shadow map, head {} mm off the origin", wrong_shadows, ("1e6", "1e7")),
     right(below(1, "{} points differ"), "shadow map, the surface itself twice (coincident)", twice),
     right(
         below(1, "hides {} points"),
         "shadow map, one point as a mesh",
         lambda: 1 - ShadowMap(RayCaster(np.ones((3, 3)), [[0, 1, 2]]), 0 * UP[None], UP[None]).visible(UP)[0],
     ),
-    right(LINEAR, each("environment times {}", ("0", "-1"), environment_error)),
+    right(LINEAR, "environment times {}", environment_error, ("0", "-1")),
 )

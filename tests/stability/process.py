@@ -7,7 +7,7 @@ from helpers.meshes import ball
 
 from scan2albedo import Budget, process
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
-from stability.case import BUDGETS, Measured, below, each, noted, refuses, right, table, warns
+from stability.case import BUDGETS, Measured, below, gap, noted, refuses, right, table, warns
 from stability.scenes import person
 
 FEW = Budget(evaluations=30)
@@ -46,7 +46,7 @@ def far_object():
         without_albedo(replace(scan, vertices=scan.vertices + away), model="none").geometry_image.position
         for away in (0.0, 1e7)
     )
-    return float(np.abs(here - there).max())
+    return gap(here, there)
 
 
 def head_without_model():
@@ -59,7 +59,7 @@ SEED = "seed is {}, expected"
 
 CASES = table(
     "process",
-    warns(out_of_time, each("a budget of {}", BUDGETS, lambda budget: landmarks(person(), budget=budget))),
+    warns(out_of_time, "a budget of {}", lambda budget: landmarks(person(), budget=budget), BUDGETS),
     right(
         below(3, "landmarks {:.1f} mm off"),
         {

@@ -35,7 +35,7 @@ from stability.case import (
     BUDGETS,
     Measured,
     below,
-    each,
+    gap,
     measured,
     refuses,
     right,
@@ -71,7 +71,7 @@ def complaint(olat):
 def no_light():
     """Return how many deviations the light of a flash is that adds nothing, and the deviation."""
     olat = flashes(0.3, 0.3)
-    deviations = np.abs(olat.linear / olat.sigma).max()
+    deviations = gap(olat.linear / olat.sigma, 0)
     assert deviations < 1e-6
     return deviations, olat.sigma.max()
 
@@ -235,7 +235,7 @@ def one_direction():
 def one_seen():
     """Return the largest coefficient of a face of which one vertex is seen."""
     seen = with_one(BALL.seen & False, True, np.flatnonzero(BALL.seen)[10])
-    return float(np.abs(fitted(LIGHT, 1.0, seen)[2].face.coefficients).max())
+    return gap(fitted(LIGHT, 1.0, seen)[2].face.coefficients, 0)
 
 
 # Geometry from landmarks.
@@ -304,7 +304,7 @@ CASES = table(
     right(
         below(1e-6, "right within {:.0e}"),
         "olat: images of 1 pixel",
-        lambda: float(np.abs(flashes(0.5, 0.1, 1).linear - (0.5**1.2 - 0.1**1.2)).max()),
+        lambda: gap(flashes(0.5, 0.1, 1).linear, 0.5**1.2 - 0.1**1.2),
     ),
     warns(
         measured("{:.0f} % of the lobes identified, albedo off by {:.0f} %"),
@@ -338,19 +338,19 @@ CASES = table(
         noise,
         slow=True,
     ),
-    right(ALBEDO_OFF, each("pictures times {}", ("1e-9", "1e9"), exposed)),
+    right(ALBEDO_OFF, "pictures times {}", exposed, ("1e-9", "1e9")),
     right(below(10, "albedo off by {:.1f} %"), "one vertex", one_vertex),
     right(
         below(5, "albedo off by {:.1f} %, {:.0f} % within the intervals"),
-        each("normals off by {} degrees", ("1", "3", "10"), tilted),
+        "normals off by {} degrees",
+        tilted,
+        ("1", "3", "10"),
     ),
     warns(
         measured("converged=False, albedo off by {:.1f} %"),
-        each(
-            "vertex fit with a budget of {}",
-            BUDGETS,
-            lambda budget: albedo_percent(unfinished(fit_reflectance(samples(), budget=budget))),
-        ),
+        "vertex fit with a budget of {}",
+        lambda budget: albedo_percent(unfinished(fit_reflectance(samples(), budget=budget))),
+        BUDGETS,
     ),
     refuses(
         "vertices are NaN or infinite|of length nan|none of 1024 vertices is seen",
@@ -398,11 +398,9 @@ CASES = table(
     refuses("no vertex of the face", "photograph that shows nothing", lambda: shot(seen=BALL.seen & False)),
     warns(
         measured("converged=False, colours off by {:.0f} %"),
-        each(
-            "image fit with a budget of {}",
-            BUDGETS,
-            lambda budget: 100 * unfinished(fitted(budget=budget)[2]).relative_rmse,
-        ),
+        "image fit with a budget of {}",
+        lambda budget: 100 * unfinished(fitted(budget=budget)[2]).relative_rmse,
+        BUDGETS,
         slow=True,
     ),
     refuses("0 inside the picture", "observing a photograph of 1 pixel", lambda: observed(side=1)),
@@ -439,10 +437,8 @@ CASES = table(
     warns(far_off(1e5), "geometry: landmarks 1e9 px off", lambda: placed(shapes()[1] + 1e9)),
     warns(
         measured("converged=False, landmarks off by {:.1f} px"),
-        each(
-            "geometry with a budget of {}",
-            BUDGETS,
-            lambda budget: unfinished(placed(budget=budget)).landmark_rmse_px,
-        ),
+        "geometry with a budget of {}",
+        lambda budget: unfinished(placed(budget=budget)).landmark_rmse_px,
+        BUDGETS,
     ),
 )

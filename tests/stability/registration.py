@@ -131,7 +131,7 @@ CASES = table(
             "seed 2**32 - 1": lambda: found(person(), seed=2**32 - 1),
         },
     ),
-    right(pose_out_of_time, each("a budget of {}", BUDGETS, lambda budget: found(person(), budget=budget))),
+    right(pose_out_of_time, "a budget of {}", lambda budget: found(person(), budget=budget), BUDGETS),
     warns(one_of_them, "two heads", two_heads, slow=True),
     warns(
         size,

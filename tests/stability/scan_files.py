@@ -9,7 +9,7 @@ from helpers.meshes import obj_text
 from helpers.square import write_square_obj
 
 from scan2albedo import RawScan, load_scan, register
-from stability.case import Measured, below, each, noted, refuses, right, table, warns
+from stability.case import Measured, below, gap, noted, refuses, right, table, warns
 from stability.scenes import TEXTURE_SHAPES, at_random, line, model, person, with_one
 
 
@@ -27,7 +27,7 @@ def loaded(vertices=None, faces=None, kind="obj"):
 def far_away(distance):
     """Return how far vertices are off that were written far away."""
     vertices = person().scan.vertices
-    return float(np.abs(loaded(vertices + distance).vertices - distance - vertices).max())
+    return gap(loaded(vertices + distance).vertices - distance, vertices)
 
 
 def turned(mask):
@@ -88,14 +88,12 @@ def even(shape):
     with tempfile.TemporaryDirectory() as folder:
         scan = load_scan(write_square_obj(Path(folder), image=np.full((*shape, 3), 128, np.uint8)))
     assert scan.texture_linear.shape == (*shape, 3)
-    return float(np.abs(scan.texture_linear - 0.2159).max())
+    return gap(scan.texture_linear, 0.2159)
 
 
 CASES = table(
     "load_scan",
-    right(
-        below(2e-7, "{:.1e} mm off"), each("{} mm away, double precision", ("1e6", "1e7", "1e9"), far_away)
-    ),
+    right(below(2e-7, "{:.1e} mm off"), "{} mm away, double precision", far_away, ("1e6", "1e7", "1e9")),
     warns(
         noted("positions are rounded to 1 mm"),
         "1e7 mm away, single precision",
@@ -129,11 +127,15 @@ CASES = table(
     right(below(10, "kept, all but {} of 50 faces"), "non-manifold edges", with_fins),
     right(
         below(1e-3, "0.216 linear within {:.0e}"),
-        each("a texture of {}", TEXTURE_SHAPES, even),
+        "a texture of {}",
+        even,
+        TEXTURE_SHAPES,
     ),
     warns(
         noted("clamped to one"),
-        each("texture coordinates of {}", ("1e9", "1e300"), lambda factor: textured(factor * CHART)),
+        "texture coordinates of {}",
+        lambda factor: textured(factor * CHART),
+        ("1e9", "1e300"),
     ),
     warns(
         noted("faces without texture"),
