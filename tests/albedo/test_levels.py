@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.lit_scenes import hemisphere_geometry
+from helpers.measures import rms
 from scipy.ndimage import binary_erosion
 
 from scan2albedo.albedo.levels import (
@@ -42,10 +43,10 @@ def test_means_equal_a_loop_over_cells(image, level):
     value, means, weights = brightest_around(image.texture_linear, usable), [], []
     for row in range(0, 64, 4):
         for column in range(0, 64, 4):
-            chosen = usable[row : row + 4, column : column + 4]
-            if chosen.any():
-                means.append(value[row : row + 4, column : column + 4][chosen].mean())
-                weights.append(chosen.mean())
+            cell = np.s_[row : row + 4, column : column + 4]
+            if usable[cell].any():
+                means.append(value[cell][usable[cell]].mean())
+                weights.append(usable[cell].mean())
     assert level.value * level.unit == pytest.approx(np.array(means))
     assert level.weight == pytest.approx(np.array(weights))
     assert cell_means(level, image.position[image.mask][:, 0], image.mask) == pytest.approx(
@@ -79,13 +80,12 @@ def test_blocks_are_an_eighth_of_the_chart():
 
 def test_hidden_black_and_saturated_texels_do_not_vote():
     texture = np.full((64, 64, 3), 0.5, np.float32)
-    texture[20:24, 30] = 0
-    texture[30:34, 30] = 1
+    texture[20:22, 30], texture[30:33, 30] = 0, 1
     valid = np.ones((64, 64), bool)
     valid[40:44, 30] = False
     image = make_image(texture_linear=texture, texture_valid=valid)
     out = image.mask & ~usable_texels(image)
-    assert sorted(np.nonzero(out)[0]) == [*range(20, 24), *range(30, 34), *range(40, 44)]
+    assert np.nonzero(out)[0].tolist() == [20, 21, 30, 31, 32, 40, 41, 42, 43]
 
 
 def test_cell_field_is_linear_between_the_cells(image, level):
@@ -114,8 +114,8 @@ def test_values_of_cells_follow_the_surface(image, level):
     values = np.stack([np.ones(len(level.value)), level.anchor[:, 0]], 1)
     found = along_surface(level, values, image)
     assert found[:, 0] == pytest.approx(1)
-    off = found[:, 1] - image.position[image.mask][:, 0]
-    assert np.sqrt(np.mean(off**2)) < 0.02 * np.ptp(image.position[image.mask][:, 0])
+    x = image.position[image.mask][:, 0]
+    assert rms(found[:, 1] - x) < 0.02 * np.ptp(x)
 
 
 def test_values_of_cells_do_not_leak_over_a_cut(image):
@@ -123,9 +123,8 @@ def test_values_of_cells_do_not_leak_over_a_cut(image):
     position[:, 32:] += [0, 0, 400.0]
     apart = replace(image, position=position)
     level = level_of(apart)
-    right = level.center[:, 1] > 31.5
-    found = along_surface(level, right[:, None].astype(float), apart)[:, 0]
-    assert found == pytest.approx((np.argwhere(image.mask)[:, 1] > 31.5).astype(float), abs=0.01)
+    right, there = (1.0 * (place[:, 1] > 31.5) for place in (level.center, np.argwhere(image.mask)))
+    assert along_surface(level, right[:, None], apart)[:, 0] == pytest.approx(there, abs=0.01)
 
 
 def test_noise_does_not_brighten_the_value_that_the_search_sees():

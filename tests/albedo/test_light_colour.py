@@ -25,7 +25,7 @@ GLOSS = Reflectance("lambert", 0.0, 0.15, 10.0)
 
 @pytest.fixture(scope="module")
 def ball():
-    return lit_scene("hemisphere", "skin", (*LAMP, INTENSITY), bits=None)
+    return lit_scene((*LAMP, INTENSITY), bits=None)
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,7 @@ from scan2albedo.albedo.lit_image import CONE_RAD
 from scan2albedo.albedo.shadows import LEAST_SHADOW, Horizon, ShadowLattice, shadow_caster
 from scan2albedo.core import Meter
 from scan2albedo.core.geometry_image import GeometryImage
+from scan2albedo.geometry.mesh import join, normalized
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.environment_light import SKY
@@ -104,25 +105,21 @@ def test_a_dense_chart_casts_its_shadows_with_every_texel():
     position[129, 129, 2] += 30
     caster, _ = _decide(replace(image, position=position))
     beside = position[129, 128] + [0, 0, 15]
-    along = position[129, 129] - position[129, 128]
-    along[2] = 0
-    assert caster.occluded(beside[None], (along / np.linalg.norm(along))[None]).tolist() == [True]
+    along = (position[129, 129] - position[129, 128]) * [1, 1, 0]
+    assert caster.occluded(beside[None], normalized(along[None])).tolist() == [True]
 
 
 def test_an_occluder_beyond_the_chart_counts():
     image = make_image("hemisphere")
-    vertices, faces = image.triangulated()
     corners, square = grid(2, 2)
     roof = corners[:, [2, 0, 1]] * [1, 120, 60] + [60, -60, 60]
-    both = np.vstack([vertices, roof]), np.vstack([faces, len(vertices) + square])
-    _, step = _decide(replace(image, occluder=both))
+    _, step = _decide(replace(image, occluder=join([image.triangulated(), (roof, square)])))
     assert step.ran
 
 
 def test_a_surface_without_triangles_casts_none():
     image = make_image("hemisphere")
-    lone = np.zeros_like(image.mask)
-    lone[::2, ::2] = image.mask[::2, ::2]
+    lone = image.mask & (np.indices(image.shape) % 2 == 0).all(0)
     for force in ((), ("albedo.shadows",)):
         caster, step = _decide(replace(image, mask=lone), force=force)
         assert caster is None
@@ -132,9 +129,7 @@ def test_a_surface_without_triangles_casts_none():
 def test_a_chart_whose_coarse_mesh_has_no_triangle_uses_its_own():
     """Strips of two texels fall between the texels that the decision looks at."""
     image = make_image("bumps", 256)
-    strips = np.zeros_like(image.mask)
-    for row in range(1, 255, 4):
-        strips[row : row + 2] = True
+    strips = image.mask & np.isin(np.arange(256) % 4, (1, 2))[:, None]
     _, step = _decide(replace(image, mask=strips))
     assert step.evidence != "0 faces"
 
@@ -161,9 +156,9 @@ def test_visibility_has_the_derivatives_by_direction(lattice):
     x = _at(0.71, 0.13, 0.07)
     step = 1e-3
     slopes = lattice.visibility(MODEL, x)[1][0]
-    for k in (0, 1):
-        moved = [lattice.visibility(MODEL, x + sign * step * np.eye(4)[k])[0][0] for sign in (1, -1)]
-        assert slopes[k] == pytest.approx((moved[0] - moved[1]) / (2 * step), abs=0.05)
+    for k, way in enumerate(step * np.eye(4)[:2]):
+        ahead, behind = (lattice.visibility(MODEL, moved)[0][0] for moved in (x + way, x - way))
+        assert slopes[k] == pytest.approx((ahead - behind) / (2 * step), abs=0.05)
     assert np.abs(slopes).max() > 1
 
 
@@ -213,7 +208,7 @@ def test_nothing_is_hidden_where_nothing_casts_shadows():
     open_sky = ShadowLattice(_level(make_image("hemisphere")), None)
     seen, slopes = open_sky.visibility(MODEL, _at(0.5, 0.1, 0.2))
     assert np.all(seen == 1)
-    assert np.all(slopes == 0)
+    assert not slopes.any()
 
 
 @pytest.mark.parametrize("cells", [32, 64])

@@ -35,6 +35,17 @@ def angle_deg(light, toward):
     return math.degrees(math.acos(min(1.0, float(light.direction @ toward))))
 
 
+def farthest_deg(estimate, directions):
+    """Return the largest angle from a true direction to the nearest light found."""
+    return max(min(angle_deg(light, toward) for light in estimate.lights) for toward in directions)
+
+
+def plan_row(estimate, name):
+    """Return the row of the plan that tells of a part of the light."""
+    (row,) = estimate.plan.of_stage(f"albedo.{name}")
+    return row
+
+
 def percent_off(estimate, scene):
     """Return the error of an estimated albedo, 100 times the mean square."""
     return albedo_error(estimate.albedo_linear, scene.albedo_linear, scene.image.mask).mse_percent
@@ -88,31 +99,38 @@ def texture(kind, size, seed=0):
         spots = gaussian_filter(rng.standard_normal((size, size)), size / 40)
         value = 0.55 + 0.04 * fine / fine.std() + 0.05 * spots / spots.std()
     tint = {"plain": [1, 1, 1], "wood": [1, 0.7, 0.45], "skin": [1, 0.72, 0.6]}[kind]
-    return np.clip(value, 0.05, 0.95)[..., None] * np.array(tint)
+    return value[..., None] * np.array(tint)
 
 
 def lamp(azimuth_deg, elevation_deg=0.0, intensity=2.0, distance_mm=math.inf):
     return light_at(azimuth_deg, elevation_deg, intensity=intensity, distance_mm=distance_mm)
 
 
-def render(
-    geometry, albedo, lights, *, material=Material(0.0), occluder=None, peak=0.9, noise=0.0, bits=8, seed=0
-):
+def render(geometry, albedo, lights, *, material=Material(0.0), peak=0.9, noise=0.0, bits=8, seed=0, **seen):
     """Return the linear texture; lights are (azimuth_deg, elevation_deg, intensity, distance_mm)."""
     position, normal, mask = geometry
     surface = position[mask], normal[mask], albedo[mask]
-    shown = renderer.render(*surface, list(starmap(lamp, lights)), material=material, occluder=occluder)
+    shown = renderer.render(*surface, list(starmap(lamp, lights)), material=material, **seen)
     light, rng = shown.radiance_linear, np.random.default_rng(seed)
     return on_grid(
         mask, renderer.photograph(light, exposure=peak / light.max(), noise=noise, bits=bits, rng=rng)
     )
 
 
+def lamps_and_waves(model, angles, intensities):
+    """Return parameters of as many lamps as a model has, in waves of soft light where it has them."""
+    toward = np.array([direction(*angle) for angle in angles[: model.lights]]).reshape(-1, 3)
+    x = model.from_lights(toward, np.array(intensities)[: model.lights])
+    if model.environment:
+        x[-8:] = np.random.default_rng(1).uniform(-0.15, 0.15, 8)
+    return x
+
+
 GEOMETRIES = {"hemisphere": hemisphere_geometry, "bumps": bumps_geometry}
 
 
 @cache
-def lit_scene(shape, kind, *lights, size=64, seed=0, **settings):
+def lit_scene(*lights, shape="hemisphere", kind="skin", size=64, seed=0, **settings):
     """Return a surface under lights (azimuth_deg, elevation_deg, 2.0, inf); bumps shade one another."""
     geometry = GEOMETRIES[shape](size)
     image = GeometryImage(*geometry)
