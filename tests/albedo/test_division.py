@@ -107,13 +107,6 @@ def test_an_edge_stays_as_sharp_as_it_is(skin, noise, rng):
     assert share[101] < 0.05
 
 
-def test_a_clean_texture_is_not_touched(skin, rng):
-    pores = skin * (1 + 0.03 * rng.standard_normal((SIZE, SIZE, 1)))
-    division = _divided(_coded(pores))
-    assert _rms(division.albedo, pores) < 0.012
-    assert division.confidence.mean() > 0.95
-
-
 @pytest.mark.parametrize("noise", [0.0, 0.05])
 def test_a_photograph_that_was_compressed_and_enlarged_is_not_blurred(skin, noise, rng):
     """Its noise is correlated: nothing tells it from texture."""

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from helpers.lit_scenes import texture
-from scipy.ndimage import binary_erosion, uniform_filter
+from helpers.lit_scenes import local_variance, texture
+from scipy.ndimage import binary_erosion
 from skimage.restoration import inpaint_biharmonic
 
 from scan2albedo.albedo.inpainting import _order, resynthesize
@@ -28,9 +28,7 @@ def damaged(request):
 
 def _log_variance(image):
     """Return the logarithm of the mean local variance inside."""
-    value = np.log(image.max(-1))
-    variance = uniform_filter(value**2, 7) - uniform_filter(value, 7) ** 2
-    return np.log(variance[binary_erosion(TARGET, np.ones((5, 5)))].mean())
+    return np.log(local_variance(image)[binary_erosion(TARGET, np.ones((5, 5)))].mean())
 
 
 @pytest.mark.parametrize("kind", ["skin", "wood"])

@@ -61,9 +61,7 @@ def test_means_equal_a_loop_over_cells(image, level):
 def test_cells_weigh_by_their_skin_where_there_is_any(image, level):
     usable, right = usable_texels(image), level.cell[:, 1] >= 8
     skin = np.where(np.arange(64) < 32, 0.0, 0.8) * np.ones((64, 1))
-    weight, alike = (
-        build_level(make_image(skin=some), usable, 16).weight for some in (skin, np.zeros((64, 64)))
-    )
+    weight, alike = (build_level(make_image(skin=some), usable, 16).weight for some in (skin, 0 * skin))
     # A beard is lit, too.
     assert weight == pytest.approx(np.where(right, 0.8, 0.25) * level.weight)
     assert alike == pytest.approx(level.weight)
@@ -128,10 +126,8 @@ def test_values_of_cells_do_not_leak_over_a_cut(image):
 
 
 def test_noise_does_not_brighten_the_value_that_the_search_sees():
-    rng = np.random.default_rng(0)
-    grey = np.float32(0.3 + 0.05 * rng.standard_normal((64, 64, 3)))
+    grey = np.float32(0.3 + 0.05 * np.random.default_rng(0).standard_normal((64, 64, 3)))
     everywhere = np.ones((64, 64), bool)
-    assert grey.max(-1).mean() == pytest.approx(0.3 + 0.846 * 0.05, abs=0.002)
     assert brightest_around(grey, everywhere).mean() == pytest.approx(0.3, abs=0.004)
 
 
@@ -146,8 +142,7 @@ def test_the_value_follows_the_brightest_channel_and_leaves_unusable_texels_out(
 
 def test_cells_lie_on_the_face_and_are_as_small_as_those_of_a_face_alone():
     whole = make_image(128)
-    on_face = np.zeros(whole.shape, bool)
-    on_face[40:90, 40:90] = whole.mask[40:90, 40:90]
+    on_face = whole.mask & (np.abs(np.indices(whole.shape) - 64.5).max(0) < 25)
     other = whole.texture_linear.copy()
     other[:24] = 0.9
     other[:, 106:] = 0.1  # beside the face, beyond the windows in which colours are compared
@@ -158,5 +153,5 @@ def test_cells_lie_on_the_face_and_are_as_small_as_those_of_a_face_alone():
     assert level.factor == int(np.ceil(128 * np.sqrt(on_face.sum() / whole.mask.sum()) / 16))
     assert level.texels == on_face.sum()
     np.testing.assert_array_equal(level_of(other).color, level.color)
-    nowhere = make_image(128, on_face=np.zeros(whole.shape, bool))
+    nowhere = make_image(128, on_face=on_face & False)
     assert len(level_of(nowhere).value) == len(level_of(whole).value)

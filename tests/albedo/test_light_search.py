@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.lit_scenes import direction, farthest_deg, lit_image, lit_scene, percent_off, plan_row
+from helpers.lit_scenes import farthest_deg, lamps_and_waves, lit_image, lit_scene, percent_off, plan_row
 
 from scan2albedo.albedo import EstimateOptions, estimate_albedo
 from scan2albedo.albedo.light_colour import light_colours
@@ -138,7 +138,7 @@ def _explained(image, **options):
     problem, model = scene.posterior(32), scene.model(1)
     known = problem.started(Scales())
     points = (
-        problem.start(model, model.from_lights(direction(*angle)[None], np.array([2.0])), known)
+        problem.start(model, lamps_and_waves(model, (angle,), (2.0,)), known)
         for angle in ((20, 10), (60, -20), (20, 10))
     )
     return LightSearch(scene), *points

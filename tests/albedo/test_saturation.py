@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.ndimage import binary_dilation, binary_erosion, uniform_filter
+from helpers.lit_scenes import local_variance
+from scipy.ndimage import binary_dilation, binary_erosion
 from skimage.restoration import inpaint_biharmonic
 
 from scan2albedo.albedo.estimate import estimate_albedo
@@ -48,16 +49,10 @@ def _error(image, scene, where):
     return float(np.abs(image - scene.albedo_linear)[where].mean())
 
 
-CASES = [
-    (make, texture, grain, gloss)
-    for make in (hemisphere, face)
-    for texture, grain in (("skin", 1.0), ("skin", 2.5), ("wood", 1.0))
-    for gloss in (0.35, 1.0)
-]
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(("make", "texture", "grain", "gloss"), CASES)
+@pytest.mark.parametrize("make", [hemisphere, face])
+@pytest.mark.parametrize(("texture", "grain"), [("skin", 1.0), ("skin", 2.5), ("wood", 1.0)])
+@pytest.mark.parametrize("gloss", [0.35, 1.0])
 def test_highlights_are_filled_with_less_than_half_the_error_of_leaving_them(make, texture, grain, gloss):
     scene = _scene(make, texture=texture, grain=grain, gloss=gloss, exposure=1.8)
     left, finished, step = _finish(scene)
@@ -77,13 +72,9 @@ def test_local_variance_stays_the_textures(make, texture):
         _, finished, _ = _finish(scene)
         inner = binary_erosion(_clipped(scene), np.ones((5, 5)))
         assert inner.sum() > 200
-        ratios.append(_variance(finished, inner) / _variance(scene.albedo_linear, inner))
+        found, true = (np.median(local_variance(image)[inner]) for image in (finished, scene.albedo_linear))
+        ratios.append(found / true)
     assert np.exp(np.mean(np.log(ratios))) == pytest.approx(1, abs=0.2)
-
-
-def _variance(image, where):
-    value = np.log(np.maximum(image.max(-1).astype(np.float64), 1e-4))
-    return float(np.median((uniform_filter(value**2, 7) - uniform_filter(value, 7) ** 2)[where]))
 
 
 @pytest.mark.parametrize("known_highlight", [0.0, 0.5])

@@ -6,7 +6,7 @@ from functools import cache
 from itertools import starmap
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, uniform_filter
 
 from scan2albedo.albedo import EstimateOptions, albedo_error
 from scan2albedo.albedo.levels import usable_texels
@@ -115,6 +115,12 @@ def render(geometry, albedo, lights, *, material=Material(0.0), peak=0.9, noise=
     return on_grid(
         mask, renderer.photograph(light, exposure=peak / light.max(), noise=noise, bits=bits, rng=rng)
     )
+
+
+def local_variance(image):
+    """Return (H, W) the variance of the logarithm of an albedo's value around each texel."""
+    value = np.log(np.maximum(image.max(-1).astype(float), 1e-4))
+    return uniform_filter(value**2, 7) - uniform_filter(value, 7) ** 2
 
 
 def lamps_and_waves(model, angles, intensities):

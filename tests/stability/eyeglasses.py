@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 from helpers.wearers import rest_frame, small_wearer
+from helpers.worn_frames import register
 
 from scan2albedo.eyeglasses import (
     CanonicalizationOptions,
@@ -17,13 +18,12 @@ from scan2albedo.eyeglasses import (
     find_lens_rim,
     insert_lenses,
     refract,
-    register_on_face,
     skin,
     triangulate,
 )
 from scan2albedo.eyeglasses.lenses.inserted_lenses import lens_mesh
 from scan2albedo.geometry.pinhole import look_at, project
-from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
+from scan2albedo.geometry.rigid import rotation_from_vector
 from scan2albedo.synthetic import GlassesBend, GlassesShape, eyeglasses
 from stability.case import BUDGETS, below, each, gap, measured, refuses, right, table, unfinished, warns
 from stability.scenes import plane
@@ -103,7 +103,7 @@ def folded(angle_deg):
         turn = rotation_from_vector([0, sign * math.radians(angle_deg), 0])
         for moved in (points, vertices):
             side = (sign * moved[:, 0] > 60) & (moved[:, 2] < hinge[2] - 5)
-            moved[side] = transform_points(compose(turn, hinge - turn @ hinge), moved[side])
+            moved[side] = (moved[side] - hinge) @ turn.T + hinge
     found = straightened(vertices, points)
     assert found.residual > 10
     back = gap(found.uncanonicalize(found.vertices), vertices)
@@ -151,18 +151,20 @@ def wearer():
     return small_wearer(1, noise_px=0.5)
 
 
-def worn(glasses=1.0, labels=None, cameras=None, head=0.0, masks=None, **options):
-    """Put the glasses, multiplied, on the head, moved; none where it is None."""
-    person = wearer()
+def worn(**changes):
+    """Put the person's glasses on the head by labels alone, with some arguments changed."""
+    return register(wearer(), **{"masks": None, **changes})
+
+
+def times(factor):
+    """Put the glasses, multiplied, on the head."""
     vertices, faces, points, weights = rest_frame(1)
-    return register_on_face(
-        (glasses * vertices, faces, glasses * points, weights),
-        person.labels if labels is None else labels,
-        masks,
-        person.cameras if cameras is None else cameras,
-        head=None if head is None else (person.head_vertices + head, person.head_faces),
-        **options,
-    )
+    return worn(glasses=(factor * vertices, faces, factor * points, weights))
+
+
+def head(shift):
+    """Return the person's head, moved."""
+    return wearer().head_vertices + shift, wearer().head_faces
 
 
 def off_mm(found, shift=0.0):
@@ -191,7 +193,7 @@ def far_scene():
     shift = np.array([1e6, 0, 0])
     cameras = wearer().cameras.copy()
     cameras[:, :, 3] -= cameras[:, :, :3] @ shift
-    return off_mm(worn(cameras=cameras, head=shift), shift)
+    return off_mm(worn(cameras=cameras, head=head(shift)), shift)
 
 
 def out_of_time():
@@ -310,8 +312,8 @@ CASES = table(
     refuses(
         "",
         {
-            "registration: all labels outliers (1e5 px)": lambda: worn(labels=labels(1e5, -1e5)),
-            "registration: labels by chance within the pictures": lambda: worn(labels=labels(256)),
+            "registration: all labels outliers (1e5 px)": lambda: worn(keypoints_2d=labels(1e5, -1e5)),
+            "registration: labels by chance within the pictures": lambda: worn(keypoints_2d=labels(256)),
             **each(
                 "registration: focal length {} px",
                 ("1", "1e6"),
@@ -323,9 +325,9 @@ CASES = table(
     refuses(
         "no key point is labelled.*no head.*give a start",
         "registration: no labels",
-        lambda: worn(labels=NAN * labels(1), head=None),
+        lambda: worn(keypoints_2d=NAN * labels(1), head=None),
     ),
-    refuses("", "registration: labels infinite", lambda: worn(labels=math.inf + labels(1), head=None)),
+    refuses("", "registration: labels infinite", lambda: worn(keypoints_2d=math.inf + labels(1), head=None)),
     warns(
         measured("{:.0f} % of its labels fit, the other views decide: off by {:.1f} mm"),
         {
@@ -343,10 +345,10 @@ CASES = table(
     refuses(
         r"e\+0[36] times as large.*same unit",
         "registration: glasses times {}, cameras in mm",
-        worn,
+        times,
         ("1e-3", "1e-6"),
     ),
-    refuses("", "registration: head with NaN", lambda: worn(head=NAN)),
+    refuses("", "registration: head with NaN", lambda: worn(head=head(NAN))),
     right(
         below(1.0, "visible vertices off by {:.2f} mm rms"),
         "registration: scene 1e6 mm off the origin",
