@@ -83,7 +83,7 @@ def _random_scene(seed):
         texture=("skin", "wood")[seed // 2 % 2],
         size=96,
         seed=seed,
-        material=Material(0.5 if kind == "rough" else 0.0, 0.15 if kind == "glossy" else 0.0, 20.0),
+        material=Material(0.5 * (kind == "rough"), 0.15 * (kind == "glossy")),
     )
     return made, PRESENT.get(kind)
 

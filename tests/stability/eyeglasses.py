@@ -385,10 +385,12 @@ CASES = table(
     ),
     refuses(
         "",
+        "lens mesh in a rim {}",
+        lambda rim: lens_mesh([0, 0, 0], rim),
         {
-            "lens mesh in a rim of two points": lambda: lens_mesh([0, 0, 0], TRIANGLE[:2]),
-            "lens mesh in a rim collapsed to a point": lambda: lens_mesh([0, 0, 0], np.ones((8, 3))),
-            "lens mesh in a rim with NaN": lambda: lens_mesh([0, 0, 0], np.full((8, 3), NAN)),
+            "of two points": TRIANGLE[:2],
+            "collapsed to a point": np.ones((8, 3)),
+            "with NaN": np.full((8, 3), NAN),
         },
     ),
 )

@@ -228,10 +228,8 @@ CASES = table(
     ),
     refuses(
         "must be a rigid transform",
-        {
-            "a pose of NaN": lambda: fitted(person(), np.full((4, 4), np.nan)),
-            "a pose scaled": lambda: fitted(person(), 2 * person().model_from_scan),
-            "a pose mirrored": lambda: fitted(person(), np.diag([-1.0, 1, 1, 1]) @ person().model_from_scan),
-        },
+        "a pose {}",
+        lambda change: fitted(person(), change @ person().model_from_scan),
+        {"of NaN": np.full((4, 4), np.nan), "scaled": 2 * np.eye(4), "mirrored": np.diag([-1.0, 1, 1, 1])},
     ),
 )

@@ -110,8 +110,11 @@ CASES = table(
         {
             "image of 1e300": lambda: like(1e300 * (1 + 1e7 * albedo(0))),
             "image of one texel": lambda: templates(np.ones((1, 1)), options=TemplateOptions(size=None)),
-            "image of 8 x 8, smaller than the pyramid": lambda: cw_ssim(np.ones((8, 8)), np.ones((8, 8))),
-            "image of 3 x 500": lambda: cw_ssim(np.ones((3, 500)), np.ones((3, 500))),
+            **each(
+                "image of {}",
+                {"8 x 8, smaller than the pyramid": np.ones((8, 8)), "3 x 500": np.ones((3, 500))},
+                lambda image: cw_ssim(image, image),
+            ),
             "mask of one texel": lambda: templates(
                 albedo(0), masks=[with_one(everywhere(False), True, (5, 5))]
             ),

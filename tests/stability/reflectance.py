@@ -95,63 +95,47 @@ def lobes_of(lights=None, normals=1.0):
     return replace(samples(), lobes=lobes)
 
 
-def known(fit):
-    """Return the mask of the vertices that a fit knows, all of it finite and in order there."""
+def judged(fit, least_inside=0, scale=1.0):
+    """Return the albedo's error, the part of true numbers within their intervals, and of those identified.
+
+    All in per cent, of the vertices that a fit knows, all of it finite and in order there.
+    """
     mask = fit.reflectance.known
     value, low, high, std = (field[mask] for field in (fit.parameters, fit.low, fit.high, fit.std))
     assert np.isfinite(value + low + high + std).all()
     assert (value >= np.maximum(0, low - 1e-12)).all()
     assert (value <= high + 1e-12).all()
-    return mask
-
-
-def albedo_percent(fit, scale=1.0):
-    """Return the error of the albedo in per cent."""
-    mask = known(fit)
-    truth = scale * capture(400).truth.diffuse_linear
-    return 100 * relative_rmse(fit.reflectance.diffuse_linear[mask], truth[: len(mask)][mask])
-
-
-def inside_percent(fit):
-    """Return the part of the true numbers within their intervals."""
-    truth = capture(400).parameters
-    return 100 * float(((fit.low <= truth) & (truth <= fit.high))[known(fit)].mean())
+    albedo, truth = (
+        scale * field[: len(mask)][mask]
+        for field in (capture(400).truth.diffuse_linear, capture(400).parameters)
+    )
+    inside = 100 * float(((low <= truth) & (truth <= high)).mean())
+    assert inside > least_inside
+    off = 100 * relative_rmse(fit.reflectance.diffuse_linear[mask], albedo)
+    return off, inside, 100 * fit.identified[mask].mean()
 
 
 def one_pose():
     """Return the part of the lobes identified by 99 pairs of one pose, and the albedo's error."""
     fit = fit_reflectance(samples_of(of_pairs(capture(400), np.full(99, 49)), noise=0.01))
-    sure = float(fit.identified[known(fit)][:, 3:].mean())
+    off, *_ = judged(fit)
+    sure = float(fit.identified[fit.reflectance.known][:, 3:].mean())
     assert sure < 0.2
-    return 100 * sure, albedo_percent(fit)
-
-
-def noise():
-    """Return the albedo's error by pictures of 100 % noise; the intervals hold the truth."""
-    fit = fit_reflectance(samples(1.0))
-    assert inside_percent(fit) > 80
-    return albedo_percent(fit), inside_percent(fit), 100 * fit.identified[known(fit)].mean()
-
-
-def tilted(angle):
-    """Return the albedo's error with normals off by an angle, and the part within the intervals."""
-    fit = fit_reflectance(samples(normals_off_deg=angle))
-    assert inside_percent(fit) > 90
-    return albedo_percent(fit), inside_percent(fit)
+    return 100 * sure, off
 
 
 def exposed(scale):
-    """Return the albedo's error of pictures multiplied."""
+    """Judge pictures multiplied."""
     plain = samples()
     pictures = replace(plain, observed_linear=scale * plain.observed_linear, sigma=scale * plain.sigma)
-    return albedo_percent(fit_reflectance(pictures), scale)
+    return judged(fit_reflectance(pictures), scale=scale)
 
 
 def one_vertex():
-    """Return the albedo's error of one vertex alone."""
+    """Judge one vertex alone."""
     names = ("observed_linear", "sigma", "valid", "lobes")
     one = VertexSamples(*(getattr(samples(), name)[:, :1] for name in names), samples().light)
-    return albedo_percent(fit_reflectance(one))
+    return judged(fit_reflectance(one))
 
 
 # Looking up vertices in pictures.
@@ -335,7 +319,7 @@ CASES = table(
     warns(
         measured("albedo off by {:.0f} %, {:.0f} % within the intervals, {:.0f} % identified"),
         "noise 100 %",
-        noise,
+        lambda: judged(fit_reflectance(samples(1.0)), 80),
         slow=True,
     ),
     right(ALBEDO_OFF, "pictures times {}", exposed, ("1e-9", "1e9")),
@@ -343,13 +327,13 @@ CASES = table(
     right(
         below(5, "albedo off by {:.1f} %, {:.0f} % within the intervals"),
         "normals off by {} degrees",
-        tilted,
+        lambda angle: judged(fit_reflectance(samples(normals_off_deg=angle)), 90),
         ("1", "3", "10"),
     ),
     warns(
         measured("converged=False, albedo off by {:.1f} %"),
         "vertex fit with a budget of {}",
-        lambda budget: albedo_percent(unfinished(fit_reflectance(samples(), budget=budget))),
+        lambda budget: judged(unfinished(fit_reflectance(samples(), budget=budget))),
         BUDGETS,
     ),
     refuses(

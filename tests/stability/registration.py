@@ -135,10 +135,9 @@ CASES = table(
     warns(one_of_them, "two heads", two_heads, slow=True),
     warns(
         size,
-        {
-            "1.5 times too large": lambda: (1.5, found(person().scaled(1.5))[1]),
-            "1.5 times too small": lambda: (1 / 1.5, found(person().scaled(1 / 1.5))[1]),
-        },
+        "1.5 times too {}",
+        lambda scale: (scale, found(person().scaled(scale))[1]),
+        {"large": 1.5, "small": 1 / 1.5},
         slow=True,
     ),
     refuses(
