@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from unittest.mock import create_autospec
 
 import numpy as np
 import pytest
@@ -163,14 +164,9 @@ def test_visibility_has_the_derivatives_by_direction(lattice):
 
 
 def test_at_a_node_the_rays_of_one_node_serve(monkeypatch):
-    lattice, traced = _lattice(make_image("bumps")), []
-    reached = ShadowMap.reached
-
-    def counted(self, direction, *arguments):
-        traced.append(direction)
-        return reached(self, direction, *arguments)
-
-    monkeypatch.setattr(ShadowMap, "reached", counted)
+    lattice = _lattice(make_image("bumps"))
+    traced = create_autospec(ShadowMap.reached, side_effect=ShadowMap.reached)
+    monkeypatch.setattr(ShadowMap, "reached", traced)
     asked = np.array([[0.71, 0.13], [-0.73, 0.12]])
     nodes = lattice.nearest(asked)
     # Nodes are two of 32 cells apart.
@@ -178,14 +174,14 @@ def test_at_a_node_the_rays_of_one_node_serve(monkeypatch):
     assert lattice.nearest(nodes) == pytest.approx(nodes, abs=1e-12)
     for number, node in enumerate(nodes, 1):
         seen, slopes = lattice.visibility(MODEL, _at(*node))
-        assert len(traced) == number
-        assert traced[-1] == pytest.approx(MODEL.direction(*node))
+        assert traced.call_count == number
+        assert traced.call_args.args[1] == pytest.approx(MODEL.direction(*node))
         assert set(np.unique(seen)) == {0, 1}
         assert not slopes.any()
     lattice.visibility(MODEL, _at(*nodes[0]), 0.05)
-    assert len(traced) == 2, "another blur traced again"
+    assert traced.call_count == 2, "another blur traced again"
     lattice.visibility(MODEL, _at(*asked[0]))
-    assert len(traced) == 5
+    assert traced.call_count == 5
 
 
 def test_blurred_outlines_are_means_over_the_cells_that_are_there():
