@@ -76,7 +76,8 @@ def test_blocks_are_an_eighth_of_the_chart():
 
 def test_hidden_black_and_saturated_texels_do_not_vote():
     texture = np.full((64, 64, 3), 0.5, np.float32)
-    texture[20:22, 30], texture[30:33, 30] = 0, 1
+    texture[20:22, 30] = 0
+    texture[30:33, 30] = 1
     valid = np.ones((64, 64), bool)
     valid[40:44, 30] = False
     image = make_image(texture_linear=texture, texture_valid=valid)
