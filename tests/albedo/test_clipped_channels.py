@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from scan2albedo.albedo.saturation import restore_channels
+from scan2albedo.synthetic.scenes import texel_coordinates
 from scan2albedo.synthetic.textures import HEMOGLOBIN, MELANIN, smooth_noise
 
 SIZE = 96
@@ -12,12 +13,12 @@ SIZE = 96
 @pytest.fixture(scope="module")
 def pigments():
     """Two pigments over one tone, a disc of texels, and the source around it."""
-    axis = (np.arange(SIZE) + 0.5) / SIZE
-    uv = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
-    rng = np.random.default_rng(0)
-    melanin, blood = 0.1 * smooth_noise(uv, (30, 30), rng), 0.1 * smooth_noise(uv, (12, 12), rng)
-    absorbed = melanin[:, None] * MELANIN + blood[:, None] * HEMOGLOBIN
-    albedo = (np.array([0.6, 0.36, 0.25]) * np.exp(-absorbed)).reshape(SIZE, SIZE, 3)
+    uv, rng = texel_coordinates(SIZE), np.random.default_rng(0)
+    absorbed = sum(
+        0.1 * smooth_noise(uv, (bumps, bumps), rng)[:, None] * pigment
+        for bumps, pigment in ((30, MELANIN), (12, HEMOGLOBIN))
+    )
+    albedo = ([0.6, 0.36, 0.25] * np.exp(-absorbed)).reshape(SIZE, SIZE, 3)
     rows, columns = np.mgrid[:SIZE, :SIZE]
     return albedo, np.hypot(rows - 40, columns - 50) < 12
 
@@ -38,8 +39,7 @@ def test_two_survivors_tell_a_third_of_two_pigments(pigments):
     assert off < 0.05 * (albedo[disc].std(0) / albedo[disc].mean(0))[0]
     assert np.array_equal(restored[~lost], broken[~lost])
     assert np.array_equal(broken, before)
-    few = np.zeros_like(disc)
-    few[:5, :5] = True
+    few = np.indices(disc.shape).max(0) < 5
     assert restore_channels(broken, lost, few) is broken
 
 
@@ -47,8 +47,8 @@ def test_one_survivor_tells_most_of_the_others(pigments):
     albedo, disc = pigments
     broken, lost = _broken(albedo, disc, [0, 1])
     restored = restore_channels(broken, lost, ~disc)
-    left = np.abs(restored - albedo)[disc][:, :2].mean(0)
-    assert np.all(left < 0.2 * np.abs(broken - albedo)[disc][:, :2].mean(0))
+    left, before = (np.abs(image - albedo)[disc][:, :2].mean(0) for image in (restored, broken))
+    assert np.all(left < 0.2 * before)
     assert np.all(left < 0.6 * albedo[disc][:, :2].std(0))
 
 

@@ -36,8 +36,7 @@ def error(albedo, scene):
 @pytest.mark.slow
 def test_two_lights_tell_more_than_the_better_of_them():
     scenes = two_lights()
-    alone = [estimate_albedo(scene.image, options=COARSE).albedo_linear for scene in scenes]
-    errors = [error(one, scene) for one, scene in zip(alone, scenes, strict=True)]
+    errors = [error(estimate_albedo(s.image, options=COARSE).albedo_linear, s) for s in scenes]
     assert error(found().albedo_linear, scenes[0]) < min(errors), errors
 
 

@@ -9,15 +9,14 @@ from helpers.lit_scenes import angle_deg, lit_scene, percent_off
 
 from scan2albedo.albedo import EstimateOptions, albedo_error, estimate_albedo
 from scan2albedo.albedo.division import divide_light
-from scan2albedo.core import Budget
-from scan2albedo.synthetic import face, light_at
+from scan2albedo.synthetic import Material, face, light_at
 
 PAPER = EstimateOptions(objective="albedo-deviation")
 
 
 @pytest.fixture(scope="module")
 def frontal():
-    return lit_scene("hemisphere", "skin", (20, 10), size=96)
+    return lit_scene((20, 10), size=96)
 
 
 def _off_deg(estimate, scene):
@@ -31,7 +30,7 @@ def _off_deg(estimate, scene):
     [("hemisphere", "wood", 0.01, 4), ("hemisphere", "skin", 0.03, 4), ("bumps", "skin", 0.05, 9)],
 )
 def test_one_light(shape, kind, percent, off_deg, azimuth_deg):
-    scene = lit_scene(shape, kind, (azimuth_deg, 0), size=128)
+    scene = lit_scene((azimuth_deg, 0), shape=shape, kind=kind, size=128)
     estimate = estimate_albedo(scene.image, 1)
     error = albedo_error(estimate.albedo_linear, scene.albedo_linear, scene.image.mask)
     assert error.mse_percent <= percent
@@ -43,7 +42,7 @@ def test_one_light(shape, kind, percent, off_deg, azimuth_deg):
 
 def test_plain_albedo_under_oren_nayar_comes_out_flat_and_upright():
     """A flipped v axis, or a wrong sign of an angle, cannot pass: T/A must follow cos(theta)."""
-    scene = lit_scene("hemisphere", "plain", (35, 25), size=96, sigma=0.3)
+    scene = lit_scene((35, 25), kind="plain", size=96, material=Material(0.3))
     estimate = estimate_albedo(scene.image, 1)
     albedo = estimate.albedo_linear[scene.image.mask]
     assert albedo.std(0) / albedo.mean(0) == pytest.approx(0, abs=0.01)
@@ -52,44 +51,20 @@ def test_plain_albedo_under_oren_nayar_comes_out_flat_and_upright():
 
 
 def test_near_lamp_gets_its_distance():
-    scene = lit_scene("hemisphere", "skin", (30, 10, 2.0, 500), size=96)
+    scene = lit_scene((30, 10, 2.0, 500), size=96)
     estimate = estimate_albedo(scene.image, 1)
     assert estimate.plan.ran("albedo.near_light")
     assert estimate.lights[0].distance_mm == pytest.approx(500, rel=0.35)
     assert percent_off(estimate, scene) < 0.03
 
 
-@pytest.mark.slow
-def test_two_lamps_are_two_and_one_is_one():
-    lamps = [(50, 10, 2.0, 600), (-40, 15, 1.5, 600)]
-    scene = lit_scene("hemisphere", "skin", *lamps, size=96, specular=0.1)
-    estimate = estimate_albedo(scene.image)
-    assert len(estimate.lights) == 2
-    assert estimate.lights[0].intensity >= estimate.lights[1].intensity
-    for toward in scene.light_directions:
-        assert min(angle_deg(light, toward) for light in estimate.lights) < 6
-    assert percent_off(estimate, scene) < 0.05
-    single = lit_scene("hemisphere", "skin", lamps[0], size=96)
-    assert len(estimate_albedo(single.image).lights) == 1
-
-
-@pytest.mark.slow
-def test_saturated_texels_get_an_albedo_but_no_vote():
-    scene = lit_scene("hemisphere", "skin", (20, 10), size=96, peak=1.3)
-    clipped = scene.image.mask & (scene.image.texture_linear.max(-1) >= 0.995)
-    assert clipped.sum() > 100
-    estimate = estimate_albedo(scene.image, 1)
-    assert np.all(estimate.albedo_linear[clipped].max(-1) > 0)
-    assert np.all(estimate.confidence[clipped] == 0)
-    assert percent_off(estimate, scene) < 0.1
-
-
 @pytest.mark.parametrize("brdf", ["oren-nayar", "spherical-harmonics"])
 def test_streaks_where_nothing_was_seen_stay_out_of_the_albedo(frontal, brdf):
     """Beyond a scan's edge the nearest colours are stripes; the albedo goes on smoothly instead."""
-    image, streaked = frontal.image, frontal.image.texture_linear.copy()
-    hidden = image.mask & (np.indices(image.shape)[0] < 30)
-    streaked[hidden] = (streaked[30] * (1 + np.arange(len(hidden)) % 2)[:, None])[np.nonzero(hidden)[1]]
+    image, texture = frontal.image, frontal.image.texture_linear
+    hidden = image.mask & (np.arange(96) < 30)[:, None]
+    streaks = texture[30] * np.tile([[1], [2]], (48, 1))
+    streaked = np.where(hidden[..., None], streaks, texture).astype(np.float32)
     image = replace(image, texture_linear=streaked, texture_valid=image.mask & ~hidden)
     albedo = estimate_albedo(image, 1, brdf).albedo_linear
     steps = np.diff(np.log(np.maximum(albedo.max(-1), 1e-9)), axis=1)
@@ -121,15 +96,13 @@ def test_result_has_the_promised_fields_and_the_input_is_not_changed(frontal):
     estimate = estimate_albedo(image, 1, on_progress=rows.append)
     np.testing.assert_equal({name: vars(image)[name] for name in before}, before)
     assert tuple(rows) == estimate.trace.rows
-    shape = mask.shape
     assert estimate.albedo_linear.dtype == np.float32
-    assert estimate.albedo_linear.shape == (*shape, 3)
-    assert estimate.shading.shape == (*shape, 3)
+    assert estimate.albedo_linear.shape == estimate.shading.shape == (*mask.shape, 3)
     # White light, as nearly as the colours of skin can tell.
     assert np.ptp(estimate.shading, axis=-1)[mask].max() < 0.02
     assert estimate.environment.coefficients.shape == (9, 3)
     for field in (estimate.shading[..., 0], estimate.specular, estimate.shadow, estimate.confidence):
-        assert field.shape == shape
+        assert field.shape == mask.shape
         assert np.isfinite(field).all()
         assert np.all(field[~mask] == 0)
     assert np.all(estimate.albedo_linear[~mask] == 0)
@@ -146,16 +119,17 @@ def test_result_has_the_promised_fields_and_the_input_is_not_changed(frontal):
 def test_hue_and_saturation_stay_in_white_light_without_highlights(frontal):
     options = EstimateOptions(skip=("albedo.light_colour", "albedo.specular"))
     estimate = estimate_albedo(frontal.image, 1, options=options)
-    mask = frontal.image.mask & (frontal.image.texture_linear.max(-1) > 0)
-    texture, albedo = frontal.image.texture_linear[mask], estimate.albedo_linear[mask]
-    scale = albedo.max(1) / texture.max(1)
-    assert albedo == pytest.approx(texture * scale[:, None], rel=1e-5)
+    texture, albedo = frontal.image.texture_linear, estimate.albedo_linear
+    # Ratios of channels, without a division by black.
+    assert albedo * texture.max(-1, keepdims=True) == pytest.approx(
+        texture * albedo.max(-1, keepdims=True), rel=1e-5
+    )
 
 
 @pytest.mark.parametrize(
     ("make", "most"),
     [
-        (lambda: lit_scene("hemisphere", "skin", (20, 10), size=96), 0.05),
+        (lambda: lit_scene((20, 10), size=96), 0.05),
         (lambda: face(0, size=64, lights=[light_at(40, 15)]), 0.1),
     ],
 )
@@ -167,28 +141,16 @@ def test_relighting_with_its_own_lights_gives_the_texture_back(make, most, monke
     image = make().image
     estimate = estimate_albedo(image, 1)
     assert estimate.environment is not None
-    again, texture, mask = (
-        estimate.relit(estimate.lights, estimate.environment),
-        image.texture_linear,
-        image.mask,
-    )
+    again = estimate.relit(estimate.lights, estimate.environment)
+    texture, mask = image.texture_linear, image.mask
     # Light that no part stands for, and shadows that the picture shows otherwise, are not relit.
     assert np.linalg.norm((again - texture)[mask]) / np.linalg.norm(texture[mask]) < most
     assert estimate.relit(())[mask] == pytest.approx(estimate.albedo_linear[mask], abs=1e-6)
 
 
-def test_same_seed_and_budget_same_bits(frontal):
-    first, again = (
-        estimate_albedo(frontal.image, 1, budget=Budget(evaluations=900), seed=3, options=PAPER)
-        for _ in range(2)
-    )
-    assert np.array_equal(first.albedo_linear, again.albedo_linear)
-    assert first.lights == again.lights
-
-
 def test_parts_are_forced_by_the_caller(frontal):
-    parts = [f"albedo.{part}" for part in ("shadows", "near_light", "roughness", "specular")]
-    forced = estimate_albedo(frontal.image, 1, options=EstimateOptions(force=tuple(parts)))
+    parts = tuple(f"albedo.{part}" for part in ("shadows", "near_light", "roughness", "specular"))
+    forced = estimate_albedo(frontal.image, 1, options=EstimateOptions(force=parts))
     assert all(map(forced.plan.ran, parts))
 
 

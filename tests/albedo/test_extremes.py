@@ -12,7 +12,7 @@ from scan2albedo.synthetic import Material, face, hemisphere, light_at
 
 @pytest.fixture(scope="module")
 def plain():
-    return lit_scene("hemisphere", "skin", (30, 0))
+    return lit_scene((30, 0))
 
 
 def test_exposure_only_scales_the_albedo(plain):
@@ -33,12 +33,8 @@ def test_specular_scale_of_the_annotation_multiplies_the_highlight(plain):
     assert np.all(estimate.specular[:32] == 0)
 
 
-@pytest.mark.parametrize("depth", ["16 bits", "float"])
-def test_finer_quantisation_is_no_worse_than_8_bits(plain, depth):
-    image = lit_scene("hemisphere", "skin", (30, 0), quantize=False).image
-    if depth == "16 bits":
-        texture = np.round(image.texture_linear.astype(np.float64) * 65535) / 65535
-        image = replace(image, texture_linear=texture.astype(np.float32))
+def test_finer_quantisation_is_no_worse_than_8_bits(plain):
+    image = lit_scene((30, 0), bits=None).image
     errors = [np.sqrt(percent_off(estimate_albedo(one, 1), plain)) for one in (image, plain.image)]
     # The search ends a little elsewhere on any change of its input: 10 % are granted to it.
     assert errors[0] <= 1.1 * errors[1]
@@ -55,7 +51,7 @@ def test_the_unit_of_length_matters_to_shadow_offsets_and_lamp_distances_alone(p
 @pytest.mark.slow
 def test_a_symmetric_surface_lit_symmetrically():
     """Light and its mirror image explain such a picture alike; the albedo must not care."""
-    frontal = lit_scene("bumps", "plain", (0, 0), size=96)
+    frontal = lit_scene((0, 0), shape="bumps", kind="plain", size=96)
     assert frontal.image.texture_linear == pytest.approx(frontal.image.texture_linear[:, ::-1], abs=1e-6)
     estimate = estimate_albedo(frontal.image)
     albedo = estimate.albedo_linear
@@ -74,7 +70,7 @@ def test_a_pair_of_lights_that_looks_like_one_costs_the_albedo_little(make):
 
 @pytest.mark.parametrize("scale", [1e-6, 1e6])
 def test_cast_shadows_in_another_unit(scale):
-    scene = lit_scene("bumps", "skin", (45, 0), size=96)
+    scene = lit_scene((45, 0), shape="bumps", size=96)
     estimate = estimate_albedo(replace(scene.image, position=scene.image.position * scale), 1)
     assert estimate.plan.ran("albedo.shadows")
     assert percent_off(estimate, scene) < 0.02

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.lit_scenes import hemisphere_geometry
+from helpers.measures import rms
 from scipy.ndimage import binary_erosion
 
 from scan2albedo.albedo.levels import (
@@ -37,17 +38,15 @@ def level(image):
     return level_of(image)
 
 
-def test_means_equal_a_loop_over_cells(image, level):
+def test_values_and_weights_are_means_of_the_usable_texels_of_a_cell(image, level):
     usable = usable_texels(image)
-    value, means, weights = brightest_around(image.texture_linear, usable), [], []
-    for row in range(0, 64, 4):
-        for column in range(0, 64, 4):
-            chosen = usable[row : row + 4, column : column + 4]
-            if chosen.any():
-                means.append(value[row : row + 4, column : column + 4][chosen].mean())
-                weights.append(chosen.mean())
-    assert level.value * level.unit == pytest.approx(np.array(means))
-    assert level.weight == pytest.approx(np.array(weights))
+    number, total = (
+        field.reshape(16, 4, 16, 4).sum((1, 3))
+        for field in (usable, np.where(usable, brightest_around(image.texture_linear, usable), 0))
+    )
+    some = number > 0
+    assert level.value * level.unit == pytest.approx(total[some] / number[some])
+    assert level.weight == pytest.approx(number[some] / 16)
     assert cell_means(level, image.position[image.mask][:, 0], image.mask) == pytest.approx(
         level.position[:, 0]
     )
@@ -60,9 +59,7 @@ def test_means_equal_a_loop_over_cells(image, level):
 def test_cells_weigh_by_their_skin_where_there_is_any(image, level):
     usable, right = usable_texels(image), level.cell[:, 1] >= 8
     skin = np.where(np.arange(64) < 32, 0.0, 0.8) * np.ones((64, 1))
-    weight, alike = (
-        build_level(make_image(skin=some), usable, 16).weight for some in (skin, np.zeros((64, 64)))
-    )
+    weight, alike = (build_level(make_image(skin=some), usable, 16).weight for some in (skin, 0 * skin))
     # A beard is lit, too.
     assert weight == pytest.approx(np.where(right, 0.8, 0.25) * level.weight)
     assert alike == pytest.approx(level.weight)
@@ -79,13 +76,13 @@ def test_blocks_are_an_eighth_of_the_chart():
 
 def test_hidden_black_and_saturated_texels_do_not_vote():
     texture = np.full((64, 64, 3), 0.5, np.float32)
-    texture[20:24, 30] = 0
-    texture[30:34, 30] = 1
+    texture[20:22, 30] = 0
+    texture[30:33, 30] = 1
     valid = np.ones((64, 64), bool)
     valid[40:44, 30] = False
     image = make_image(texture_linear=texture, texture_valid=valid)
     out = image.mask & ~usable_texels(image)
-    assert sorted(np.nonzero(out)[0]) == [*range(20, 24), *range(30, 34), *range(40, 44)]
+    assert np.nonzero(out)[0].tolist() == [20, 21, 30, 31, 32, 40, 41, 42, 43]
 
 
 def test_cell_field_is_linear_between_the_cells(image, level):
@@ -114,8 +111,8 @@ def test_values_of_cells_follow_the_surface(image, level):
     values = np.stack([np.ones(len(level.value)), level.anchor[:, 0]], 1)
     found = along_surface(level, values, image)
     assert found[:, 0] == pytest.approx(1)
-    off = found[:, 1] - image.position[image.mask][:, 0]
-    assert np.sqrt(np.mean(off**2)) < 0.02 * np.ptp(image.position[image.mask][:, 0])
+    x = image.position[image.mask][:, 0]
+    assert rms(found[:, 1] - x) < 0.02 * np.ptp(x)
 
 
 def test_values_of_cells_do_not_leak_over_a_cut(image):
@@ -123,16 +120,13 @@ def test_values_of_cells_do_not_leak_over_a_cut(image):
     position[:, 32:] += [0, 0, 400.0]
     apart = replace(image, position=position)
     level = level_of(apart)
-    right = level.center[:, 1] > 31.5
-    found = along_surface(level, right[:, None].astype(float), apart)[:, 0]
-    assert found == pytest.approx((np.argwhere(image.mask)[:, 1] > 31.5).astype(float), abs=0.01)
+    right, there = (1.0 * (place[:, 1] > 31.5) for place in (level.center, np.argwhere(image.mask)))
+    assert along_surface(level, right[:, None], apart)[:, 0] == pytest.approx(there, abs=0.01)
 
 
 def test_noise_does_not_brighten_the_value_that_the_search_sees():
-    rng = np.random.default_rng(0)
-    grey = np.float32(0.3 + 0.05 * rng.standard_normal((64, 64, 3)))
+    grey = np.float32(0.3 + 0.05 * np.random.default_rng(0).standard_normal((64, 64, 3)))
     everywhere = np.ones((64, 64), bool)
-    assert grey.max(-1).mean() == pytest.approx(0.3 + 0.846 * 0.05, abs=0.002)
     assert brightest_around(grey, everywhere).mean() == pytest.approx(0.3, abs=0.004)
 
 
@@ -147,8 +141,7 @@ def test_the_value_follows_the_brightest_channel_and_leaves_unusable_texels_out(
 
 def test_cells_lie_on_the_face_and_are_as_small_as_those_of_a_face_alone():
     whole = make_image(128)
-    on_face = np.zeros(whole.shape, bool)
-    on_face[40:90, 40:90] = whole.mask[40:90, 40:90]
+    on_face = whole.mask & (np.abs(np.indices(whole.shape) - 64.5).max(0) < 25)
     other = whole.texture_linear.copy()
     other[:24] = 0.9
     other[:, 106:] = 0.1  # beside the face, beyond the windows in which colours are compared
@@ -159,5 +152,5 @@ def test_cells_lie_on_the_face_and_are_as_small_as_those_of_a_face_alone():
     assert level.factor == int(np.ceil(128 * np.sqrt(on_face.sum() / whole.mask.sum()) / 16))
     assert level.texels == on_face.sum()
     np.testing.assert_array_equal(level_of(other).color, level.color)
-    nowhere = make_image(128, on_face=np.zeros(whole.shape, bool))
+    nowhere = make_image(128, on_face=on_face & False)
     assert len(level_of(nowhere).value) == len(level_of(whole).value)

@@ -5,27 +5,27 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.lit_scenes import direction, lit_image, lit_scene
+from helpers.lit_scenes import lamps_and_waves, lit_image, lit_scene
 
 from scan2albedo.albedo.light_colour import light_colours
 from scan2albedo.albedo.node_field import Scales
 from scan2albedo.albedo.posterior import descend
 from scan2albedo.albedo.prior import MEANS, AlbedoPrior
-from scan2albedo.lighting.shading import Reflectance, lamp_factors
+from scan2albedo.core.arrays import on_grid
+from scan2albedo.synthetic import Material, light_at
+from scan2albedo.synthetic.renderer import render
 
 LAMP = (50, 10)
 INTENSITY = 2.0
-VIEW = (0.0, 0.0, 1.0)
 WARM = np.array([1.4, 1.0, 0.6])
 TINT = np.array([1.05, 1.0, 0.91])
 STATIONARY = AlbedoPrior.stationary()
-TOWARD = direction(*LAMP)
-GLOSS = Reflectance("lambert", 0.0, 0.15, 10.0)
+GLOSS = Material(0.0, 0.15, 10.0)
 
 
 @pytest.fixture(scope="module")
 def ball():
-    return lit_scene("hemisphere", "skin", (*LAMP, INTENSITY), quantize=False)
+    return lit_scene((*LAMP, INTENSITY), bits=None)
 
 
 @pytest.fixture(scope="module")
@@ -44,21 +44,19 @@ def lit(ball):
     """
 
     def at(color=np.ones(3), albedo=ball.albedo_linear, prior=STATIONARY, tint=1.0, gloss=None):
-        image, mask = ball.image, ball.image.mask
-        cosine = np.maximum(image.normal @ TOWARD, 0)[..., None]
-        texture = 0.3 * albedo * (1 + INTENSITY * cosine * color)
-        if gloss is not None:
-            surface = image.position[mask], image.normal[mask].astype(float), np.ones(mask.sum())
-            lobe = lamp_factors(*surface, TOWARD, 0.0, np.array([VIEW]), GLOSS)[1][:, None]
-            texture[mask] += 0.3 * GLOSS.specular_strength * INTENSITY * lobe * color
-        image = replace(image, texture_linear=(texture * tint * mask[..., None]).astype(np.float32))
+        mask, material = ball.image.mask, Material(0.0) if gloss is None else GLOSS
+        surface = ball.image.position[mask], ball.image.normal[mask], albedo[mask]
+        shown = render(*surface, [light_at(*LAMP, intensity=INTENSITY)], material=material)
+        by_lamp = (shown.radiance_linear - albedo[mask]) * color
+        texture = np.float32(0.3 * tint * (albedo[mask] + by_lamp))
+        image = replace(ball.image, texture_linear=on_grid(mask, texture))
         scene = lit_image(image, brdf="lambert", prior=prior)
         model, problem = scene.model(1), scene.posterior(40)
-        x, known = model.from_lights(TOWARD[None], np.array([INTENSITY])), problem.started(Scales())
+        x, known = lamps_and_waves(model, (LAMP,), (INTENSITY,)), problem.started(Scales())
         if gloss is None:
             return descend(problem.start(model, x, known), 10, problem.meter)
         strength = gloss * 0.3 * GLOSS.specular_strength / problem.level.unit
-        x = np.append(x, [strength, math.log(GLOSS.exponent)])
+        x = np.append(x, [strength, math.log(GLOSS.specular_exponent)])
         point = problem.start(replace(model, specular=True), x, known)
         return point.moved(np.zeros(len(point.x)))
 

@@ -1,7 +1,6 @@
 """Priors of the light: their derivatives, and the log odds of a part against the closed form."""
 
 import math
-import re
 
 import numpy as np
 import pytest
@@ -43,24 +42,16 @@ def test_slope_and_curvature_are_those_of_the_cost(skin):
 
 
 def test_lamps_of_any_direction_are_alike_and_each_more_is_less_probable():
-    model = _model(1)
     x = np.array([0.1, 0.2, 0.4, -0.8, 1.0])
-    turned = np.array([-0.9, 0.5, 0.4, -0.8, 1.0])
-    assert (
-        light_prior(model, x, *LEVEL, False, 1.0).cost == light_prior(model, turned, *LEVEL, False, 1.0).cost
-    )
-    costs = [
-        light_prior(_model(n), np.append(np.tile(x[:3], n), x[3:]), *LEVEL, False, 1.0).cost for n in range(3)
-    ]
+
+    def cost(lights, y):
+        return light_prior(_model(lights), y, *LEVEL, False, 1.0).cost
+
+    assert cost(1, x) == cost(1, np.append([-0.9, 0.5], x[2:]))
+    none, one, two = (cost(n, np.append(np.tile(x[:3], n), x[3:])) for n in range(3))
     # Density over the sphere and of the strength, half as probable; lamps may stand in either order.
-    each = costs[1] - costs[0]
-    assert each > math.log(2) + math.log(4 * math.pi)
-    assert costs[2] - costs[1] == pytest.approx(each - math.log(2))
-
-
-def _odds(plan, stage):
-    (row,) = [step for step in plan if step.stage == stage]
-    return float(re.fullmatch(r"log odds (-?[\d.]+)", row.evidence)[1])
+    assert one - none > math.log(2) + math.log(4 * math.pi)
+    assert two - one == pytest.approx(one - none - math.log(2))
 
 
 @pytest.mark.parametrize(("seen", "noise"), [(0.2, 0.05), (0.95, 0.1), (0.5, 1.0)])
@@ -76,7 +67,8 @@ def test_log_odds_of_a_part_are_the_ratio_of_evidences(seen, noise):
 
     expected = log_normal(seen, mean, deviation**2 + noise**2) - log_normal(seen, 1.0, noise**2)
     plan = parts_steps(model, np.array([x]), np.array([[1 / precision]]), rows, EstimateOptions())
-    assert _odds(plan, "albedo.occlusion") == pytest.approx(expected, abs=0.051)
+    (told,) = [step.evidence for step in plan if step.stage == "albedo.occlusion"]
+    assert float(told.removeprefix("log odds ")) == pytest.approx(expected, abs=0.051)
 
 
 def test_every_part_has_a_row_that_says_why_it_is_not_in_the_model():

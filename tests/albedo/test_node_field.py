@@ -11,7 +11,7 @@ from scan2albedo.albedo.prior import AlbedoPrior
 
 @pytest.fixture(scope="module", params=["stationary", "faces"])
 def posterior(request):
-    image = lit_scene("hemisphere", "skin", (60, 0, 8.0)).image
+    image = lit_scene((60, 0, 8.0)).image
     return lit_image(image, prior=getattr(AlbedoPrior, request.param)()).posterior(24)
 
 

@@ -52,7 +52,7 @@ TEXTURES = {
     "an edge": lambda rng: np.where(np.arange(SIZE) < 90, 0.4, 1.0) * np.ones((SIZE, 1)),
     "spots of three texels": _spots,
     "stripes of three texels' period": lambda rng: (
-        1 + 0.2 * np.sin(np.arange(SIZE) * 2 * np.pi / 3 + 0 * rng.random((SIZE, 1)))
+        1 + 0.2 * np.sin(np.arange(SIZE) * 2 * np.pi / 3) * np.ones((SIZE, 1))
     ),
     "noise enlarged by resampling": lambda rng: (
         1 + 0.05 * zoom(rng.standard_normal((SIZE // 2, SIZE // 2)), 2, order=1)
@@ -79,9 +79,9 @@ def test_texels_that_are_not_usable_do_not_count(rng):
 def test_fields_of_a_stack_do_not_touch_one_another(rng):
     fields = np.stack([_smooth(rng, 2, 0.1), 0.05 * _white_noise(rng), np.ones((SIZE, SIZE))])
     usable = rng.random((SIZE, SIZE)) > 0.2
-    together = np.moveaxis(white_variance(np.moveaxis(fields, 0, -1), usable), -1, 0)
-    for field, found in zip(fields, together, strict=True):
-        assert np.array_equal(white_variance(field[..., None], usable)[..., 0], found)
+    together = white_variance(np.moveaxis(fields, 0, -1), usable)
+    for number, field in enumerate(fields):
+        assert np.array_equal(white_variance(field[..., None], usable)[..., 0], together[..., number])
 
 
 def test_means_over_a_window_are_the_same_for_a_field_and_its_channels(rng):
@@ -101,18 +101,13 @@ def _channels(relative):
     return channel_noise(relative, relative * around, around, np.ones_like(relative), EVERYWHERE)
 
 
-def test_noise_of_each_channel_is_found(rng):
-    noise = _channels(1 + 0.03 * _white_noise(rng, 3))
+@pytest.mark.parametrize(("shared", "own"), [(0.0, 0.03), (0.05, 0.015)])
+def test_noise_of_each_channel_and_noise_that_they_nearly_share_is_found(shared, own, rng):
+    noise = _channels(1 + shared * _white_noise(rng, 1) + own * _white_noise(rng, 3))
     assert noise.lead == 0
-    assert np.median(noise.leading) == pytest.approx(0.03**2, rel=0.25)
-    assert np.median(noise.beside[..., 1]) == pytest.approx(2 * 0.03**2, rel=0.15)
+    assert np.median(noise.leading) == pytest.approx(shared**2 + own**2, rel=0.25)
+    assert np.median(noise.beside[..., 1]) == pytest.approx(2 * own**2, rel=0.15)
     assert np.all(noise.beside[..., 0] == 0)
-
-
-def test_noise_that_the_channels_nearly_share_is_found(rng):
-    shared, own = 0.05 * _white_noise(rng, 1), 0.015 * _white_noise(rng, 3)
-    noise = _channels(1 + shared + own)
-    assert np.median(noise.leading) == pytest.approx(0.05**2 + 0.015**2, rel=0.25)
 
 
 def test_white_texture_moves_all_channels_and_is_no_noise(rng):

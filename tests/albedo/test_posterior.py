@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.lit_scenes import angle_deg, direction, lit_image, lit_scene
+from helpers.lit_scenes import angle_deg, direction, lamps_and_waves, lit_image, lit_scene
 
 from scan2albedo.albedo.node_field import Scales
 from scan2albedo.albedo.posterior import Point, descend, robust_weights
@@ -17,23 +17,19 @@ TOWARD = direction(*LAMP)
 
 @pytest.fixture(scope="module")
 def bumps():
-    return lit_scene("bumps", "skin", LAMP).image
+    return lit_scene(LAMP, shape="bumps").image
 
 
 @pytest.fixture(scope="module")
 def ball():
-    return lit_scene("hemisphere", "skin", LAMP).image
+    return lit_scene(LAMP).image
 
 
 def _start(image, lights=1, parts=(), angles=(LAMP, (-40, 20)), budget=Budget()):
     """Return where a descent begins: lamps, and parts of the light, in a posterior of 24 cells a side."""
     scene = lit_image(image, budget=budget, force=("albedo.shadows",))
     model = replace(scene.model(lights), **dict.fromkeys(parts, True))
-    toward = np.array([direction(*angle) for angle in angles[:lights]]).reshape(-1, 3)
-    x = model.from_lights(toward, np.array([2.0, 0.7])[:lights])
-    if model.environment:
-        x[-8:] = np.random.default_rng(1).uniform(-0.15, 0.15, 8)
-    problem = scene.posterior(24)
+    x, problem = lamps_and_waves(model, angles, (2.0, 0.7)), scene.posterior(24)
     return problem.start(model, x, problem.started(Scales()))
 
 
@@ -70,20 +66,12 @@ def test_gradient_is_the_slope_of_the_cost_with_the_albedo_following(bumps, ligh
     for way in step * np.eye(len(point.x)):
         ahead, behind = (_settled(point.moved(moved), 3) for moved in (way, -way))
         slopes.append((ahead.cost - ahead.prior.cost - behind.cost + behind.prior.cost) / (2 * step))
-    # A lamp's cast shadows move with its direction alone, not with its distance.
-    known = np.ones(len(slopes), bool)
     if point.model.near:
-        known[point.model.position_of("near")] = False
-    expected = np.array(slopes)[known]
-    assert gradient[known] == pytest.approx(expected, rel=0.02, abs=0.02 * np.abs(expected).max())
+        # A lamp's cast shadows move with its direction alone, not with its distance.
+        gradient, slopes = (np.delete(k, point.model.position_of("near")) for k in (gradient, slopes))
+    assert gradient == pytest.approx(np.array(slopes), rel=0.02, abs=0.02 * np.abs(slopes).max())
     assert matrix == pytest.approx(matrix.T)
     assert np.linalg.eigvalsh(matrix).min() > 0
-
-
-def test_the_scale_of_albedo_and_exposure_are_one(ball):
-    """A start has the scale that fits best; a picture four times as dark has the same cost."""
-    dark = replace(ball, texture_linear=ball.texture_linear * np.float32(0.25))
-    assert _start(dark).cost == pytest.approx(_start(ball).cost, rel=1e-5)
 
 
 @pytest.mark.parametrize("parts", [(), ALL])
@@ -122,7 +110,7 @@ def test_descent_takes_no_more_evaluations_than_it_may(ball):
 
 def test_evidence_is_for_a_lamp_that_is_there_and_against_one_that_is_not(ball):
     gains = []
-    for image in (ball, lit_scene("hemisphere", "skin").image):
+    for image in (ball, lit_scene().image):
         without, with_lamp = (_descended(_start(image, n), 30).log_evidence() for n in (0, 1))
         gains.append(with_lamp - without)
     assert gains[0] > 3
@@ -133,7 +121,7 @@ def test_scales_follow_the_grain_of_the_picture():
     """Without any albedo to explain, deviations of albedo fall; with strong grain, they rise."""
     scales = []
     for kind in ("plain", "wood"):
-        point = _start(lit_scene("hemisphere", kind, LAMP).image)
+        point = _start(lit_scene(LAMP, kind=kind).image)
         for _ in range(3):
             point = point.rescaled()
         scales.append((point.known.scales.albedo, point.known.scales.grain))
@@ -151,15 +139,6 @@ def test_the_scale_of_light_falls_where_the_light_is_right_and_not_where_it_is_w
     )
     assert right_scale < 0.8
     assert wrong_scale > 1.2 * right_scale
-
-
-def test_the_light_is_less_sure_where_it_is_dark(ball):
-    point = _descended(_start(ball), 20)
-    deviation = point.light_deviation()
-    cosine = point.problem.level.normal @ TOWARD
-    assert np.isfinite(deviation).all()
-    assert (deviation >= 0).all()
-    assert deviation[cosine < 0].mean() > 1.2 * deviation[cosine > 0.6].mean()
 
 
 def test_a_few_odd_cells_hardly_move_the_light(ball):

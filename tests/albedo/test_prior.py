@@ -9,6 +9,7 @@ from helpers.npz import rewritten
 from scan2albedo.albedo.prior import MEANS, NODES, AlbedoPrior
 from scan2albedo.errors import LightingError
 from scan2albedo.face_model import default_model
+from scan2albedo.synthetic.textures import landmark_uv
 
 BROWS = range(17, 27)
 LIPS = (50, 52, 57)
@@ -23,11 +24,8 @@ def prior(request):
 
 def landmark_places(numbers):
     """Row and column of landmarks on the default chart."""
-    model = default_model()
-    points = model.landmark_points
-    corners = model.uv[model.control_faces[points.face]]
-    uv = np.einsum("nk,nkj->nj", points.barycentric, corners)[list(numbers)]
-    return np.stack([1 - uv[:, 1], uv[:, 0]], 1)
+    u, v = landmark_uv(default_model())[list(numbers)].T
+    return np.stack([1 - v, u], 1)
 
 
 @pytest.mark.parametrize("channel", range(3))

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from unittest.mock import create_autospec
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from scan2albedo.albedo.lit_image import CONE_RAD
 from scan2albedo.albedo.shadows import LEAST_SHADOW, Horizon, ShadowLattice, shadow_caster
 from scan2albedo.core import Meter
 from scan2albedo.core.geometry_image import GeometryImage
+from scan2albedo.geometry.mesh import join, normalized
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.environment_light import SKY
@@ -104,25 +106,21 @@ def test_a_dense_chart_casts_its_shadows_with_every_texel():
     position[129, 129, 2] += 30
     caster, _ = _decide(replace(image, position=position))
     beside = position[129, 128] + [0, 0, 15]
-    along = position[129, 129] - position[129, 128]
-    along[2] = 0
-    assert caster.occluded(beside[None], (along / np.linalg.norm(along))[None]).tolist() == [True]
+    along = (position[129, 129] - position[129, 128]) * [1, 1, 0]
+    assert caster.occluded(beside[None], normalized(along[None])).tolist() == [True]
 
 
 def test_an_occluder_beyond_the_chart_counts():
     image = make_image("hemisphere")
-    vertices, faces = image.triangulated()
     corners, square = grid(2, 2)
     roof = corners[:, [2, 0, 1]] * [1, 120, 60] + [60, -60, 60]
-    both = np.vstack([vertices, roof]), np.vstack([faces, len(vertices) + square])
-    _, step = _decide(replace(image, occluder=both))
+    _, step = _decide(replace(image, occluder=join([image.triangulated(), (roof, square)])))
     assert step.ran
 
 
 def test_a_surface_without_triangles_casts_none():
     image = make_image("hemisphere")
-    lone = np.zeros_like(image.mask)
-    lone[::2, ::2] = image.mask[::2, ::2]
+    lone = image.mask & (np.indices(image.shape) % 2 == 0).all(0)
     for force in ((), ("albedo.shadows",)):
         caster, step = _decide(replace(image, mask=lone), force=force)
         assert caster is None
@@ -132,9 +130,7 @@ def test_a_surface_without_triangles_casts_none():
 def test_a_chart_whose_coarse_mesh_has_no_triangle_uses_its_own():
     """Strips of two texels fall between the texels that the decision looks at."""
     image = make_image("bumps", 256)
-    strips = np.zeros_like(image.mask)
-    for row in range(1, 255, 4):
-        strips[row : row + 2] = True
+    strips = image.mask & np.isin(np.arange(256) % 4, (1, 2))[:, None]
     _, step = _decide(replace(image, mask=strips))
     assert step.evidence != "0 faces"
 
@@ -148,34 +144,29 @@ MODEL = LightModel(1, "oren-nayar", (0.0, 0.0, 1.0), 100.0, near=True)
 
 
 def test_visibility_is_continuous_in_direction_and_nearness(lattice):
-    seen = [lattice.visibility(MODEL, _at(0.7, 0.1, near))[0] for near in np.linspace(0, 0.4, 401)]
-    jumps = np.abs(np.diff(seen, axis=0)).max((1, 2))
-    # From one node to the next, 0.125 apart, a cell goes from lit to hidden at most.
-    assert jumps.max() < 1.1 * 0.001 / 0.125
-    assert np.abs(seen[-1] - seen[0]).max() > 0.9
-    across = [lattice.visibility(MODEL, _at(p, 0.1, 0.1))[0] for p in np.linspace(0.5, 0.9, 401)]
-    assert np.abs(np.diff(across, axis=0)).max() < 1.1 * 0.001 / 0.0625
+    lamps = [[_at(0.7, 0.1, t) for t in np.linspace(0, 0.4, 401)]]
+    lamps += [[_at(t, 0.1, 0.1) for t in np.linspace(0.5, 0.9, 401)]]
+    # From one node to the next, 0.125 or 0.0625 apart, a cell goes from lit to hidden at most.
+    for moved, spacing in zip(lamps, (0.125, 0.0625), strict=True):
+        seen = np.array([lattice.visibility(MODEL, lamp)[0] for lamp in moved])
+        assert np.abs(np.diff(seen, axis=0)).max() < 1.1 * 0.001 / spacing
+        assert np.abs(seen[-1] - seen[0]).max() > 0.9
 
 
 def test_visibility_has_the_derivatives_by_direction(lattice):
     x = _at(0.71, 0.13, 0.07)
     step = 1e-3
     slopes = lattice.visibility(MODEL, x)[1][0]
-    for k in (0, 1):
-        moved = [lattice.visibility(MODEL, x + sign * step * np.eye(4)[k])[0][0] for sign in (1, -1)]
-        assert slopes[k] == pytest.approx((moved[0] - moved[1]) / (2 * step), abs=0.05)
+    for k, way in enumerate(step * np.eye(4)[:2]):
+        ahead, behind = (lattice.visibility(MODEL, moved)[0][0] for moved in (x + way, x - way))
+        assert slopes[k] == pytest.approx((ahead - behind) / (2 * step), abs=0.05)
     assert np.abs(slopes).max() > 1
 
 
 def test_at_a_node_the_rays_of_one_node_serve(monkeypatch):
-    lattice, traced = _lattice(make_image("bumps")), []
-    reached = ShadowMap.reached
-
-    def counted(self, direction, *arguments):
-        traced.append(direction)
-        return reached(self, direction, *arguments)
-
-    monkeypatch.setattr(ShadowMap, "reached", counted)
+    lattice = _lattice(make_image("bumps"))
+    traced = create_autospec(ShadowMap.reached, side_effect=ShadowMap.reached)
+    monkeypatch.setattr(ShadowMap, "reached", traced)
     asked = np.array([[0.71, 0.13], [-0.73, 0.12]])
     nodes = lattice.nearest(asked)
     # Nodes are two of 32 cells apart.
@@ -183,14 +174,14 @@ def test_at_a_node_the_rays_of_one_node_serve(monkeypatch):
     assert lattice.nearest(nodes) == pytest.approx(nodes, abs=1e-12)
     for number, node in enumerate(nodes, 1):
         seen, slopes = lattice.visibility(MODEL, _at(*node))
-        assert len(traced) == number
-        assert traced[-1] == pytest.approx(MODEL.direction(*node))
+        assert traced.call_count == number
+        assert traced.call_args.args[1] == pytest.approx(MODEL.direction(*node))
         assert set(np.unique(seen)) == {0, 1}
         assert not slopes.any()
     lattice.visibility(MODEL, _at(*nodes[0]), 0.05)
-    assert len(traced) == 2, "another blur traced again"
+    assert traced.call_count == 2, "another blur traced again"
     lattice.visibility(MODEL, _at(*asked[0]))
-    assert len(traced) == 5
+    assert traced.call_count == 5
 
 
 def test_blurred_outlines_are_means_over_the_cells_that_are_there():
@@ -213,7 +204,7 @@ def test_nothing_is_hidden_where_nothing_casts_shadows():
     open_sky = ShadowLattice(_level(make_image("hemisphere")), None)
     seen, slopes = open_sky.visibility(MODEL, _at(0.5, 0.1, 0.2))
     assert np.all(seen == 1)
-    assert np.all(slopes == 0)
+    assert not slopes.any()
 
 
 @pytest.mark.parametrize("cells", [32, 64])

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.lit_scenes import hemisphere_geometry
-from scipy import sparse
+from helpers.lit_scenes import hemisphere_geometry, lamps_and_waves
 
 from scan2albedo.albedo.light_parameters import LightModel
 from scan2albedo.albedo.soft_terms import DARKEST, SoftTerms
@@ -27,11 +26,11 @@ def surface():
     normal = normal[mask]
     rng = np.random.default_rng(0)
     patches = 20
-    up = sparse.csr_matrix(rng.uniform(0, 1, (len(normal), patches)) ** 8)
-    up = sparse.csr_matrix(up / up.sum(1))
+    up = rng.uniform(0, 1, (len(normal), patches)) ** 8
+    up /= up.sum(1, keepdims=True)
     factors = rng.uniform(0, 0.3 / patches, (patches, patches))
     transfer = open_transfer(normal) * rng.uniform(0.5, 1, (len(normal), 1))
-    down = sparse.csr_matrix((up / up.sum(0)).T)
+    down = (up / up.sum(0)).T
     return normal, SoftTerms(transfer, lambda light: up @ (factors @ (down @ light)))
 
 
@@ -49,12 +48,7 @@ def _lit(surface, model, x):
 
 def _inner_x(model):
     """Return parameters away from their bounds."""
-    toward = np.array([[0.4, 0.1, 0.9], [-0.5, 0.3, 0.8]])[: model.lights]
-    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
-    x = model.from_lights(toward, np.array([1.5, 0.8])[: model.lights])
-    if model.environment:
-        x[-8:] = np.random.default_rng(1).uniform(-0.15, 0.15, 8)
-    return x
+    return lamps_and_waves(model, ((24, 6), (-32, 18)), (1.5, 0.8))
 
 
 @pytest.mark.parametrize(

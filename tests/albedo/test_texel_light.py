@@ -1,6 +1,7 @@
 """The light found, on every texel and in its colours: without members the paper's, with them their mean."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from scan2albedo.albedo.node_field import Scales
 from scan2albedo.albedo.prior import AlbedoPrior
 from scan2albedo.albedo.result import shade_image
 from scan2albedo.albedo.shadows import OUTLINE_BLURS
-from scan2albedo.albedo.texel_light import light_on_texels
+from scan2albedo.albedo.texel_light import _Expected, _seen_shadows, light_on_texels
 from scan2albedo.synthetic import face, light_at
 
 WEAK = light_at(-50, 10, intensity=1.0)
@@ -44,10 +45,11 @@ def _found(scene, solution, shift=0.0, spread=0.0, **colours):
     """Return a solution as the best explanation, in white light but for what `colours` replaces."""
     level, problem = scene.at(40).level, scene.posterior(40, OUTLINE_BLURS[0])
     point = problem.start(solution.model, solution.x, problem.started(Scales()))
+    cells = np.ones((len(level.value), 3))
     shown = replace(light_colours(point, False), **colours)
-    none = np.zeros(len(level.value))
-    told = Explanation(point, shown, level, none[:, None] + np.zeros(3) + shift, none + spread)
-    return LightFound(solution, [], explanation=told)
+    return LightFound(
+        solution, [], explanation=Explanation(point, shown, level, shift * cells, spread * cells[:, 0])
+    )
 
 
 def _rays(scene, solution, environment=None):
@@ -57,20 +59,17 @@ def _rays(scene, solution, environment=None):
     return shade_image(*surface, environment).light_linear
 
 
-def test_without_members_the_light_is_that_of_the_lamps_under_constant_ambient_light(lit_face):
-    solution = _solution(lit_face)
+@pytest.mark.parametrize(("tail", "parts"), [((), {}), ([1.0, *[0.0] * 9], SOFT)], ids=["without", "plain"])
+def test_without_soft_light_or_at_its_plain_values_all_is_lamps_under_constant_light(lit_face, tail, parts):
+    solution = _solution(lit_face, tail=tail, **parts)
     lit = light_on_texels(lit_face, LightFound(solution, []))
-    assert lit.environment is None
     assert lit.light_linear == pytest.approx(_rays(lit_face, solution), rel=1e-6)
     assert [lamp.intensity for lamp in lit.lights] == pytest.approx([3, 1])
     assert not lit.deviation.any()
-
-
-def test_soft_light_at_its_plain_values_is_constant_light(lit_face):
-    solution = _solution(lit_face, tail=[1.0, 0.0, *[0.0] * 8], **SOFT)
-    lit = light_on_texels(lit_face, LightFound(solution, []))
-    assert lit.light_linear == pytest.approx(_rays(lit_face, solution), abs=1e-6)
-    assert (lit.environment.fill, lit.environment.bounce) == (1, 0)
+    if parts:
+        assert (lit.environment.fill, lit.environment.bounce) == (1, 0)
+    else:
+        assert lit.environment is None
 
 
 def test_light_that_was_found_is_that_of_its_lamps_and_environment(lit_face):
@@ -142,22 +141,23 @@ def test_what_other_explanations_add_is_on_every_texel(lit_face):
 
 
 def test_colour_tells_which_part_of_a_lamp_reaches_a_texel_whose_brightness_does_not():
-    from types import SimpleNamespace
-
-    from scan2albedo.albedo.texel_light import _Expected, _seen_shadows
-
     mask, columns = np.ones((20, 20), bool), np.arange(400) % 20
-    part = np.where(columns < 10, 0.0, np.where(columns < 15, 0.5, 1.0))
-    soft, lamp = np.ones((400, 3)), np.array([[[0.02, 0.6, 1.0]]]) * np.ones((1, 400, 1))
+    part = np.select([columns < 10, columns < 15], [0.0, 0.5], 1.0)
+    soft = np.ones((400, 3))
+    lamp = (soft * [0.02, 0.6, 1.0])[None]
     known = _Expected.__new__(_Expected)
-    known.point = SimpleNamespace(problem=SimpleNamespace(blur=0.1))
-    known.coloured = True
-    known.usable = np.ones(400, bool)
-    known.lead = 0
-    known.first, known.level, known.ratios = np.arange(3) == 0, np.zeros(400), np.zeros((400, 3))
-    known.texels = (soft + part[:, None] * lamp[0]).astype(np.float32)
+    vars(known).update(
+        point=SimpleNamespace(problem=SimpleNamespace(blur=0.1)),
+        coloured=True,
+        usable=mask.ravel(),
+        lead=0,
+        first=np.arange(3) == 0,
+        level=np.zeros(400),
+        ratios=np.zeros((400, 3)),
+        texels=(soft + part[:, None] * lamp[0]).astype(np.float32),
+    )
     # The traced shadow is known only by half: every second row.
     traced = (np.arange(400) // 20 % 2).astype(np.float32)[None]
     seen = _seen_shadows(known, mask, traced, np.ones((1, 400), np.float32), lamp, soft)[0]
-    means = [seen[part == p].mean() for p in (0.0, 0.5, 1.0)]
-    np.testing.assert_allclose(means, [0.0, 0.5, 1.0], atol=0.12)
+    for p in np.unique(part):
+        assert seen[part == p].mean() == pytest.approx(p, abs=0.12)

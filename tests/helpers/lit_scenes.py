@@ -1,21 +1,21 @@
-"""Small scenes with known albedo; their renderer shares nothing with the estimator."""
+"""Small scenes with known albedo, by the reference renderer, which shares nothing with the estimators."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import starmap
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, uniform_filter
 
 from scan2albedo.albedo import EstimateOptions, albedo_error
 from scan2albedo.albedo.levels import usable_texels
 from scan2albedo.albedo.lit_image import LitImage
 from scan2albedo.albedo.prior import AlbedoPrior
 from scan2albedo.core import Budget, Meter
+from scan2albedo.core.arrays import on_grid
 from scan2albedo.core.geometry_image import GeometryImage
-from scan2albedo.synthetic import Material, hemisphere, light_at, renderer
-from scan2albedo.synthetic.renderer import RayScene
+from scan2albedo.synthetic import Material, light_at, renderer
 
 
 @dataclass(frozen=True)
@@ -35,22 +35,36 @@ def angle_deg(light, toward):
     return math.degrees(math.acos(min(1.0, float(light.direction @ toward))))
 
 
+def farthest_deg(estimate, directions):
+    """Return the largest angle from a true direction to the nearest light found."""
+    return max(min(angle_deg(light, toward) for light in estimate.lights) for toward in directions)
+
+
+def plan_row(estimate, name):
+    """Return the row of the plan that tells of a part of the light."""
+    (row,) = estimate.plan.of_stage(f"albedo.{name}")
+    return row
+
+
 def percent_off(estimate, scene):
     """Return the error of an estimated albedo, 100 times the mean square."""
     return albedo_error(estimate.albedo_linear, scene.albedo_linear, scene.image.mask).mse_percent
 
 
 def hemisphere_geometry(size):
-    """Equal-area disc chart of a hemisphere around +z, without its grazing rim."""
-    image = hemisphere(size=size, lights=[]).image
-    mask = image.normal[..., 2] > 1 - 0.98**2
-    normal = image.normal * mask[..., None]
-    return 80 * normal, normal, mask
+    """Equal-area disc chart of a hemisphere of 80 mm around +z."""
+    axis = (np.arange(size) + 0.5) / size * 2 - 1
+    u, v = np.meshgrid(axis, -axis)
+    rho = np.hypot(u, v)
+    mask = rho < 0.98
+    ring = np.sqrt(np.maximum(2 - rho**2, 0))
+    normal = np.stack([u * ring, v * ring, 1 - rho**2], -1) * mask[..., None]
+    return 80.0 * normal, normal, mask
 
 
-def bumps_geometry(size, half_mm=90.0):
+def bumps_geometry(size):
     """Height field with a ridge and hills that shade one another."""
-    axis = ((np.arange(size) + 0.5) / size * 2 - 1) * half_mm
+    axis = ((np.arange(size) + 0.5) / size * 2 - 1) * 90.0
     x, y = np.meshgrid(axis, -axis)
     hills = [
         (0, 5, 30, 9, 26),
@@ -85,49 +99,52 @@ def texture(kind, size, seed=0):
         spots = gaussian_filter(rng.standard_normal((size, size)), size / 40)
         value = 0.55 + 0.04 * fine / fine.std() + 0.05 * spots / spots.std()
     tint = {"plain": [1, 1, 1], "wood": [1, 0.7, 0.45], "skin": [1, 0.72, 0.6]}[kind]
-    return np.clip(value, 0.05, 0.95)[..., None] * np.array(tint)
+    return value[..., None] * np.array(tint)
 
 
-def _lamp(azimuth_deg, elevation_deg=0.0, intensity=2.0, distance_mm=math.inf):
+def lamp(azimuth_deg, elevation_deg=0.0, intensity=2.0, distance_mm=math.inf):
     return light_at(azimuth_deg, elevation_deg, intensity=intensity, distance_mm=distance_mm)
 
 
-def render(
-    geometry,
-    albedo,
-    lights,
-    *,
-    sigma=0.0,
-    specular=0.0,
-    shadows=False,
-    peak=0.9,
-    noise=0.0,
-    quantize=True,
-    seed=0,
-):
+def render(geometry, albedo, lights, *, material=Material(0.0), peak=0.9, noise=0.0, bits=8, seed=0, **seen):
     """Return the linear texture; lights are (azimuth_deg, elevation_deg, intensity, distance_mm)."""
     position, normal, mask = geometry
-    lamps, finish = list(starmap(_lamp, lights)), Material(sigma, specular)
-    occluder = RayScene(*GeometryImage(*geometry).triangulated()) if shadows else None
-    texels = position[mask], normal[mask], albedo[mask]
-    radiance = renderer.render(*texels, lamps, material=finish, occluder=occluder).radiance_linear
-    camera = {"exposure": peak / radiance.max(), "noise": noise, "bits": 8 if quantize else None}
-    color = np.zeros(position.shape, np.float32)
-    color[mask] = renderer.photograph(radiance, **camera, rng=np.random.default_rng(seed))
-    return color
+    surface = position[mask], normal[mask], albedo[mask]
+    shown = renderer.render(*surface, list(starmap(lamp, lights)), material=material, **seen)
+    light, rng = shown.radiance_linear, np.random.default_rng(seed)
+    return on_grid(
+        mask, renderer.photograph(light, exposure=peak / light.max(), noise=noise, bits=bits, rng=rng)
+    )
+
+
+def local_variance(image):
+    """Return (H, W) the variance of the logarithm of an albedo's value around each texel."""
+    value = np.log(np.maximum(image.max(-1).astype(float), 1e-4))
+    return uniform_filter(value**2, 7) - uniform_filter(value, 7) ** 2
+
+
+def lamps_and_waves(model, angles, intensities):
+    """Return parameters of as many lamps as a model has, in waves of soft light where it has them."""
+    toward = np.array([direction(*angle) for angle in angles[: model.lights]]).reshape(-1, 3)
+    x = model.from_lights(toward, np.array(intensities)[: model.lights])
+    if model.environment:
+        x[-8:] = np.random.default_rng(1).uniform(-0.15, 0.15, 8)
+    return x
 
 
 GEOMETRIES = {"hemisphere": hemisphere_geometry, "bumps": bumps_geometry}
 
 
 @cache
-def lit_scene(shape, kind, *lights, size=64, seed=0, **settings):
+def lit_scene(*lights, shape="hemisphere", kind="skin", size=64, seed=0, **settings):
     """Return a surface under lights (azimuth_deg, elevation_deg, 2.0, inf); bumps shade one another."""
     geometry = GEOMETRIES[shape](size)
+    image = GeometryImage(*geometry)
+    occluder = renderer.RayScene(*image.triangulated()) if shape == "bumps" else None
     albedo = texture(kind, size, seed)
-    color = render(geometry, albedo, lights, shadows=shape == "bumps", seed=seed, **settings)
-    toward = np.array([lamp.direction for lamp in starmap(_lamp, lights)])
-    return Scene(GeometryImage(*geometry, texture_linear=color), albedo, toward)
+    color = render(geometry, albedo, lights, occluder=occluder, seed=seed, **settings)
+    toward = np.array([direction(*light[:2]) for light in lights])
+    return Scene(replace(image, texture_linear=color), albedo, toward)
 
 
 def lit_image(image, *, brdf="oren-nayar", prior=None, budget=Budget(), **options):

@@ -34,11 +34,11 @@ def test_stays_in_the_box():
     seen = []
 
     def objective(x):
-        seen.append(x.copy())
+        seen.append(np.abs(x).max())
         return float(x.sum())
 
     result = simulated_annealing(objective, [0, 0], *BOX)
-    assert np.all(np.abs(seen) <= 5)
+    assert max(seen) <= 5
     assert result.x == pytest.approx([-5, -5], abs=0.05)
 
 
@@ -58,9 +58,7 @@ def test_budget_ends_it_with_the_best_so_far():
 
 
 def test_costs_that_are_not_finite_are_never_accepted():
-    result = simulated_annealing(
-        lambda x: float("nan") if x[0] < 0 else float(x[0] + abs(x[1])), [1, 1], *BOX, seed=1
-    )
+    result = simulated_annealing(lambda x: np.nan if x[0] < 0 else x[0] + abs(x[1]), [1, 1], *BOX, seed=1)
     assert result.x[0] >= 0
     assert np.isfinite(result.cost)
 
@@ -72,9 +70,8 @@ def test_a_start_outside_is_clipped_and_a_bad_box_refused():
 
 
 def test_a_start_where_the_cost_is_not_a_number_is_left():
-    def cost(x):
-        return float("nan") if x[0] > 0.5 else float((x[0] + 0.2) ** 2)
-
-    result = simulated_annealing(cost, [0.9], [-1], [1], evaluations=500)
+    result = simulated_annealing(
+        lambda x: np.nan if x[0] > 0.5 else (x[0] + 0.2) ** 2, [0.9], [-1], [1], evaluations=500
+    )
     assert abs(result.x[0] + 0.2) < 0.05
     assert np.isfinite(result.cost)

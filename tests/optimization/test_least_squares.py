@@ -82,18 +82,27 @@ def test_active_bounds_hold_and_the_others_reach_their_minimum():
     assert found.best.x[0] == pytest.approx(1 - 4.5 / 5.25 * 0.5, abs=1e-6)
 
 
-def test_parameters_at_their_bounds_stay_and_nothing_free_means_no_step():
-    zero = np.zeros(2)
-    model = NormalEquations(np.eye(2), np.array([1.0, -1.0]), zero, zero)
-    assert np.array_equal(damped_step(model, 0.1), zero)
-    half = NormalEquations(np.eye(2), np.array([1.0, -1.0]), zero, np.array([9.0, 0.5]))
-    assert np.array_equal(damped_step(half, 0.1), [0.0, 0.5])
+NOTHING = np.zeros(2)
+AGAINST_BOTH = np.eye(2), np.array([1.0, -1.0])
+
+
+@pytest.mark.parametrize(
+    ("model", "damping", "step"),
+    [
+        (NormalEquations(*AGAINST_BOTH, NOTHING, NOTHING), 0.1, NOTHING),
+        (NormalEquations(*AGAINST_BOTH, NOTHING, np.array([9.0, 0.5])), 0.1, [0, 0.5]),
+        (NormalEquations(np.zeros((2, 2)), NOTHING), 1e-3, NOTHING),
+        (NormalEquations(np.ones((2, 2)), np.array([-1.0, -1.0])), 0.0, [0.5, 0.5]),
+    ],
+    ids=["both at their bounds", "one at its bound", "flat", "singular: the shortest"],
+)
+def test_a_step_of_two_parameters(model, damping, step):
+    np.testing.assert_allclose(damped_step(model, damping), step)
 
 
 def test_what_the_cost_does_not_depend_on_stays():
     model = NormalEquations(np.diag([1.0, 0.0]), np.array([1.0, 0.0]))
     assert damped_step(model, 1e-3)[1] == 0
-    assert np.array_equal(damped_step(NormalEquations(np.zeros((2, 2)), np.zeros(2)), 1e-3), np.zeros(2))
 
 
 def test_the_budget_ends_with_the_best_so_far():
@@ -145,12 +154,14 @@ def test_weights_settled_at_a_step_hold_for_both_costs_it_compares():
 
         @property
         def cost(self):
-            return 0.5 * float(self.weights @ (self.x[0] - np.array([0.0, 0.0, 9.0])) ** 2)
+            return 0.5 * float(self.weights @ self.off() ** 2)
+
+        def off(self):
+            return self.x - [0.0, 0.0, 9.0]
 
         def normal_equations(self):
-            r = self.x[0] - np.array([0.0, 0.0, 9.0])
-            self.weights = 1 / np.hypot(r, 0.1)
-            return NormalEquations(np.array([[self.weights.sum()]]), np.array([self.weights @ r]))
+            self.weights = 1 / np.hypot(self.off(), 0.1)
+            return NormalEquations(self.weights.sum()[None, None], (self.weights @ self.off())[None])
 
         def moved(self, step):
             point = Reweighted(None, self.x + step)
@@ -159,8 +170,3 @@ def test_weights_settled_at_a_step_hold_for_both_costs_it_compares():
 
     found = minimize(Reweighted(None, np.array([3.0])), trials=100, tolerance=1e-12)
     assert abs(found.best.x[0]) < 0.06  # the median, not the mean
-
-
-def test_a_singular_matrix_gives_the_shortest_step():
-    step = damped_step(NormalEquations(np.ones((2, 2)), np.array([-1.0, -1.0])), 0.0)
-    np.testing.assert_allclose(step, [0.5, 0.5])

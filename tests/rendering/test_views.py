@@ -4,18 +4,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import trimesh
-from helpers.meshes import grid
+from helpers.meshes import grid, sphere
 from numpy.testing import assert_array_equal
 
 from scan2albedo import RawScan
+from scan2albedo.geometry.mesh import join
 from scan2albedo.rendering.pictures import View, heat_colors, render_mesh
 from scan2albedo.report.overview import Panel, _scan_panel, overview_figure, preview_srgb
 
 
 def test_a_sphere_covers_the_disc_it_should():
-    sphere = trimesh.creation.icosphere(4, 10.0)
-    view = View((0, 0, 0), 20.0)
-    picture = render_mesh(sphere.vertices, sphere.faces, view=view, size=200)
+    picture = render_mesh(*sphere(4, 10.0), view=View((0, 0, 0), 20.0), size=200)
     covered = (picture != 255).any(-1)
     assert abs(covered.mean() - np.pi * 100 / 1600) < 0.01
     assert covered[100, 100]
@@ -36,13 +35,11 @@ def test_yaw_shows_the_right_side_and_pitch_the_underside():
 
 
 def test_stray_patches_in_front_hide_nothing():
-    ball = trimesh.creation.icosphere(4, 90.0)
     patch = np.array([[-40, -40, 600.0], [40, -40, 600], [0, 60, 600]])
-    vertices = np.concatenate([ball.vertices, patch])
-    faces = np.concatenate([ball.faces, [np.arange(3) + len(ball.vertices)]])
-    color = np.where(np.arange(len(vertices))[:, None] < len(ball.vertices), [0.0, 0, 1], [1.0, 0, 0])
+    vertices, faces = join([sphere(4), (patch, np.array([[0, 1, 2]]))])
+    color = np.float32([[0, 0, 1], [1, 0, 0]])[(vertices[:, 2] == 600).astype(int)]
     fitted = SimpleNamespace(model_from_scan=np.eye(4))
-    scan = RawScan(vertices, faces, vertex_color_linear=color.astype(np.float32))
+    scan = RawScan(vertices, faces, vertex_color_linear=color)
     picture = _scan_panel("scan", scan, fitted, View((0, 0, 0), 150.0)).picture
     middle = len(picture) // 2
     assert picture[middle, middle].tolist() == [0, 0, 255]
@@ -67,9 +64,7 @@ def test_heat_colours_end_where_the_scale_ends_and_mark_missing_values():
 
 def test_preview_keeps_hue_and_leaves_room_below_white():
     linear = np.full((4, 4, 3), [0.02, 0.01, 0.005])
-    mask = np.ones((4, 4), bool)
-    mask[0] = False
-    preview = preview_srgb(linear, mask)
+    preview = preview_srgb(linear, np.arange(4)[:, None] * np.ones(4) > 0)
     assert (preview[0] == 255).all()
     assert preview[1, 0, 0] == round(255 * (1.055 * 0.55 ** (1 / 2.4) - 0.055))
     assert preview[1, 0, 0] > preview[1, 0, 1] > preview[1, 0, 2]

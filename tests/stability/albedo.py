@@ -9,23 +9,13 @@ import trimesh
 
 from scan2albedo.albedo import EstimateOptions, albedo_error, estimate_albedo
 from scan2albedo.albedo.inpainting import resynthesize
-from scan2albedo.core import PointLight
 from scan2albedo.core.geometry_image import GeometryImage
+from scan2albedo.geometry.mesh import join
 from scan2albedo.lighting.environment import distant_directions
+from scan2albedo.lighting.shading import light_from_direction
 from scan2albedo.synthetic import Material, face, hemisphere, light_at
-from stability.case import (
-    BUDGETS,
-    REFUSES,
-    RIGHT,
-    SLOW,
-    WARNS,
-    Measured,
-    below,
-    each,
-    rows,
-    said,
-    table,
-)
+from stability.case import BUDGETS, Measured, below, each, refuses, right, said, table, warns
+from stability.scenes import with_one
 
 SIZE = 64
 SHAPE = (SIZE, SIZE)
@@ -41,14 +31,13 @@ def ball(*lights, material=Material(), texture="skin", size=SIZE, **more):
     return hemisphere(lights=lamps, material=material, texture=texture, size=size, seed=1, **more)
 
 
-def estimated(scene=None, lights=1, brdf="oren-nayar", truth=None, **more):
+def estimated(scene=None, lights=1, brdf="oren-nayar", **more):
     """Estimate the albedo of a scene, given fields in place of its image's; return it and the truth."""
     scene = scene or ball()
     fields = {name: more.pop(name) for name in list(more) if hasattr(scene.image, name)}
     if "texture_linear" in fields:
         fields["texture_linear"] = fields["texture_linear"].astype(np.float32)
-    image = replace(scene.image, **fields)
-    return estimate_albedo(image, lights, brdf, **more), scene.albedo_linear if truth is None else truth
+    return estimate_albedo(replace(scene.image, **fields), lights, brdf, **more), scene.albedo_linear
 
 
 def lit(*lights, **made):
@@ -56,10 +45,10 @@ def lit(*lights, **made):
     return estimated(ball(*lights, **made))
 
 
-def painted(texture, **made):
-    """Estimate the albedo of a ball of this texture, or of what a function makes of its own."""
-    scene = ball(**made)
-    return estimated(scene, texture_linear=texture(scene.image.texture_linear) + np.zeros((*SHAPE, 3)))
+def painted(scale=1.0, shift=0.0, scene=None, lights=1):
+    """Estimate the albedo of a ball whose texture is another."""
+    scene = scene or ball()
+    return estimated(scene, lights, texture_linear=scene.image.texture_linear * scale + shift)
 
 
 def placed(scale=1.0, shift=0.0):
@@ -69,16 +58,13 @@ def placed(scale=1.0, shift=0.0):
 
 def masked(*part, of="mask"):
     """Estimate the albedo of a ball whose mask is True in this part alone."""
-    mask = np.zeros(SHAPE, bool)
-    mask[part] = True
-    return estimated(**{of: mask})
+    return estimated(**{of: with_one(np.zeros(SHAPE, bool), True, part)})
 
 
-def spoilt(field, value, *part):
-    """Estimate the albedo of a ball that has another value in a part of a field."""
-    array = getattr(ball().image, field).copy()
-    array[part] = value
-    return estimated(**{field: array})
+def spoilt(field, value, first=0, last=SIZE):
+    """Estimate the albedo of a ball that has another value in a square of a field."""
+    square = (slice(first, last), slice(first, last))
+    return estimated(**{field: with_one(getattr(ball().image, field), value, square)})
 
 
 def cut_out(rows, columns, size=SIZE):
@@ -164,9 +150,7 @@ def out_of_time(found):
 
 def constant():
     """Return how much the albedo of a ball of one colour varies, and the number of lamps found."""
-    estimate, _ = estimated(
-        ball(None, texture="plain", bits=None), "auto", texture_linear=np.full((*SHAPE, 3), 0.5)
-    )
+    estimate, _ = painted(0.0, 0.5, ball(None, texture="plain", bits=None), "auto")
     albedo = estimate.albedo_linear[estimate.image.mask]
     return 100 * float(albedo.std() / albedo.mean()), len(estimate.lights), estimate
 
@@ -181,8 +165,8 @@ def sure_at_1e12():
 
 def flat():
     """Estimate the albedo of a flat surface without light."""
-    x, y = np.meshgrid(np.arange(SIZE), -np.arange(SIZE))
-    position = np.stack([x, y, 0 * x], -1).astype(float)
+    row, column = 1.0 * np.indices(SHAPE)
+    position = np.stack([column, -row, 0 * row], -1)
     normal = np.zeros((*SHAPE, 3)) + [0, 0, 1]
     return estimated(ball(None), "auto", normal=normal, position=position)
 
@@ -195,13 +179,13 @@ def occluded(vertices, faces, *lights, options=SHADOWS):
 def doubled():
     """Estimate the albedo of a ball whose occluder is the surface twice."""
     vertices, faces = ball().image.triangulated()
-    return occluded(np.vstack([vertices, vertices]), np.vstack([faces, faces[:, ::-1] + len(vertices)]))
+    return occluded(*join([(vertices, faces), (vertices, faces[:, ::-1])]))
 
 
 def boxed():
     """Estimate the albedo of a ball in a closed box."""
     box = trimesh.creation.box([500, 500, 500])
-    return occluded(np.asarray(box.vertices), np.asarray(box.faces), None)
+    return occluded(box.vertices, box.faces, None)
 
 
 # Soft light.
@@ -213,20 +197,22 @@ def soft_scene(shape, *lights):
     return SHAPES[shape](lights=lights, texture="skin", size=SIZE, seed=1, material=Material(0.0))
 
 
+TOWARD = distant_directions(96)
+
+
 def environment(weight, strength):
-    """Return an environment of mean radiance `strength` as distant lamps, `weight` of directions (N, 3)."""
-    toward = distant_directions(96)
-    share = np.maximum(weight(toward), 0)
+    """Return an environment of mean radiance `strength` as distant lamps of weights (96,)."""
+    share = np.maximum(weight, 0)
     return tuple(
-        PointLight(math.atan2(x, z), math.asin(y), math.inf, 4 * strength * part)
-        for (x, y, z), part in zip(toward.tolist(), (share / share.sum()).tolist(), strict=True)
+        light_from_direction(toward, math.inf, 4 * strength * part)
+        for toward, part in zip(TOWARD, share / share.sum(), strict=True)
         if part > 0
     )
 
 
-DOME = environment(lambda toward: np.ones(len(toward)), 3.0)
-BELOW = environment(lambda toward: 0.5 - toward[:, 1], 3.0)
-WITHIN_60_DEG = environment(lambda toward: (toward @ LAMP.direction > 0.5).astype(float), 0.75)
+DOME = environment(np.ones(96), 3.0)
+BELOW = environment(0.5 - TOWARD[:, 1], 3.0)
+WITHIN_60_DEG = environment(1.0 * (TOWARD @ LAMP.direction > 0.5), 0.75)
 
 
 def soft(shape, *lights, **arguments):
@@ -265,34 +251,28 @@ def from_below(shape):
     return found
 
 
-def grey(shape, color=np.ones(3)):
-    """Estimate the albedo of grey skin under a lamp of a colour."""
-    scene = soft_scene(shape, LAMP)
-    truth = np.repeat(scene.albedo_linear.mean(-1, keepdims=True), 3, -1)
-    light = 1 + (scene.shading - 1)[..., None] * color
-    return soft(shape, LAMP, texture_linear=0.2 * truth * light, truth=truth)
-
-
 def hue(shape):
     """Return the worst channel's error in coloured light, and how much the hue of grey skin varies."""
+    scene = soft_scene(shape, LAMP)
+    truth = scene.albedo_linear.mean(-1, keepdims=True) * np.ones(3)
+    light = 1 + (scene.shading - 1)[..., None] * [1.3, 1.0, 0.7]
+    albedo = soft(shape, LAMP, texture_linear=0.2 * truth * light)[0].albedo_linear
     # The colour of the mean light stays in the albedo: each channel has its own scale.
-    estimate, truth = grey(shape, np.array([1.3, 1.0, 0.7]))
-    mask = estimate.image.mask
-    channels = zip(np.moveaxis(estimate.albedo_linear, -1, 0), np.moveaxis(truth, -1, 0), strict=True)
-    errors = [albedo_error(found, true, mask).mse_percent for found, true in channels]
-    colors = estimate.albedo_linear[mask]
-    ratio = colors[:, 0] / np.maximum(colors[:, 2], 1e-3)
-    assert ratio.std() / ratio.mean() < 0.04
-    return max(errors), 100 * float(ratio.std() / ratio.mean())
+    mask = scene.image.mask
+    errors = [albedo_error(albedo[..., c], truth[..., c], mask).mse_percent for c in range(3)]
+    ratio = albedo[mask, 0] / np.maximum(albedo[mask, 2], 1e-3)
+    varies = float(ratio.std() / ratio.mean())
+    assert varies < 0.04
+    return max(errors), 100 * varies
 
 
 def lamp_only():
     """Return the error where a lamp shines, without ambient light."""
     scene = soft_scene("hemisphere", LAMP)
-    light = scene.shading - 1
-    estimate, truth = soft("hemisphere", LAMP, texture_linear=0.25 * scene.albedo_linear * light[..., None])
+    light = (scene.shading - 1)[..., None]
+    estimate, truth = soft("hemisphere", LAMP, texture_linear=0.25 * scene.albedo_linear * light)
     assert estimate.lights
-    return percent(estimate, truth, scene.image.mask & (light > 0.3))
+    return percent(estimate, truth, scene.image.mask & (light[..., 0] > 0.3))
 
 
 def inner_occluder():
@@ -307,14 +287,12 @@ def inner_occluder():
 
 def nearly_all():
     """Fill 99 % of a chart; return how far the mean level is from the source's, and the share filled."""
-    albedo = ball(None, texture="wood", size=96).albedo_linear.astype(np.float64)[24:-24, 24:-24]
-    source = np.zeros(albedo.shape[:2], bool)
-    source[:5, :5] = True
-    filled = resynthesize(albedo, ~source, source)
-    assert np.array_equal(filled[source], albedo[source])
-    assert filled.max() <= albedo[source].max()
-    level = abs(math.log(float(filled[~source].mean() / albedo[source].mean())))
-    return 100 * level, 100 * (~source).mean()
+    albedo = ball(None, texture="wood", size=96).albedo_linear[24:-24, 24:-24].astype(float)
+    source = with_one(np.zeros(albedo.shape[:2], bool), True, (slice(5), slice(5)))
+    filled, known = resynthesize(albedo, ~source, source), albedo[source]
+    assert np.array_equal(filled[source], known)
+    assert filled.max() <= known.max()
+    return 100 * abs(math.log(filled[~source].mean() / known.mean())), 100 * (~source).mean()
 
 
 CHECKERS = np.indices(SHAPE).sum(0) % 2 == 0
@@ -322,8 +300,7 @@ TOO_FEW = "only {} of .* texels can be used"
 
 CASES = table(
     "albedo",
-    *rows(
-        RIGHT,
+    right(
         off(0.05),
         {
             "no light at all": lambda: lit(None),
@@ -333,7 +310,7 @@ CASES = table(
                 ball(*(light_at(a, 0.3 * a) for a in (-60, -20, 10, 40, 70))), "auto"
             ),
             "roughness 0": lambda: lit(material=Material(0.0)),
-            "texture times 1e-6": lambda: painted(lambda texture: 1e-6 * texture),
+            "texture times 1e-6": lambda: painted(1e-6),
             "mask full, no border": lambda: cut_out(slice(12, 52), slice(12, 52)),
             "flat surface: one normal": flat,
             "occluder coincident with the surface": doubled,
@@ -343,8 +320,7 @@ CASES = table(
             "four fifths of it saturated, a quarter white": lambda: lit(exposure=2.8),
         },
     ),
-    *rows(
-        RIGHT,
+    right(
         off(0.05),
         {
             **each("light of intensity {}", ("0", "1e-12"), lambda i: lit(light_at(30, intensity=i))),
@@ -361,30 +337,23 @@ CASES = table(
             "image of 3 x 500": lambda: cut_out(slice(255, 258), slice(6, 506), 512),
             "surface in micrometres": lambda: placed(1e3),
             **each("surface {} mm off the origin", ("1e6", "1e7"), lambda far: placed(shift=far)),
-            "texels of no area": lambda: spoilt(
-                "position", ball().image.position[32, 32], slice(28, 36), slice(28, 36)
-            ),
+            "texels of no area": lambda: spoilt("position", ball().image.position[32, 32], 28, 36),
             "surface collapsed to a point": lambda: placed(0.0),
             "occluder that hides everything": boxed,
             "lights=4 asked of one": lambda: estimated(lights=4),
         },
-        SLOW,
+        slow=True,
     ),
-    ("highlight of exponent 0.1", lambda: lit(material=Material(0.3, 0.1, 0.1)), RIGHT, off(0.4), SLOW),
-    (
-        "texture partly negative",
-        lambda: spoilt("texture_linear", -0.1, slice(20, 24), slice(20, 24)),
-        RIGHT,
+    right(off(0.4), "highlight of exponent 0.1", lambda: lit(material=Material(0.3, 0.1, 0.1)), slow=True),
+    right(
         off(0.5),
+        "texture partly negative",
+        lambda: spoilt("texture_linear", -0.1, 20, 24),
     ),
-    (
-        "mask without two texels side by side",
-        lambda: estimated(mask=ball().image.mask & CHECKERS),
-        RIGHT,
-        off(0.1),
+    right(
+        off(0.1), "mask without two texels side by side", lambda: estimated(mask=ball().image.mask & CHECKERS)
     ),
-    *rows(
-        WARNS,
+    warns(
         expected,
         {
             "light of intensity 1e12": lambda: lit(light_at(30, intensity=1e12)),
@@ -393,51 +362,39 @@ CASES = table(
             "highlight of strength 1e3": lambda: lit(material=Material(0.3, 1e3, 20.0)),
         },
     ),
-    (
+    right(
+        below(0.06, "off by {:.3f} % where it is sure, confidence 0 in the dark"),
         "what no lamp reaches, at intensity 1e12",
         sure_at_1e12,
-        RIGHT,
-        below(0.06, "off by {:.3f} % where it is sure, confidence 0 in the dark"),
     ),
-    ("noise 100 %", lambda: lit(noise=1.0), WARNS, deviation),
-    ("texture constant", constant, RIGHT, below(2, "albedo constant within {:.2f} %, {} light")),
-    *rows(
-        RIGHT,
+    warns(deviation, "noise 100 %", lambda: lit(noise=1.0)),
+    right(below(2, "albedo constant within {:.2f} %, {} light"), "texture constant", constant),
+    right(
         red_off,
-        each(
-            "blue channel {}",
-            ("0", "0.002"),
-            lambda blue: estimated(
-                ball(size=128),
-                "auto",
-                texture_linear=ball(size=128).image.texture_linear * [1, 1, 0] + [0, 0, blue],
-            ),
-        ),
-        SLOW,
+        "blue channel {}",
+        lambda blue: painted([1, 1, 0], [0, 0, blue], ball(size=128), "auto"),
+        ("0", "0.002"),
+        slow=True,
     ),
-    ("one channel alone", lambda: painted(lambda texture: texture * [1, 0, 0]), RIGHT, red_alone),
-    (
+    right(red_alone, "one channel alone", lambda: painted([1, 0, 0])),
+    right(
+        off_where(lambda estimate: estimate.image.seen, 0.3),
         "70 texels seen of 3209",
         lambda: masked(slice(28, 35), slice(27, 37), of="texture_valid"),
-        RIGHT,
-        off_where(lambda estimate: estimate.image.seen, 0.3),
     ),
-    (
-        "some normals zero",
-        lambda: spoilt("normal", 0, slice(30, 34), slice(30, 34)),
-        RIGHT,
+    right(
         off_where(lambda estimate: estimate.image.mask & estimate.image.normal.any(-1), 0.05),
+        "some normals zero",
+        lambda: spoilt("normal", 0, 30, 34),
     ),
-    *rows(
-        WARNS,
+    warns(
         off(3.0),
         {
             "normals flipped": lambda: estimated(normal=-ball().image.normal),
             "view from behind": lambda: estimated(view_direction=(0, 0, -1)),
         },
     ),
-    *rows(
-        WARNS,
+    warns(
         out_of_time,
         {
             f"budget of {name}, {brdf}": partial(estimated, brdf=brdf, budget=budget)
@@ -445,57 +402,44 @@ CASES = table(
             for brdf in ("lambert", "minnaert", "spherical-harmonics")
         },
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "of these black 3228",
         {
-            "texture black": lambda: painted(lambda texture: 0.0),
-            "texture negative": lambda: painted(lambda texture: -0.5),
+            "texture black": lambda: painted(0.0),
+            "texture negative": lambda: painted(0.0, -0.5),
         },
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "saturated 3228",
         {
-            "texture saturated everywhere": lambda: painted(lambda texture: 1.0),
-            "texture HDR 1e6": lambda: painted(lambda texture: 1e6 * texture),
+            "texture saturated everywhere": lambda: painted(0.0, 1.0),
+            "texture HDR 1e6": lambda: painted(1e6),
         },
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "NaN or infinite values inside the mask",
         {
-            "texture with NaN": lambda: spoilt("texture_linear", np.nan, 32, 32),
-            "normals NaN": lambda: spoilt("normal", np.nan, 32, 32),
+            "texture with NaN": lambda: spoilt("texture_linear", np.nan, 32, 33),
+            "normals NaN": lambda: spoilt("normal", np.nan, 32, 33),
         },
     ),
-    (
-        "no texture",
-        lambda: estimate_albedo(replace(ball().image, texture_linear=None)),
-        REFUSES,
-        "has no texture",
+    refuses(
+        "has no texture", "no texture", lambda: estimate_albedo(replace(ball().image, texture_linear=None))
     ),
-    ("mask empty", lambda: masked(slice(0), slice(0)), REFUSES, "mask .* is empty"),
-    ("mask of one texel", lambda: masked(32, 32), REFUSES, TOO_FEW.format(1)),
-    ("mask of two texels", lambda: masked(32, slice(32, 34)), REFUSES, TOO_FEW.format(2)),
-    ("nothing seen", lambda: masked(slice(0), slice(0), of="texture_valid"), REFUSES, "seen 0"),
-    ("all normals zero", lambda: spoilt("normal", 0, ...), REFUSES, "with a normal 0"),
-    (
-        "normals of length 10",
-        lambda: estimated(normal=10 * ball().image.normal),
-        REFUSES,
-        "divide them",
-    ),
-    ("image of 1 x 1", lambda: cut_out(slice(32, 33), slice(32, 33)), REFUSES, TOO_FEW.format(1)),
-    ("image of 8 x 8", lambda: estimated(ball(size=8)), REFUSES, "only 52 of 52 .* 64 are needed"),
-    (
+    refuses("mask .* is empty", "mask empty", lambda: masked(slice(0), slice(0))),
+    refuses(TOO_FEW.format(1), "mask of one texel", lambda: masked(32, 32)),
+    refuses(TOO_FEW.format(2), "mask of two texels", lambda: masked(32, slice(32, 34))),
+    refuses("seen 0", "nothing seen", lambda: masked(slice(0), slice(0), of="texture_valid")),
+    refuses("with a normal 0", "all normals zero", lambda: spoilt("normal", 0)),
+    refuses("divide them", "normals of length 10", lambda: estimated(normal=10 * ball().image.normal)),
+    refuses(TOO_FEW.format(1), "image of 1 x 1", lambda: cut_out(slice(32, 33), slice(32, 33))),
+    refuses("only 52 of 52 .* 64 are needed", "image of 8 x 8", lambda: estimated(ball(size=8))),
+    refuses(
+        "a Lambertian surface has none",
         "roughness asked of Lambert",
         lambda: estimated(brdf="lambert", options=EstimateOptions(force=("albedo.roughness",))),
-        REFUSES,
-        "a Lambertian surface has none",
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "expected",
         {
             "option sizes=(0, 64, 128)": lambda: EstimateOptions(sizes=(0, 64, 128)),
@@ -503,9 +447,8 @@ CASES = table(
             "option maximal_lights=6": lambda: EstimateOptions(maximal_lights=6),
         },
     ),
-    *rows(RIGHT, better(0.015), {f"dome only, {shape}": partial(no_lamp, shape) for shape in SHAPES}),
-    *rows(
-        RIGHT,
+    right(better(0.015), {f"dome only, {shape}": partial(no_lamp, shape) for shape in SHAPES}),
+    right(
         better(0.02),
         {
             "lamp of 60 degrees' radius, hemisphere": lambda: soft("hemisphere", *WITHIN_60_DEG),
@@ -513,37 +456,32 @@ CASES = table(
             "occluder inside the surface": inner_occluder,
         },
     ),
-    *rows(
-        RIGHT,
+    right(
         better(0.02),
         {
             "lamp of 60 degrees' radius, face": lambda: soft("face", *WITHIN_60_DEG),
             "environment with its light below, face": lambda: from_below("face"),
         },
-        SLOW,
+        slow=True,
     ),
-    *rows(
-        RIGHT,
+    right(
         below(0.08, "worst channel off by {:.3f} %, hue constant within {:.1f} %"),
         {f"coloured light on grey skin, {shape}": partial(hue, shape) for shape in SHAPES},
     ),
-    ("lamp only, no ambient light", lamp_only, RIGHT, below(0.02, "where it is lit off by {:.3f} %")),
-    (
+    right(below(0.02, "where it is lit off by {:.3f} %"), "lamp only, no ambient light", lamp_only),
+    warns(
+        better(0.1),
         "normals inverted, under a dome",
         lambda: soft("face", *DOME, normal=-soft_scene("face", *DOME).image.normal),
-        WARNS,
-        better(0.1),
     ),
-    (
+    right(
+        below(30, "its mean within {:.0f} % of the source's, {:.0f} % filled"),
         "inpainting 99 % of a chart",
         nearly_all,
-        RIGHT,
-        below(30, "its mean within {:.0f} % of the source's, {:.0f} % filled"),
     ),
-    (
+    refuses(
+        "texels to copy from or compare with are not finite",
         "inpainting beside NaN",
         lambda: resynthesize(np.full((9, 9, 3), np.nan), CHECKERS[:9, :9], ~CHECKERS[:9, :9]),
-        REFUSES,
-        "texels to copy from or compare with are not finite",
     ),
 )

@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from helpers.faces import painted, unseen
 from helpers.processed_faces import processed_person
 
 from scan2albedo.applications import (
@@ -17,12 +18,12 @@ from scan2albedo.applications import (
 from scan2albedo.core import PointLight
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.synthetic import light_at
-from stability.case import REFUSES, RIGHT, below, each, rows, table
+from stability.case import below, gap, refuses, right, table
+from stability.scenes import with_one
 
 SIZE = 48
 LEFT = np.arange(SIZE)[None, :] < SIZE // 2
-MIDDLE = np.zeros((SIZE, SIZE), bool)
-MIDDLE[24, 24] = True
+MIDDLE = with_one(np.zeros((SIZE, SIZE), bool), True, (24, 24))
 
 
 def person(seed=0, expression="neutral"):
@@ -98,7 +99,7 @@ def not_linear():
     """Return how far the texture is from being linear in a lamp's intensity."""
     unit = lit(light_at(30, intensity=1.0)).astype(float)
     return max(
-        float(np.abs(lit(light_at(30, intensity=strength)) - strength * unit).max()) / max(strength, 1e-12)
+        gap(lit(light_at(30, intensity=strength)), strength * unit) / max(strength, 1e-12)
         for strength in (0.0, 1e-12, 1e12)
     )
 
@@ -113,7 +114,7 @@ def exposed():
 def far_lamp():
     """Return how far a lamp at 1e9 mm is from a distant one."""
     far, distant = (lit(light_at(40, distance_mm=distance)) for distance in (1e9, math.inf))
-    return float(np.abs(far - distant).max())
+    return gap(far, distant)
 
 
 def sun():
@@ -141,7 +142,7 @@ def blended(a, b):
 def black():
     """Return how far a blend with a black face is from half as bright."""
     one = person()
-    made = blended(one, replace(person(1), albedo_linear=np.zeros((SIZE, SIZE, 3), np.float32)))
+    made = blended(one, painted(person(1), person(1).mask, 0))
     return abs(float(made.albedo_linear[one.mask].mean() / one.albedo_linear[one.mask].mean()) - 0.5)
 
 
@@ -152,21 +153,20 @@ def opposite():
     turned = replace(turned, mesh=replace(one.mesh, vertices=-one.mesh.vertices))
     made = blended(one, turned)
     relit = relight(replace(made, casts_shadows=False), [light_at(0)])
-    return float(np.abs(made.image.position[made.mask]).max()), made.image.normal, relit.texture_linear
+    return gap(made.image.position[made.mask], 0), made.image.normal, relit.texture_linear
 
 
 def halves(make):
     """Return how far the level of a skin, each face having seen a half, is from the whole one."""
     a, b = person(), person(1)
-    hidden = changed(a, texture_valid=a.mask & LEFT), changed(b, texture_valid=b.mask & ~LEFT)
+    hidden = unseen(a, ~LEFT), unseen(b, LEFT)
     parts, whole = (make(*faces).albedo_linear[a.mask].mean() for faces in (hidden, (a, b)))
     return 100 * float(np.abs(np.log(parts / whole)))
 
 
-def unseen(make):
+def nothing_seen(make):
     """Return how far a skin that nobody saw is from grey, and its mean."""
-    none = np.zeros((SIZE, SIZE), bool)
-    made = make(*(changed(person(seed), texture_valid=none) for seed in (0, 1))).albedo_linear[person().mask]
+    made = make(*(unseen(person(seed), person().mask) for seed in (0, 1))).albedo_linear[person().mask]
     return abs(made.mean() - 0.5), made.mean(), made
 
 
@@ -193,29 +193,19 @@ MAKERS = {"blend": blended, "swap": swap_texture}
 
 CASES = table(
     "applications",
-    ("relight from behind", lambda: lit_part(light_at(180)), RIGHT, below(0.02, "{:.1%} of the texels lit")),
-    (
+    right(below(0.02, "{:.1%} of the texels lit"), "relight from behind", lambda: lit_part(light_at(180))),
+    right(
+        below(0.8, "upper over lower half: {:.2f} from below, {:.1f} from above"),
         "relight at the poles (elevation +-90)",
         poles,
-        RIGHT,
-        below(0.8, "upper over lower half: {:.2f} from below, {:.1f} from above"),
     ),
-    ("relight with intensity 0, 1e-12 and 1e12", not_linear, RIGHT, WITHIN),
-    (
-        "a picture under intensity 1e12",
-        exposed,
-        RIGHT,
-        below(105, "exposed by itself: median {1:.0f} of 255"),
+    right(WITHIN, "relight with intensity 0, 1e-12 and 1e12", not_linear),
+    right(below(105, "exposed by itself: median {1:.0f} of 255"), "a picture under intensity 1e12", exposed),
+    right(WITHIN, "lamp at 1e9 mm", far_lamp),
+    right(
+        below(0.1, "{:.0%} of the front not lit, at most {:.0e}"), "environment HDR 1e6 in one direction", sun
     ),
-    ("lamp at 1e9 mm", far_lamp, RIGHT, WITHIN),
-    (
-        "environment HDR 1e6 in one direction",
-        sun,
-        RIGHT,
-        below(0.1, "{:.0%} of the front not lit, at most {:.0e}"),
-    ),
-    *rows(
-        RIGHT,
+    right(
         seen,
         {
             "picture of 3 x 500": lambda: pictured((3, 500)),
@@ -223,13 +213,13 @@ CASES = table(
             "camera inside the head": lambda: from_place(person().mesh.vertices.mean(0) - [0, 0, 30], False),
         },
     ),
-    *rows(
-        RIGHT,
+    right(
         below(0.02, "shadows differ at {:.1%} of the texels"),
-        each("head scaled by {}", ("1e3", "1e-3"), other_size),
+        "head scaled by {}",
+        other_size,
+        ("1e3", "1e-3"),
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "",
         {
             "relight with intensity 1e300": lambda: lit(light_at(30, intensity=1e300)),
@@ -245,40 +235,28 @@ CASES = table(
             "mask of one texel": lambda: on(MIDDLE),
         },
     ),
-    (
-        "albedo NaN",
-        lambda: replace(
-            person(), albedo_linear=np.where(MIDDLE[..., None], math.nan, person().albedo_linear)
-        ),
-        REFUSES,
+    refuses(
         "the albedo is .* or holds NaN",
+        "albedo NaN",
+        lambda: painted(person(), MIDDLE, math.nan),
     ),
-    ("blend with a black face", black, RIGHT, below(0.01, "half as bright within {:.2f}")),
-    (
+    right(below(0.01, "half as bright within {:.2f}"), "blend with a black face", black),
+    right(
+        below(1e-9, "a point within {:.0e} mm: finite, ambient light alone"),
         "blend of opposite faces: normals cancel",
         opposite,
-        RIGHT,
-        below(1e-9, "a point within {:.0e} mm: finite, ambient light alone"),
     ),
-    *rows(
-        RIGHT,
+    right(
         below(30, "whole skin, its level within {:.0f} % of the one of faces seen whole"),
-        each("{}: seen texels of A and B disjoint", MAKERS, halves),
+        "{}: seen texels of A and B disjoint",
+        halves,
+        MAKERS,
     ),
-    *rows(
-        RIGHT,
-        below(0.5, "finite, mean {1:.2f}"),
-        each("{}: nothing seen of either", MAKERS, unseen),
-    ),
-    *rows(
-        REFUSES,
-        "",
-        each("{}: charts disjoint", MAKERS, apart),
-    ),
-    (
+    right(below(0.5, "finite, mean {1:.2f}"), "{}: nothing seen of either", nothing_seen, MAKERS),
+    refuses("", "{}: charts disjoint", apart, MAKERS),
+    right(
+        below(1.6, "moves by {1:.0f} mm at most, A by {2:.0f}"),
         "expression on a face 1e3 times larger",
         giant,
-        RIGHT,
-        below(1.6, "moves by {1:.0f} mm at most, A by {2:.0f}"),
     ),
 )

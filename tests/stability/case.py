@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass
 from functools import partial
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,6 @@ from scan2albedo.errors import Scan2AlbedoError
 RIGHT = "right answer"
 WARNS = "measured warning"
 REFUSES = "named error"
-SLOW = True
 MAY_BE_NAN = {"residual_mm", "distance_mm", "landmark_error_px", "condition", "misfit", "radiance_linear"}
 """Fields that hold NaN where nothing was measured or seen, or infinity: a distant lamp's distance."""
 
@@ -58,20 +58,29 @@ class Case:
         return f"{self.stage}: {self.name}"
 
 
-def table(stage, *rows):
-    """Return the cases of rows `(name, call, ends in, figure)`, those that take long with `SLOW` behind."""
-    return [Case(stage, *row) for row in rows]
+def table(stage, *groups):
+    """Return the cases of a stage: groups of rows."""
+    return [Case(stage, *row) for row in chain(*groups)]
 
 
-def rows(ends_in, figure, calls, slow=False):
-    """Return the rows of calls by name that all end alike."""
+def rows(ends_in, figure, named, call=None, values=None, slow=False):
+    """Return the rows of calls by name that all end alike, or of one call, perhaps for `each` value."""
+    calls = each(named, values, call) if values else {named: call} if call else named
     return [(name, call, ends_in, figure, slow) for name, call in calls.items()]
+
+
+right, warns, refuses = (partial(rows, ending) for ending in (RIGHT, WARNS, REFUSES))
 
 
 def each(name, values, call):
     """Return calls by name, one for each value: numbers as text, or values by name."""
     named = values if isinstance(values, dict) else {value: float(value) for value in values}
     return {name.format(key): partial(call, value) for key, value in named.items()}
+
+
+def gap(one, other):
+    """Return the largest difference of arrays."""
+    return float(np.abs(one - other).max())
 
 
 class Measured(str):

@@ -4,7 +4,8 @@ import math
 from functools import cache
 
 import numpy as np
-from helpers.wearers import small_wearer
+from helpers.wearers import rest_frame, small_wearer
+from helpers.worn_frames import register
 
 from scan2albedo.eyeglasses import (
     CanonicalizationOptions,
@@ -17,27 +18,15 @@ from scan2albedo.eyeglasses import (
     find_lens_rim,
     insert_lenses,
     refract,
-    register_on_face,
     skin,
     triangulate,
 )
 from scan2albedo.eyeglasses.lenses.inserted_lenses import lens_mesh
-from scan2albedo.geometry.pinhole import look_at
-from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
+from scan2albedo.geometry.pinhole import look_at, project
+from scan2albedo.geometry.rigid import rotation_from_vector
 from scan2albedo.synthetic import GlassesBend, GlassesShape, eyeglasses
-from stability.case import (
-    BUDGETS,
-    REFUSES,
-    RIGHT,
-    SLOW,
-    WARNS,
-    below,
-    each,
-    measured,
-    rows,
-    table,
-    unfinished,
-)
+from stability.case import BUDGETS, below, each, gap, measured, refuses, right, table, unfinished, warns
+from stability.scenes import plane
 
 SPACING = 3.0
 NAN = math.nan
@@ -45,47 +34,42 @@ FRAME = eyeglasses()
 COUNT = len(FRAME.vertices)
 
 
-def weighted(vertices, faces, handles, spacing=SPACING):
+def weighted(handles=FRAME.keypoints, vertices=FRAME.vertices, faces=FRAME.faces, spacing=SPACING):
     """Return weights, which are shares."""
     weights = bounded_biharmonic_weights(vertices, faces, handles, spacing)
-    assert np.abs(weights.sum(1) - 1).max() <= 1e-12
+    assert gap(weights.sum(1), 1) <= 1e-12
     assert weights.min() >= 0
     return weights
 
 
-@cache
-def plain():
-    """Return the weights of the frame as it is."""
-    return weighted(FRAME.vertices, FRAME.faces, FRAME.keypoints)
+plain = cache(weighted)
 
 
 def weights_off(scale=1.0, shift=0.0):
     """Return by how much weights change with the unit and the place."""
-    points = scale * FRAME.keypoints + shift
-    weights = weighted(scale * FRAME.vertices + shift, FRAME.faces, points, scale * SPACING)
-    return float(np.abs(weights - plain()).max())
+    points, vertices = (scale * place + shift for place in (FRAME.keypoints, FRAME.vertices))
+    return gap(weighted(points, vertices, spacing=scale * SPACING), plain())
 
 
 def with_slivers():
     """Return by how much slivers and flat triangles change the weights."""
     a, b, c = FRAME.faces[::7].T
-    near_c = COUNT + np.arange(len(c))
-    slivers = [np.stack(corners, 1) for corners in ((a, b, a), (a, b, b), (a, c, near_c))]
+    slivers = [np.stack(corners, 1) for corners in ((a, b, a), (a, b, b), (a, c, COUNT + np.arange(len(c))))]
     vertices = np.vstack([FRAME.vertices, FRAME.vertices[c] + 1e-12])
-    weights = weighted(vertices, np.vstack([FRAME.faces, *slivers]), FRAME.keypoints)
-    return float(np.abs(weights[:COUNT] - plain()).max())
+    weights = weighted(vertices=vertices, faces=np.vstack([FRAME.faces, *slivers]))
+    return gap(weights[:COUNT], plain())
 
 
-def own_share(vertices, faces, handles, at=slice(None)):
+def own_share(*mesh, at=slice(None)):
     """Return how much of a key point's vertex others move."""
-    return 1 - float(np.diag(weighted(vertices, faces, handles)[at]).min())
+    return 1 - float(np.diag(weighted(*mesh)[at]).min())
 
 
 def wire():
     """Return how much of a key point's vertex others move on a wire of 0.5 mm."""
     names = ("rim_width", "rim_depth", "bridge_height", "temple_height", "temple_width")
     thin = eyeglasses(shape=GlassesShape(**dict.fromkeys(names, 0.5)))
-    return own_share(thin.vertices, thin.faces, thin.keypoints, thin.keypoint_vertices)
+    return own_share(thin.keypoints, thin.vertices, thin.faces, at=thin.keypoint_vertices)
 
 
 TRIANGLE = np.array([[0.0, 0, 0], [60, 0, 0], [0, 60, 0]])
@@ -101,7 +85,7 @@ def straightened(vertices, points, rest=FRAME.keypoints, **options):
 
 def rms(off):
     """Return the root mean square length of differences (N, 3)."""
-    return float(np.sqrt((np.linalg.norm(off, axis=1) ** 2).mean()))
+    return float(np.sqrt((off**2).sum(1).mean()))
 
 
 def unbent_far_away(shift):
@@ -119,10 +103,10 @@ def folded(angle_deg):
         turn = rotation_from_vector([0, sign * math.radians(angle_deg), 0])
         for moved in (points, vertices):
             side = (sign * moved[:, 0] > 60) & (moved[:, 2] < hinge[2] - 5)
-            moved[side] = transform_points(compose(turn, hinge - turn @ hinge), moved[side])
+            moved[side] = (moved[side] - hinge) @ turn.T + hinge
     found = straightened(vertices, points)
     assert found.residual > 10
-    back = float(np.abs(found.uncanonicalize(found.vertices) - vertices).max())
+    back = gap(found.uncanonicalize(found.vertices), vertices)
     assert back < 1e-4
     return found.residual, back, rms(found.vertices - FRAME.vertices)
 
@@ -147,10 +131,9 @@ def zoomed(cameras, factor):
 def triangulated(focal_px):
     """Return how far key points are off that cameras of a focal length see."""
     cameras = zoomed(THREE, focal_px / 900)
-    image = np.einsum("cij,kj->cki", cameras[:, :, :3], FRAME.keypoints) + cameras[:, None, :, 3]
-    labels = image[..., :2] / image[..., 2:]
+    labels = np.stack([project(camera, FRAME.keypoints)[0] for camera in cameras])
     found = triangulate(labels, cameras, noise_px=max(focal_px / 900, 1e-3))
-    return float(np.abs(found.points - FRAME.keypoints).max())
+    return gap(found.points, FRAME.keypoints)
 
 
 def outliers():
@@ -168,26 +151,20 @@ def wearer():
     return small_wearer(1, noise_px=0.5)
 
 
-@cache
-def own_glasses():
-    """Return the person's glasses at rest, with their weights."""
-    glasses = wearer().glasses
-    rest = glasses.rest_vertices, glasses.faces, glasses.rest_keypoints
-    return *rest, bounded_biharmonic_weights(*rest, SPACING)
+def worn(**changes):
+    """Put the person's glasses on the head by labels alone, with some arguments changed."""
+    return register(wearer(), **{"masks": None, **changes})
 
 
-def worn(glasses=1.0, labels=None, cameras=None, head=0.0, masks=None, **options):
-    """Put the glasses, multiplied, on the head, moved; none where it is None."""
-    person = wearer()
-    vertices, faces, points, weights = own_glasses()
-    return register_on_face(
-        (glasses * vertices, faces, glasses * points, weights),
-        person.labels if labels is None else labels,
-        masks,
-        person.cameras if cameras is None else cameras,
-        head=None if head is None else (person.head_vertices + head, person.head_faces),
-        **options,
-    )
+def times(factor):
+    """Put the glasses, multiplied, on the head."""
+    vertices, faces, points, weights = rest_frame(1)
+    return worn(glasses=(factor * vertices, faces, factor * points, weights))
+
+
+def head(shift):
+    """Return the person's head, moved."""
+    return wearer().head_vertices + shift, wearer().head_faces
 
 
 def off_mm(found, shift=0.0):
@@ -216,7 +193,7 @@ def far_scene():
     shift = np.array([1e6, 0, 0])
     cameras = wearer().cameras.copy()
     cameras[:, :, 3] -= cameras[:, :, :3] @ shift
-    return off_mm(worn(cameras=cameras, head=shift), shift)
+    return off_mm(worn(cameras=cameras, head=head(shift)), shift)
 
 
 def out_of_time():
@@ -238,12 +215,12 @@ def bend_error(dioptres, normal=(0, 0, 1)):
 def pictured(dioptres, shape):
     """Return the darkest value of a picture of lenses before a wall, negated, and the pixels of lens."""
     center = FRAME.lens_centers[0]
-    corners = 80 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1.0]])
+    wall, faces = plane(2, 160)
     picture = insert_lenses(
         Surface(FRAME.vertices, FRAME.faces, albedo_linear=(0.1, 0.1, 0.1)),
         FRAME.keypoints,
         LensMaterial(dioptres),
-        surfaces=[Surface(np.column_stack([corners, np.full(4, -40.0)]), [[0, 1, 2], [0, 2, 3]])],
+        surfaces=[Surface(wall - [0, 0, 40], faces)],
         camera=look_at(center + [0, 0, 600], center, focal_px=300, shape=(48, 64)),
         shape=shape,
         lights=DistantLights([[0, 0, 1]], [np.pi]),
@@ -253,185 +230,167 @@ def pictured(dioptres, shape):
 
 HELD = below(0.1, "others move {:.2f} of a key point's vertex")
 SHAPELESS = {
-    "no vertex": (np.zeros((0, 3)), np.zeros((0, 3), int), np.zeros((1, 3))),
-    "no key point": (np.eye(3), [[0, 1, 2]], np.zeros((0, 3))),
-    "shrunk to a point": (np.zeros((9, 3)), [[0, 1, 2]], [[0, 0, 0]]),
-    "coincident key points": (FRAME.vertices, FRAME.faces, FRAME.keypoints[[*range(20), 2]]),
-    "key points far off the mesh": (FRAME.vertices, FRAME.faces, FRAME.keypoints + [0, 90, 0]),
-    "spacing 0.001": (FRAME.vertices, FRAME.faces, FRAME.keypoints, 1e-3),
+    "no vertex": (np.zeros((1, 3)), np.zeros((0, 3)), np.zeros((0, 3), int)),
+    "no key point": (np.zeros((0, 3)), np.eye(3), [[0, 1, 2]]),
+    "shrunk to a point": ([[0, 0, 0]], np.zeros((9, 3)), [[0, 1, 2]]),
+    "coincident key points": (FRAME.keypoints[[*range(20), 2]],),
+    "key points far off the mesh": (FRAME.keypoints + [0, 90, 0],),
+    "spacing 0.001": (FRAME.keypoints, FRAME.vertices, FRAME.faces, 1e-3),
 }
 
 CASES = table(
     "eyeglasses",
-    *rows(
-        REFUSES,
-        "",
-        each("weights: {}", SHAPELESS, lambda mesh: weighted(*mesh)),
-    ),
-    (
-        "weights: one key point",
-        lambda: own_share(FRAME.vertices, FRAME.faces, FRAME.keypoints[:1]),
-        RIGHT,
+    refuses("", "weights: {}", lambda mesh: weighted(*mesh), SHAPELESS),
+    right(
         below(1e-12, "takes everything but {:.0f}"),
+        "weights: one key point",
+        lambda: own_share(FRAME.keypoints[:1]),
     ),
-    ("weights: one triangle", lambda: own_share(TRIANGLE, [[0, 1, 2]], TRIANGLE), RIGHT, HELD),
-    ("weights: a wire frame of 0.5 mm", wire, RIGHT, HELD),
-    ("weights: slivers and flat triangles", with_slivers, RIGHT, below(1e-6, "as without, within {:.0e}")),
-    (
+    right(HELD, "weights: one triangle", lambda: own_share(TRIANGLE, TRIANGLE, [[0, 1, 2]])),
+    right(HELD, "weights: a wire frame of 0.5 mm", wire),
+    right(below(1e-6, "as without, within {:.0e}"), "weights: slivers and flat triangles", with_slivers),
+    right(
+        below(1e-6, "as in mm, within {:.0e}"),
         "weights: glasses in kilometres",
         lambda: weights_off(1e-6),
-        RIGHT,
-        below(1e-6, "as in mm, within {:.0e}"),
-        SLOW,
+        slow=True,
     ),
-    *rows(
-        RIGHT,
+    right(
         below(1e-3, "as at the origin, within {:.0e}"),
-        each("weights: glasses {} mm off the origin", ("1e6", "1e7"), lambda far: weights_off(shift=far)),
+        "weights: glasses {} mm off the origin",
+        lambda far: weights_off(shift=far),
+        ("1e6", "1e7"),
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "",
         {
             "skinning: weights NaN": lambda: skin(np.ones((2, 3)), np.full((2, 1), NAN), [np.eye(4)]),
             "skinning: transforms NaN": lambda: skin(np.ones((2, 3)), np.ones((2, 1)), [NAN * np.eye(4)]),
         },
     ),
-    (
+    right(
+        below(1, "{} vertices"),
         "skinning: no vertex",
         lambda: len(skin(np.zeros((0, 3)), np.zeros((0, 1)), [np.eye(4)])),
-        RIGHT,
-        below(1, "{} vertices"),
     ),
-    *rows(
-        RIGHT,
+    right(
         below(0.15, "off by {:.2f} mm rms"),
-        each("canonical: glasses {} mm off the origin", ("1e6", "1e7"), unbent_far_away),
+        "canonical: glasses {} mm off the origin",
+        unbent_far_away,
+        ("1e6", "1e7"),
     ),
-    *rows(
-        WARNS,
+    warns(
         measured("residual {:.0f} mm says how bent it was; the way back within {:.0e} mm, off by {:.1f} mm"),
-        each("canonical: temples folded by {} degrees", ("90", "180"), folded),
+        "canonical: temples folded by {} degrees",
+        folded,
+        ("90", "180"),
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "frame 0: .* key points",
-        each(
-            "canonical: key points {}",
-            {
-                "all at one place": 0 * LINE,
-                "on a line": LINE * [1, 0, 0],
-                "two known": np.where(np.arange(20)[:, None] < 2, 1.0, NAN) * LINE,
-                "none known": NAN * LINE,
-                "infinite": math.inf + LINE,
-            },
-            lambda points: straightened(FRAME.vertices, points),
-        ),
+        "canonical: key points {}",
+        lambda points: straightened(FRAME.vertices, points),
+        {
+            "all at one place": 0 * LINE,
+            "on a line": LINE * [1, 0, 0],
+            "two known": np.where(np.arange(20)[:, None] < 2, 1.0, NAN) * LINE,
+            "none known": NAN * LINE,
+            "infinite": math.inf + LINE,
+        },
     ),
-    (
+    refuses(
+        "",
         "canonical: weights NaN",
         lambda: straightened(FRAME.vertices, FRAME.keypoints, weights=[NAN * plain()]),
-        REFUSES,
-        "",
     ),
-    (
-        "triangulation: all labels outliers (1e5 px)",
-        outliers,
-        WARNS,
-        measured("inliers in {} view at most"),
-    ),
-    *rows(
-        RIGHT,
+    warns(measured("inliers in {} view at most"), "triangulation: all labels outliers (1e5 px)", outliers),
+    right(
         below(1e-4, "points within {:.0e} mm"),
-        each("triangulation: focal length {} px", ("1", "1e6"), triangulated),
+        "triangulation: focal length {} px",
+        triangulated,
+        ("1", "1e6"),
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "",
         {
-            "registration: all labels outliers (1e5 px)": lambda: worn(labels=labels(1e5, -1e5)),
-            "registration: labels by chance within the pictures": lambda: worn(labels=labels(256)),
+            "registration: all labels outliers (1e5 px)": lambda: worn(keypoints_2d=labels(1e5, -1e5)),
+            "registration: labels by chance within the pictures": lambda: worn(keypoints_2d=labels(256)),
             **each(
                 "registration: focal length {} px",
                 ("1", "1e6"),
                 lambda focal: worn(cameras=zoomed(wearer().cameras, focal / 450)),
             ),
         },
-        SLOW,
+        slow=True,
     ),
-    (
-        "registration: no labels",
-        lambda: worn(labels=NAN * labels(1), head=None),
-        REFUSES,
+    refuses(
         "no key point is labelled.*no head.*give a start",
+        "registration: no labels",
+        lambda: worn(keypoints_2d=NAN * labels(1), head=None),
     ),
-    ("registration: labels infinite", lambda: worn(labels=math.inf + labels(1), head=None), REFUSES, ""),
-    *rows(
-        WARNS,
+    refuses("", "registration: labels infinite", lambda: worn(keypoints_2d=math.inf + labels(1), head=None)),
+    warns(
         measured("{:.0f} % of its labels fit, the other views decide: off by {:.1f} mm"),
         {
             "registration: a camera said to be inside the glasses": lambda: moved_camera(0.0),
             "registration: a camera said to be behind the head": lambda: moved_camera(600.0),
         },
-        SLOW,
+        slow=True,
     ),
-    (
+    refuses(
+        "labels of view 0 lie outside its mask of 128 x 128",
         "registration: masks of another size",
         lambda: worn(masks=wearer().masks[:, ::2, ::2]),
-        REFUSES,
-        "labels of view 0 lie outside its mask of 128 x 128",
     ),
-    ("registration: masks of 1 x 1", lambda: worn(masks=np.ones((3, 1, 1), bool)), REFUSES, ""),
-    *rows(
-        REFUSES,
+    refuses("", "registration: masks of 1 x 1", lambda: worn(masks=np.ones((3, 1, 1), bool))),
+    refuses(
         r"e\+0[36] times as large.*same unit",
-        each("registration: glasses times {}, cameras in mm", ("1e-3", "1e-6"), worn),
+        "registration: glasses times {}, cameras in mm",
+        times,
+        ("1e-3", "1e-6"),
     ),
-    ("registration: head with NaN", lambda: worn(head=NAN), REFUSES, ""),
-    (
+    refuses("", "registration: head with NaN", lambda: worn(head=head(NAN))),
+    right(
+        below(1.0, "visible vertices off by {:.2f} mm rms"),
         "registration: scene 1e6 mm off the origin",
         far_scene,
-        RIGHT,
-        below(1.0, "visible vertices off by {:.2f} mm rms"),
-        SLOW,
+        slow=True,
     ),
-    (
+    warns(
+        measured("converged=False, {:.0f} % counts as observed; off by {:.0f} mm"),
         "registration with a budget of 0.001 s",
         out_of_time,
-        WARNS,
-        measured("converged=False, {:.0f} % counts as observed; off by {:.0f} mm"),
-        SLOW,
+        slow=True,
     ),
-    *rows(
-        RIGHT,
+    right(
         below(1e-9, "within {:.0e} degrees of the exact thin lens"),
-        each("lens of {} dioptres", ("-20", "0", "20", "1e3", "1.66667"), bend_error),
+        "lens of {} dioptres",
+        bend_error,
+        ("-20", "0", "20", "1e3", "1.66667"),
     ),
-    *rows(REFUSES, "not finite", each("lens of {} dioptres", ("nan", "inf"), bend_error)),
-    ("lens without a normal", lambda: bend_error(4.0, (0, 0, 0)), REFUSES, "normal is zero"),
-    *rows(
-        RIGHT,
+    refuses("not finite", "lens of {} dioptres", bend_error, ("nan", "inf")),
+    refuses("normal is zero", "lens without a normal", lambda: bend_error(4.0, (0, 0, 0))),
+    right(
         below(1e-12, "finite, {1} pixels of lens"),
         {
             "picture through lenses of 1000 dioptres": lambda: pictured(1e3, (48, 64)),
             "picture of 1 x 1": lambda: pictured(-3.0, (1, 1)),
         },
     ),
-    (
+    refuses(
+        "no closed rim",
         "rim sought far from the frame",
         lambda: find_lens_rim(
             FRAME.vertices, FRAME.faces, FRAME.lens_centers[0] + [0, 0, 500.0], normal=[0, 0, 1]
         ),
-        REFUSES,
-        "no closed rim",
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "",
+        "lens mesh in a rim {}",
+        lambda rim: lens_mesh([0, 0, 0], rim),
         {
-            "lens mesh in a rim of two points": lambda: lens_mesh([0, 0, 0], TRIANGLE[:2]),
-            "lens mesh in a rim collapsed to a point": lambda: lens_mesh([0, 0, 0], np.ones((8, 3))),
-            "lens mesh in a rim with NaN": lambda: lens_mesh([0, 0, 0], np.full((8, 3), NAN)),
+            "of two points": TRIANGLE[:2],
+            "collapsed to a point": np.ones((8, 3)),
+            "with NaN": np.full((8, 3), NAN),
         },
     ),
 )

@@ -5,10 +5,9 @@ import trimesh
 
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.geometry.closest_points import ClosestPointQuery
-from scan2albedo.geometry.operators import linear_refinement
 from scan2albedo.geometry.rigid import transform_points
-from stability.case import REFUSES, RIGHT, SLOW, WARNS, Measured, below, each, rows, table
-from stability.scenes import mixed, model, moebius, plane
+from stability.case import Measured, below, each, gap, refuses, right, table, warns
+from stability.scenes import line, mixed, model, moebius, plane, with_one
 
 VERTICES, FACES = model().surface(0)
 """A face template of 950 vertices, mm."""
@@ -22,7 +21,7 @@ def modelled(vertices=VERTICES, faces=FACES, **settings):
     used = np.unique(index)
     back = transform_points(made.template_from_model, made.template_of(made.control_vertices))[used]
     size = np.ptp(xyz[used], axis=0).max()
-    assert np.abs(back - xyz[used]).max() < 1e-6 * size + 1e-15 * np.abs(xyz[used]).max()
+    assert gap(back, xyz[used]) < 1e-6 * size + 1e-15 * gap(xyz[used], 0)
     inner = transform_points(np.linalg.inv(made.template_from_model), xyz[used])
     apart = ClosestPointQuery(*made.surface(2)).query(inner).distance
     return apart.mean(), len(made.control_vertices), made
@@ -56,31 +55,22 @@ def damaged():
     return modelled(vertices, np.concatenate([FACES, fins, slivers, FACES[:40, [0, 0, 1]]]))
 
 
-def with_one(value):
-    """Return the face with one vertex moved."""
-    vertices = VERTICES.copy()
-    vertices[FACES[400, 0]] += value
-    return vertices
-
-
 def flipped():
     """Return the chart with one inner triangle turned over."""
-    uv = model().uv.copy()
+    uv = model().uv
     corner = FACES[np.argmin(np.linalg.norm(uv[FACES].mean(1) - 0.5, axis=1))]
-    uv[corner] = uv[corner][[0, 2, 1]]
-    return uv
+    return with_one(uv, uv[corner[[0, 2, 1]]], corner)
 
 
 def fine():
     """Model the face with 100,000 vertices."""
     finer = model().subdivision(3)
-    assert linear_refinement(len(VERTICES), FACES, 3).shape[0] == finer.matrix.shape[0]
     return modelled(finer.matrix @ VERTICES, finer.faces, control_size=1000)
 
 
 def far_vertex():
     """Model the face with one vertex at 1e5 mm."""
-    made = AnnotatedFaceModel.from_mesh(with_one(1e5), FACES, annotate=False)
+    made = AnnotatedFaceModel.from_mesh(with_one(VERTICES, 1e5, FACES[400, 0]), FACES, annotate=False)
     assert made.notes[0] == "unit mm"
     return 0.0, 0, made
 
@@ -91,18 +81,16 @@ BROKEN = "{} of .* vertices are NaN or infinite; repair"
 
 CASES = table(
     "from_mesh",
-    *rows(
-        RIGHT,
+    right(
         NEAR,
         {
             **each("face times {}", ("1e3", "0.1", "1e-3"), lambda factor: modelled(factor * VERTICES)),
             **each("{} mm away", ("1e6", "1e7", "1e9"), lambda far: modelled(VERTICES + far)),
             "100,000 vertices": fine,
         },
-        SLOW,
+        slow=True,
     ),
-    *rows(
-        RIGHT,
+    right(
         NEAR,
         {
             "a plane": lambda: modelled(*plane(20, 200)),
@@ -116,64 +104,54 @@ CASES = table(
             ),
         },
     ),
-    (
+    warns(
+        noted("faces cut off the back of a closed surface", 20.0),
         "a torus: cut open",
         lambda: modelled(TORUS.vertices, TORUS.faces),
-        WARNS,
-        noted("faces cut off the back of a closed surface", 20.0),
     ),
-    (
+    warns(
+        noted("faces dropped at edges with three faces"),
         "non-manifold edges, slivers, zero-area faces",
         damaged,
-        WARNS,
-        noted("faces dropped at edges with three faces"),
     ),
-    ("one vertex at 1e5 mm", far_vertex, WARNS, noted("vertices far from the rest")),
-    (
+    warns(noted("vertices far from the rest"), "one vertex at 1e5 mm", far_vertex),
+    warns(
+        noted("a greater control_size follows it better", 4.0),
         "a control mesh of 25 vertices",
         lambda: modelled(control_size=25),
-        WARNS,
-        noted("a greater control_size follows it better", 4.0),
     ),
-    *rows(
-        WARNS,
+    warns(
         noted("a new chart was drawn"),
+        "uv {}",
+        lambda uv: modelled(control_size=1000, uv=uv),
         {
-            "uv with a flipped triangle": lambda: modelled(control_size=1000, uv=flipped()),
-            "uv NaN": lambda: modelled(control_size=1000, uv=np.nan * model().uv),
-            "uv outside [0, 1]": lambda: modelled(control_size=1000, uv=5 * model().uv - 2),
-            "uv all in one place": lambda: modelled(control_size=1000, uv=0 * model().uv),
+            "with a flipped triangle": flipped(),
+            "NaN": np.nan * model().uv,
+            "outside [0, 1]": 5 * model().uv - 2,
+            "all in one place": 0 * model().uv,
         },
     ),
-    (
+    refuses(
+        "which is not a head in mm, cm, m or um.*scale it to millimetres",
         "kilometres",
         lambda: modelled(1e-6 * VERTICES),
-        REFUSES,
-        "which is not a head in mm, cm, m or um.*scale it to millimetres",
     ),
-    (
-        "4 vertices",
-        lambda: modelled(
-            [[0, 0, 0], [100, 0, 0], [0, 120, 0], [50, 50, 50]], [[0, 1, 3], [1, 2, 3], [2, 0, 3]]
-        ),
-        REFUSES,
+    refuses(
         "template: only 4 vertices in faces, at least 100 needed",
+        "4 vertices",
+        lambda: modelled(100 * np.eye(4, 3), [[0, 1, 3], [1, 2, 3], [2, 0, 3]]),
     ),
-    (
+    refuses(
+        "control_size is 4, but fewer than 20 control vertices hold no face",
         "a control mesh of 4 vertices",
         lambda: modelled(control_size=4),
-        REFUSES,
-        "control_size is 4, but fewer than 20 control vertices hold no face",
     ),
-    (
-        "a line of points",
-        lambda: modelled(
-            np.linspace(0, 200, 200)[:, None] * [1, 0, 0], np.arange(198)[:, None] + np.arange(3)
-        ),
-        REFUSES,
+    refuses(
         "template: every face has zero area",
+        "a line of points",
+        lambda: modelled(*line()),
     ),
-    ("one vertex NaN", lambda: modelled(with_one(np.nan)), REFUSES, BROKEN.format(1)),
-    ("all vertices NaN", lambda: modelled(np.nan * VERTICES), REFUSES, BROKEN.format(len(VERTICES))),
-    ("a Moebius strip", lambda: modelled(*moebius()), REFUSES, "cannot be oriented.*use an orientable mesh"),
+    refuses(BROKEN.format(1), "one vertex NaN", lambda: modelled(with_one(VERTICES, np.nan, FACES[400, 0]))),
+    refuses(BROKEN.format(len(VERTICES)), "all vertices NaN", lambda: modelled(np.nan * VERTICES)),
+    refuses("cannot be oriented.*use an orientable mesh", "a Moebius strip", lambda: modelled(*moebius())),
 )

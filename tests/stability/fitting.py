@@ -1,14 +1,13 @@
 """Extremes of `fit`: the surface is near the truth, or a note, a figure or an error says why not."""
 
-from functools import cache
+from functools import cache, partial
 from unittest.mock import patch
 
 import numpy as np
 
 from scan2albedo import RawScan, fit
 from scan2albedo.fitting import FitOptions
-from scan2albedo.geometry.rigid import compose, rotation_from_vector
-from stability.case import REFUSES, RIGHT, SLOW, WARNS, Measured, below, each, rows, said, table
+from stability.case import Measured, below, each, gap, refuses, right, said, table, warns
 from stability.scenes import (
     at_random,
     model,
@@ -111,18 +110,13 @@ def folded(bound):
 def moved_off(distance):
     """Return by how much a fit far from the origin differs from that at the origin."""
     (_, here), (_, far) = (fitted(scene) for scene in (person(), person().shifted(distance)))
-    return float(np.abs(far.vertices - here.vertices).max())
+    return gap(far.vertices, here.vertices)
 
 
 def strained(face):
     """Return the strain of a model fitted to what is no face."""
     assert face.metrics["strain"] > 0.12
     return Measured(f"strain {face.metrics['strain']:.2f}")
-
-
-def in_unit(factor):
-    """Fit the model to the person in the model's frame, in another unit."""
-    return alone(factor * person().in_model_frame, person().scan.faces)
 
 
 MASSES = (
@@ -137,46 +131,37 @@ MASSES = (
 
 CASES = table(
     "fit",
-    ("stiffness 1", lambda: as_stiff(1.0), RIGHT, near(0.4), SLOW),
-    ("stiffness 1e8", lambda: as_stiff(1e8), RIGHT, near(0.7), SLOW),
-    ("stiffness 1e-6", lambda: as_stiff(1e-6, levels=FINER), WARNS, folded(0.4)),
-    (
+    right(near(0.4), "stiffness 1", lambda: as_stiff(1.0), slow=True),
+    right(near(0.7), "stiffness 1e8", lambda: as_stiff(1e8), slow=True),
+    warns(folded(0.4), "stiffness 1e-6", lambda: as_stiff(1e-6, levels=FINER)),
+    warns(
+        folded(0.6),
         "no stiffness at all",
         lambda: with_constants({"bending_mm": (0.0, 0.0), "levels": FINER}, MEMBRANE_MM=(0.0, 0.0)),
-        WARNS,
-        folded(0.6),
     ),
-    (
+    right(
+        near(0.7),
         "stiffness beyond doubles (lengths of 1e8 mm)",
         lambda: with_constants({"bending_mm": (1e8, 1e8)}, MEMBRANE_MM=(1e6, 1e6)),
-        RIGHT,
-        near(0.7),
     ),
-    *rows(
-        RIGHT,
-        near(0.4),
-        each("time step {}", ("1", "1e3", "1e30"), lambda step: with_constants(TIME_STEP=step)),
-    ),
-    *rows(
-        WARNS,
+    right(near(0.4), "time step {}", lambda step: with_constants(TIME_STEP=step), ("1", "1e3", "1e30")),
+    warns(
         unfinished(0.7),
         {
             **each("time step {}", ("1e-6", "1e-3"), lambda step: with_constants(TIME_STEP=step)),
             "mass 1e6": lambda: with_constants(MASS=1e6),
         },
     ),
-    *rows(
-        RIGHT,
+    right(
         near(0.5),
         {
-            ", ".join(f"{name.lower()} {value:g}" for name, value in values.items()): (
-                lambda values=values: with_constants(**values)
+            ", ".join(f"{name.lower()} {value:g}" for name, value in values.items()): partial(
+                with_constants, **values
             )
             for values in MASSES
         },
     ),
-    *rows(
-        RIGHT,
+    right(
         near(0.5),
         {
             "forces without gates (reach 1e6 mm)": without_gates,
@@ -189,80 +174,62 @@ CASES = table(
             "inside out": lambda: fitted(person().with_mesh(person().scan.faces[:, ::-1])),
         },
     ),
-    *rows(
-        RIGHT,
+    right(
         near(0.5),
-        each(
-            "{} of the triangles left",
-            ("0.4", "0.2", "0.05"),
-            lambda share: fitted(person().kept(at_random(person(), share))),
-        ),
-        SLOW,
+        "{} of the triangles left",
+        lambda share: fitted(person().kept(at_random(person(), share))),
+        ("0.4", "0.2", "0.05"),
+        slow=True,
     ),
-    ("noise of 1 mm", lambda: fitted(noisy(person(), 1.0)), RIGHT, near(0.6)),
-    ("noise of 3 mm", lambda: fitted(noisy(person(), 3.0)), WARNS, unfinished(1.3)),
-    (
-        "1.5 times too large, in the model's pose",
-        lambda: fitted(person().scaled(1.5)),
-        RIGHT,
-        near(1.5),
-    ),
-    *rows(
-        RIGHT,
+    right(near(0.6), "noise of 1 mm", lambda: fitted(noisy(person(), 1.0))),
+    warns(unfinished(1.3), "noise of 3 mm", lambda: fitted(noisy(person(), 3.0))),
+    right(near(1.5), "1.5 times too large, in the model's pose", lambda: fitted(person().scaled(1.5))),
+    right(
         below(0.02, "{:.1e} mm from the fit at the origin"),
-        each("offset {} mm", ("1e6", "1e7", "1e9"), moved_off),
-        SLOW,
+        "offset {} mm",
+        moved_off,
+        ("1e6", "1e7", "1e9"),
+        slow=True,
     ),
-    (
+    warns(
+        covered(0.3, 0.7, 0.4),
         "half of the triangles wound the wrong way",
         lambda: fitted(person().wound(at_random(person(), 0.5))),
-        WARNS,
-        covered(0.3, 0.7, 0.4),
     ),
-    (
-        "upside down in the model's frame",
-        lambda: fitted(
-            grey(),
-            compose(rotation_from_vector([0, 0, np.pi]), np.zeros(3)) @ person().model_from_scan,
-            levels=FINER,
-        ),
-        WARNS,
+    warns(
         near(99),
+        "upside down in the model's frame",
+        lambda: fitted(grey().turned([0, 0, np.pi]), np.eye(4), levels=FINER),
     ),
-    (
-        "a plane in place of the face",
-        lambda: alone(plane(40, 250)[0] - [125, 125, 0], plane(40, 250)[1], **QUICK),
-        WARNS,
+    warns(
         strained,
+        "a plane in place of the face",
+        lambda: alone(*plane(40, 250), **QUICK),
     ),
-    (
+    refuses(
+        "levels must be.*0 to 5",
         "refinements that would fill the memory",
         lambda: fitted(person(), levels=(9,)),
-        REFUSES,
-        "levels must be.*0 to 5",
     ),
-    ("negative steps", lambda: FitOptions(steps=-1), REFUSES, "steps must be finite and 0 or more"),
-    ("stiffness NaN", lambda: FitOptions(bending_mm=(np.nan, 1.0)), REFUSES, "bending_mm must be"),
-    ("sizes exchanged", lambda: FitOptions(scale_range=(2.0, 1.0)), REFUSES, "scale_range must be"),
-    ("an empty schedule", lambda: FitOptions(levels=()), REFUSES, "levels must be one or more"),
-    (
+    refuses("steps must be finite and 0 or more", "negative steps", lambda: FitOptions(steps=-1)),
+    refuses("bending_mm must be", "stiffness NaN", lambda: FitOptions(bending_mm=(np.nan, 1.0))),
+    refuses("scale_range must be", "sizes exchanged", lambda: FitOptions(scale_range=(2.0, 1.0))),
+    refuses("levels must be one or more", "an empty schedule", lambda: FitOptions(levels=())),
+    refuses(
+        "scan: only .* % of the (fitted )?model has scan.*the scan holds",
         "a single triangle",
         lambda: alone([[-9.0, -9, 0], [9, -9, 0], [0, 9, 0]], [[0, 1, 2]]),
-        REFUSES,
-        "scan: only .* % of the (fitted )?model has scan.*the scan holds",
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "unit|wrong|face",
-        each("units of {} mm taken for mm", ("1e-3", "1e3", "1e6"), lambda unit: in_unit(1 / unit)),
+        "units of {} mm taken for mm",
+        lambda unit: alone(person().in_model_frame / unit, person().scan.faces),
+        ("1e-3", "1e3", "1e6"),
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "must be a rigid transform",
-        {
-            "a pose of NaN": lambda: fitted(person(), np.full((4, 4), np.nan)),
-            "a pose scaled": lambda: fitted(person(), 2 * person().model_from_scan),
-            "a pose mirrored": lambda: fitted(person(), np.diag([-1.0, 1, 1, 1]) @ person().model_from_scan),
-        },
+        "a pose {}",
+        lambda change: fitted(person(), change @ person().model_from_scan),
+        {"of NaN": np.full((4, 4), np.nan), "scaled": 2 * np.eye(4), "mirrored": np.diag([-1.0, 1, 1, 1])},
     ),
 )

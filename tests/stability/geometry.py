@@ -1,5 +1,7 @@
 """Extremes of what all stages stand on: closest points, subdivision, diffusion, rigid transforms."""
 
+from functools import partial
+
 import numpy as np
 import trimesh
 
@@ -8,8 +10,8 @@ from scan2albedo.geometry.loop_subdivision import LoopSubdivision
 from scan2albedo.geometry.mesh import turned_against_neighbours
 from scan2albedo.geometry.operators import surface_diffusion
 from scan2albedo.geometry.rigid import compose, procrustes, random_rotation, transform_points
-from stability.case import REFUSES, RIGHT, below, each, rows, table
-from stability.scenes import mixed, moebius
+from stability.case import below, each, gap, refuses, right, table
+from stability.scenes import mixed, moebius, with_one
 
 BALL = trimesh.creation.icosphere(3, 100.0)
 VERTICES = np.array(BALL.vertices)
@@ -21,44 +23,27 @@ CLOUD = np.random.default_rng(3).normal(scale=50, size=(20, 3))
 QUERIES = (ClosestPointQuery, NearestSurface)
 
 
-def distance_gap(factor=1.0, offset=0.0, faces=FACES):
+def distance_gap(factor=1.0, offset=0.0):
     """Return how far distances of a scaled and shifted ball are from those of the plain one, in mm."""
-    gaps = []
-    for kind in QUERIES:
-        plain = kind(VERTICES, FACES).query(POINTS).distance
-        placed = kind(factor * VERTICES + offset, faces).query(factor * POINTS + offset)
-        gaps.append((float(np.abs(placed.distance / factor - plain).max()), placed))
-    return max(gap for gap, _ in gaps), gaps
+    plain = [kind(VERTICES, FACES).query(POINTS).distance for kind in QUERIES]
+    placed = [kind(factor * VERTICES + offset, FACES).query(factor * POINTS + offset) for kind in QUERIES]
+    gaps = [gap(there.distance / factor, here) for here, there in zip(plain, placed, strict=True)]
+    return max(gaps), placed
 
 
-def with_one(array, value):
-    """Return an array with a value in its fourth row."""
-    spoilt = array.copy()
-    spoilt[3] = value
-    return spoilt
-
-
-def subdivided(vertices, faces):
+def subdivided(faces, vertices=VERTICES):
     """Return how far rows of weights are from a sum of 1, and the limit vertices."""
     limit = LoopSubdivision.of(len(vertices), faces, 2)
     points = limit.matrix @ vertices
-    assert np.abs(points).max() <= np.abs(vertices).max() * 1.0001, "extrapolated"
-    return float(np.abs(np.asarray(limit.matrix.sum(1)) - 1).max()), points
+    assert gap(points, 0) <= gap(vertices, 0) * 1.0001, "extrapolated"
+    return gap(np.asarray(limit.matrix.sum(1)), 1), points
 
 
-def fan():
-    """Return a flat cone of 1000 triangles about one vertex."""
-    angle = np.linspace(0, 2 * np.pi, 1000, endpoint=False)
-    ring = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
-    index = np.arange(1000)
-    faces = np.column_stack([0 * index, index + 1, (index + 1) % 1000 + 1])
-    return np.concatenate([[[0.0, 0, 1]], ring]), faces
-
-
-def far_subdivision():
-    """Return by how much limit vertices at 1e9 mm differ from those at the origin."""
-    far = subdivided(VERTICES + 1e9, FACES)[1] - 1e9
-    return float(np.abs(far - subdivided(VERTICES, FACES)[1]).max())
+def valence_1000():
+    """Return how far the tip of a cone of 1000 triangles leaves its axis."""
+    cone = trimesh.creation.cone(1.0, 1.0, sections=1000)
+    tip = cone.vertices[:, 2].argmax()
+    return gap(subdivided(cone.faces, cone.vertices)[1][tip, :2], 0)
 
 
 def spread(distance):
@@ -72,7 +57,7 @@ def diffusion_gap(factor=1.0, offset=0.0):
     """Return by how much diffusion over 5 mm differs from that of a ball of another unit or place."""
     plain = surface_diffusion(VERTICES, FACES, 5.0)(VALUES)
     placed = surface_diffusion(factor * VERTICES + offset, FACES, 5.0 * factor)(VALUES)
-    return float(np.abs(placed - plain).max())
+    return gap(placed, plain)
 
 
 def flat_diffusion():
@@ -87,7 +72,7 @@ def rigid_gap(source):
     target = transform_points(compose(random_rotation(rng), [1.0, 2, 3]), source)
     found = procrustes(source, target)
     assert abs(np.linalg.det(found[:3, :3]) - 1) < 1e-9
-    return float(np.abs(transform_points(found, source) - target).max())
+    return gap(transform_points(found, source), target)
 
 
 def half_reversed():
@@ -101,58 +86,62 @@ FINS = np.column_stack([FACES[:9, :2], FACES[100:109, 0]])
 
 CASES = table(
     "geometry",
-    *rows(
-        RIGHT,
+    right(
         below(1e-6, "{:.0e} mm off"),
-        each("closest points: offset {} mm", ("1e6", "1e7", "1e9"), lambda far: distance_gap(offset=far)),
+        "closest points: offset {} mm",
+        lambda far: distance_gap(offset=far),
+        ("1e6", "1e7", "1e9"),
     ),
-    *rows(
-        RIGHT,
+    right(
         below(1e-9, "{:.0e} of 100 off"),
-        each("closest points: size of {} times 100 mm", ("1e-9", "1e9"), distance_gap),
+        "closest points: size of {} times 100 mm",
+        distance_gap,
+        ("1e-9", "1e9"),
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "^1 of 500 points are NaN, infinite",
         {
-            f"{kind.__name__}: a point of {value}": lambda kind=kind, value=value: kind(
-                VERTICES, FACES
-            ).query(with_one(POINTS, value))
+            f"{kind.__name__}: a point of {value}": partial(
+                kind(VERTICES, FACES).query, with_one(POINTS, value)
+            )
             for kind in QUERIES
             for value in (np.nan, 1e200)
         },
     ),
-    (
+    refuses(
+        "a surface without faces has no closest points",
         "closest points: no faces",
         lambda: ClosestPointQuery(VERTICES, FACES[:0]),
-        REFUSES,
-        "a surface without faces has no closest points",
     ),
-    *rows(
-        RIGHT,
+    right(
         below(1e-9, "rows sum to 1 within {:.0e}, no extrapolation"),
+        "subdivision: {}",
+        subdivided,
         {
-            "subdivision: double faces": lambda: subdivided(VERTICES, np.concatenate([FACES, FACES[:3]])),
-            "subdivision: zero-area faces": lambda: subdivided(VERTICES, FLAT_FACES),
-            "subdivision: non-manifold faces": lambda: subdivided(VERTICES, np.concatenate([FACES, FINS])),
-            "subdivision: a single triangle": lambda: subdivided(VERTICES, FACES[:1]),
-            "subdivision: mixed orientation": lambda: subdivided(VERTICES, mixed(FACES)),
+            "double faces": np.concatenate([FACES, FACES[:3]]),
+            "zero-area faces": FLAT_FACES,
+            "non-manifold faces": np.concatenate([FACES, FINS]),
+            "a single triangle": FACES[:1],
+            "mixed orientation": mixed(FACES),
         },
     ),
-    (
-        "subdivision: a vertex of valence 1000",
-        lambda: float(np.abs(subdivided(*fan())[1][0, :2]).max()),
-        RIGHT,
+    right(
         below(1e-12, "tip {:.0e} off its axis"),
+        "subdivision: a vertex of valence 1000",
+        valence_1000,
     ),
-    ("subdivision: coordinates of 1e9 mm", far_subdivision, RIGHT, below(1e-5, "{:.0e} mm off at 1e9")),
-    *rows(
-        RIGHT,
+    right(
+        below(1e-5, "{:.0e} mm off at 1e9"),
+        "subdivision: coordinates of 1e9 mm",
+        lambda: gap(subdivided(FACES, VERTICES + 1e9)[1] - 1e9, subdivided(FACES)[1]),
+    ),
+    right(
         below(0.01, "mean within {:.4f}, range kept"),
-        each("diffusion: distance of {} mm", ("1e-6", "1", "1e3", "1e6", "1e12"), spread),
+        "diffusion: distance of {} mm",
+        spread,
+        ("1e-6", "1", "1e3", "1e6", "1e12"),
     ),
-    *rows(
-        RIGHT,
+    right(
         below(1e-8, "{:.0e} apart"),
         {
             **each("diffusion: {} times as large", ("1e-6", "1e3", "1e6"), diffusion_gap),
@@ -160,30 +149,28 @@ CASES = table(
             "diffusion: zero-area faces": flat_diffusion,
         },
     ),
-    (
+    refuses(
+        "1 values are not finite, and would spread",
         "diffusion: a NaN value",
         lambda: surface_diffusion(VERTICES, FACES, 5.0)(with_one(VALUES, np.nan)),
-        REFUSES,
-        "1 values are not finite, and would spread",
     ),
-    (
+    refuses(
+        "1 vertices are NaN or infinite",
         "diffusion: a NaN vertex",
         lambda: surface_diffusion(with_one(VERTICES, np.nan), FACES, 5.0),
-        REFUSES,
-        "1 vertices are NaN or infinite",
     ),
-    *rows(
-        RIGHT,
+    right(
         below(1e-9, "{:.0e} mm off, no mirror"),
+        "rigid transforms: {}",
+        rigid_gap,
         {
-            "rigid transforms: points on a plane": lambda: rigid_gap(CLOUD * [1, 1, 0]),
-            "rigid transforms: points on a line": lambda: rigid_gap(CLOUD * [1, 0, 0]),
-            "rigid transforms: points all in one place": lambda: rigid_gap(0 * CLOUD + 5),
-            "rigid transforms: one point alone": lambda: rigid_gap(CLOUD[:1]),
+            "points on a plane": CLOUD * [1, 1, 0],
+            "points on a line": CLOUD * [1, 0, 0],
+            "points all in one place": 0 * CLOUD + 5,
+            "one point alone": CLOUD[:1],
         },
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "place nothing",
         {
             "rigid transforms: no points": lambda: procrustes(CLOUD[:0], CLOUD[:0]),
@@ -191,22 +178,17 @@ CASES = table(
             "rigid transforms: weights of zero": lambda: procrustes(CLOUD, CLOUD, weights=np.zeros(20)),
         },
     ),
-    (
+    refuses(
+        "coincide have no size",
         "rigid transforms: a size of coincident points",
         lambda: procrustes(0 * CLOUD, 0 * CLOUD, scale=True),
-        REFUSES,
-        "coincide have no size",
     ),
-    (
-        "orientation: half of the faces reversed",
-        half_reversed,
-        RIGHT,
-        below(1, "{} of {} reversed faces mistaken"),
+    right(
+        below(1, "{} of {} reversed faces mistaken"), "orientation: half of the faces reversed", half_reversed
     ),
-    (
+    right(
+        below(1, "{} faces mistaken"),
         "orientation: a Moebius strip",
         lambda: int(turned_against_neighbours(moebius()[1]).sum()),
-        RIGHT,
-        below(1, "{} faces mistaken"),
     ),
 )

@@ -1,7 +1,7 @@
 """Extremes of `geometry_image`, with a model and without one (`--model none`)."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import trimesh
@@ -11,8 +11,8 @@ from scan2albedo.fitting import FitOptions
 from scan2albedo.geometry.mesh import face_areas
 from scan2albedo.geometry.rigid import compose
 from scan2albedo.sampling import geometry_image_of_scan
-from stability.case import REFUSES, RIGHT, SLOW, WARNS, Measured, below, each, rows, table
-from stability.scenes import mixed, model, person, spoilt, stray
+from stability.case import Measured, below, each, gap, measured, refuses, right, table, warns
+from stability.scenes import TEXTURE_SHAPES, line, mixed, model, person, spoilt, stray, with_one
 
 SIZE = 64
 
@@ -58,15 +58,9 @@ def moved(distance):
     return colour_gap(sampled(person().shifted(distance).scan, fitted=posed))
 
 
-def bare(scene):
-    """Return a scan with grey vertex colours in place of its texture."""
-    grey = np.full((len(scene.scan.vertices), 3), 0.5, np.float32)
-    return RawScan(scene.scan.vertices, scene.scan.faces, vertex_color_linear=grey, name=scene.scan.name)
-
-
 def seen_gap(scene):
     """Return by how much the part seen differs from that of the scan as it is, and the part."""
-    shares = [sampled(bare(one)).figures()["seen"] for one in (scene, person())]
+    shares = [sampled(one.painted(0.5)).figures()["seen"] for one in (scene, person())]
     return abs(shares[0] - shares[1]), shares[0]
 
 
@@ -91,15 +85,15 @@ def hair(texture):
     return (0.1 * np.exp(grain) * np.ones(3)).clip(0, 1)
 
 
-def even(*shape):
+def even(shape):
     """Return how far an even texture of a shape is from even on the face, and the part seen."""
     image = sampled(texture_linear=np.full((*shape, 3), 0.3, np.float32))
-    return float(np.abs(image.texture_linear[image.seen] - 0.3).max()), image.figures()["seen"]
+    return gap(image.texture_linear[image.seen], 0.3), image.figures()["seen"]
 
 
 def black():
     """Return the brightest texel of black vertex colours, and the part seen."""
-    image = sampled(RawScan(scan().vertices, scan().faces, vertex_color_linear=0 * scan().vertices))
+    image = sampled(person().painted(0))
     return float(image.texture_linear.max()), image.figures()["seen"]
 
 
@@ -109,19 +103,16 @@ def hardly_seen(image):
     return Measured(f"seen: {image.figures()['seen']:.0%} of the texels")
 
 
+def on_chart(uv):
+    """Sample the person's scan with another chart."""
+    return sampled(fitted=replace(face(), uv=uv))
+
+
 def flipped_triangle():
     """Return which part of the texels differs by a chart with a flipped triangle."""
-    uv = face().uv.copy()
-    uv[face().faces[100]] = uv[face().faces[100]][[0, 2, 1]]
-    image = sampled(fitted=replace(face(), uv=uv))
+    uv, corner = face().uv, face().faces[100]
+    image = on_chart(with_one(uv, uv[corner[[0, 2, 1]]], corner))
     return float((np.linalg.norm(image.position - plain().position, axis=2) > 0.5).mean())
-
-
-def nan_uv():
-    """Return texture coordinates of which one is NaN."""
-    uv = scan().uv.copy()
-    uv[0, 0] = np.nan
-    return uv
 
 
 # Without a model.
@@ -140,8 +131,7 @@ def on_ball(scale=1.0, shift=0.0, faces=BALL.faces):
     """Return how far texels are off a ball about their origin, and the part of its area not shown."""
     missing, image = charted(scale * BALL.vertices + shift, faces)
     assert missing < 0.25
-    off = np.linalg.norm(image.position[image.mask], axis=1) / (100 * scale) - 1
-    return float(np.abs(off).max()), missing
+    return gap(np.linalg.norm(image.position[image.mask], axis=1) / (100 * scale), 1), missing
 
 
 def soup():
@@ -150,7 +140,7 @@ def soup():
     corners = rng.uniform(0, 200, (2000, 1, 3)) + rng.normal(0, 3, (2000, 3, 3))
     missing, image = charted(corners.reshape(-1, 3), np.arange(6000).reshape(-1, 3))
     assert missing > 0.9
-    return Measured(f"coverage {image.figures()['coverage']:.0%}: gaps between charts take the rest")
+    return image.figures()["coverage"]
 
 
 CORNERS = np.array([[0.0, 0, 0], [100, 0, 0], [50, 1e-4, 0], [50, 80, 0]])
@@ -160,29 +150,21 @@ COLOURS = "colours {:.0e} apart"
 CASES = [
     *table(
         "geometry_image",
-        (
-            "a size of 8",
-            lambda: area_gap(8),
-            RIGHT,
-            below(0.1, "{:.0%} off {:.0f} cm2 of surface in the square"),
+        right(
+            below(0.1, "{:.0%} off {:.0f} cm2 of surface in the square"), "a size of 8", lambda: area_gap(8)
         ),
-        *rows(
-            REFUSES,
+        refuses(
             "size .* does not suit",
-            {f"a size of {size:g}": lambda size=size: sampled(size=size) for size in (7, 64.5, 10**9)},
+            {f"a size of {size:g}": partial(sampled, size=size) for size in (7, 64.5, 10**9)},
         ),
-        *rows(RIGHT, below(1e-4, COLOURS), each("scan and pose {} mm away", ("1e6", "1e7", "1e9"), moved)),
-        *rows(
-            RIGHT,
+        right(below(1e-4, COLOURS), "scan and pose {} mm away", moved, ("1e6", "1e7", "1e9")),
+        right(
             below(2e-3, COLOURS),
-            each(
-                "uv moved by {} periods",
-                ("1", "-5", "1e6"),
-                lambda by: colour_gap(sampled(uv=scan().uv + by)),
-            ),
+            "uv moved by {} periods",
+            lambda by: colour_gap(sampled(uv=scan().uv + by)),
+            ("1", "-5", "1e6"),
         ),
-        *rows(
-            RIGHT,
+        right(
             below(0.06, "seen: {1:.0%} of the texels"),
             {
                 "slivers, coincident vertices, zero-area and non-manifold faces": lambda: seen_gap(
@@ -191,13 +173,11 @@ CASES = [
                 "vertices at 1e20 mm": lambda: seen_gap(stray(person(), 5, 1e20)),
             },
         ),
-        *rows(
-            RIGHT,
+        right(
             lambda image: "geometry only" if image.texture_linear is None else "",
             {"no uv": lambda: sampled(uv=None), "no texture": lambda: sampled(texture_linear=None)},
         ),
-        *rows(
-            RIGHT,
+        right(
             below(0.2, "not skin: {:.0%} of the seen texels"),
             {
                 "skin: all hair": lambda: not_skin(hair),
@@ -207,65 +187,52 @@ CASES = [
                 ),
             },
         ),
-        *rows(
-            RIGHT,
+        right(
             below(1e-3, "within {:.0e} on the {:.0%} seen"),
             {
-                "a texture of 1 x 1": lambda: even(1, 1),
-                "a texture of 1 x 10000": lambda: even(1, 10000),
-                "a texture of 10000 x 1": lambda: even(10000, 1),
+                **each("a texture of {}", TEXTURE_SHAPES, even),
                 "vertex colours all black": black,
             },
         ),
-        *rows(
-            WARNS,
+        warns(
             hardly_seen,
             {
                 "uv that span a million periods": lambda: sampled(uv=1e6 * scan().uv),
                 "uv all in one place": lambda: sampled(uv=0 * scan().uv + 0.5),
             },
         ),
-        (
-            "a chart with a flipped triangle",
-            flipped_triangle,
-            RIGHT,
-            below(0.01, "{:.2%} of the texels differ"),
+        right(
+            below(0.01, "{:.2%} of the texels differ"), "a chart with a flipped triangle", flipped_triangle
         ),
-        (
+        refuses(
+            r"a texture coordinate is .*, beyond 1e\+12.*leave uv out",
             "uv of 1e300",
             lambda: sampled(uv=1e300 * scan().uv),
-            REFUSES,
-            r"a texture coordinate is .*, beyond 1e\+12.*leave uv out",
         ),
-        (
-            "NaN uv",
-            lambda: sampled(uv=nan_uv()),
-            REFUSES,
+        refuses(
             r"uv holds 2 values that are NaN or infinite, first at \(0, 0, 0\).*repair or re-export",
+            "NaN uv",
+            lambda: sampled(uv=with_one(scan().uv, np.nan, (0, 0))),
         ),
-        (
-            "a chart outside the unit square",
-            lambda: sampled(fitted=replace(face(), uv=face().uv + 0.5)),
-            REFUSES,
+        refuses(
             r"chart leaves the unit square at \d+ of.*scale its uv",
+            "a chart outside the unit square",
+            lambda: on_chart(face().uv + 0.5),
         ),
-        (
-            "a chart of one point",
-            lambda: sampled(fitted=replace(face(), uv=0 * face().uv)),
-            REFUSES,
+        refuses(
             "chart covers no texel",
+            "a chart of one point",
+            lambda: on_chart(0 * face().uv),
         ),
-        (
-            "a chart of NaN",
-            lambda: sampled(fitted=replace(face(), uv=np.nan * face().uv)),
-            REFUSES,
+        refuses(
             r"has \d+ vertices whose uv are NaN.*check the model",
+            "a chart of NaN",
+            lambda: on_chart(np.nan * face().uv),
         ),
     ),
     *table(
         "geometry_image (no model)",
-        *rows(
-            RIGHT,
+        right(
             below(0.02, "{:.1%} off the ball, {:.0%} of its area missing"),
             {
                 **each("offset {} mm", ("1e6", "1e7", "1e9"), lambda far: on_ball(shift=far)),
@@ -275,8 +242,7 @@ CASES = [
                 "inside out": lambda: on_ball(faces=BALL.faces[:, ::-1]),
             },
         ),
-        *rows(
-            RIGHT,
+        right(
             below(0.2, "{:.0%} of the area missing"),
             {
                 "a size of 512": lambda: charted(size=512),
@@ -286,31 +252,27 @@ CASES = [
                 ),
             },
         ),
-        (
-            "every face twice",
-            lambda: charted(faces=np.concatenate([BALL.faces, BALL.faces])),
-            RIGHT,
+        right(
             below(0.65, "{:.0%} of both copies' area missing"),
+            "every face twice",
+            lambda: charted(faces=np.concatenate(2 * [BALL.faces])),
         ),
-        (
+        right(
+            below(0.6, "{:.0%} of its area missing"),
             "a head of 32,000 faces, pinched and in pieces",
             lambda: charted(scan().vertices, scan().faces, 96),
-            RIGHT,
-            below(0.6, "{:.0%} of its area missing"),
-            SLOW,
+            slow=True,
         ),
-        (
-            "a line of points",
-            lambda: charted(np.arange(30.0)[:, None] * [1, 0, 0], np.arange(30).reshape(-1, 3)),
-            REFUSES,
+        refuses(
             "every face has zero area",
+            "a line of points",
+            lambda: charted(*line()),
         ),
-        (
-            "one vertex at 1e11 mm",
-            lambda: charted(BALL.vertices * np.where(np.arange(len(BALL.vertices)) == 0, 1e9, 1)[:, None]),
-            REFUSES,
+        refuses(
             "no chart that covers a texel.*remove vertices that lie far",
+            "one vertex at 1e11 mm",
+            lambda: charted(with_one(BALL.vertices, 1e11)),
         ),
-        ("2000 loose triangles", soup, WARNS, lambda figure: figure),
+        warns(measured("coverage {:.0%}: gaps between charts take the rest"), "2000 loose triangles", soup),
     ),
 ]

@@ -4,14 +4,15 @@ import math
 from functools import cache, partial
 
 import numpy as np
-import trimesh
+from helpers import meshes
 
 from scan2albedo.core import PointLight
+from scan2albedo.geometry.mesh import join
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.lighting.shading import Reflectance, light_from_direction, shade_points
 from scan2albedo.lighting.shadow_map import ShadowMap
-from stability.case import REFUSES, RIGHT, below, each, rows, table
+from stability.case import below, gap, refuses, right, table
 
 UP = np.array([0.0, 0.0, 1.0])
 LAMP = PointLight(0.3, 0.2)
@@ -21,9 +22,8 @@ MATT = Reflectance(roughness=0.3)
 @cache
 def sphere(offset_mm=0.0):
     """Return vertices, normals and faces of a ball of 80 mm."""
-    ball = trimesh.creation.icosphere(4)
-    normal = np.asarray(ball.vertices, np.float64)
-    return 80.0 * normal + offset_mm, normal, np.asarray(ball.faces)
+    position, faces = meshes.sphere(4, 80.0)
+    return position + offset_mm, position / 80, faces
 
 
 def shaded(*lamps, reflectance=MATT, normal=None, **options):
@@ -48,7 +48,7 @@ def brightest(reflectance):
 def pole_error():
     """Return how far a lamp at a pole is from straight above or below, whatever its azimuth."""
     return max(
-        float(np.abs(light_from_direction(lamp.direction, math.inf, 1.0).direction - [0, sign, 0]).max())
+        gap(light_from_direction(lamp.direction, math.inf, 1.0).direction, [0, sign, 0])
         for sign in (1, -1)
         for lamp in (PointLight(azimuth, sign * math.pi / 2) for azimuth in (0.0, 1.0, -3.0))
     )
@@ -60,13 +60,12 @@ def far_lamp():
     far, distant = (shaded(lamp).light for lamp in lamps)
     seen, seen_distant = (shadows().visible(LAMP.direction, lamp.distance_mm) for lamp in lamps)
     assert np.mean(seen != seen_distant) < 1e-3
-    return float(np.abs(far - distant).max()), int((seen != seen_distant).sum())
+    return gap(far, distant), int((seen != seen_distant).sum())
 
 
 def touching():
     """Return the brightest light of a lamp in a vertex."""
-    x, y, z = sphere()[1][0]
-    lamp = PointLight(math.atan2(x, z), math.asin(y), 80.0)
+    lamp = light_from_direction(sphere()[1][0], 80.0, 1.0)
     found = shaded(lamp, reflectance=Reflectance(specular_strength=1.0))
     return found.light.max(), found
 
@@ -75,8 +74,7 @@ def not_linear():
     """Return how far light is from being linear in the lamp's intensity."""
     unit = shaded(PointLight(0.3, 0.2, 500.0, 1.0)).light - 1
     return max(
-        float(np.abs(shaded(PointLight(0.3, 0.2, 500.0, strength)).light - 1 - strength * unit).max())
-        / max(strength, 1)
+        gap(shaded(PointLight(0.3, 0.2, 500.0, strength)).light - 1, strength * unit) / max(strength, 1)
         for strength in (0.0, 1e-12, 1e12)
     )
 
@@ -99,7 +97,7 @@ def wrong_shadows(offset_mm):
 def twice():
     """Return at how many points a surface that is there twice casts other shadows."""
     position, _, faces = sphere()
-    doubled = RayCaster(np.vstack([position, position]), np.vstack([faces, faces + len(position)]))
+    doubled = RayCaster(*join(2 * [(position, faces)]))
     lamp = PointLight(0.4, 0.3).direction
     return int((shadows(doubled).visible(lamp) != shadows().visible(lamp)).sum())
 
@@ -114,7 +112,7 @@ def environment_error(scale):
     """Return how far the lamps of a scaled environment are from scaled lamps."""
     sky = np.random.default_rng(0).random((4, 8, 3))
     plain, scaled = (DistantLights.from_environment(s * sky).irradiance_linear for s in (1.0, scale))
-    return float(np.abs(scaled - scale * plain).max())
+    return gap(scaled, scale * plain)
 
 
 AMBIENT_ALONE = below(1e-15, "ambient light alone, within {:.0e}")
@@ -123,32 +121,31 @@ NO_SHADOW_ERROR = below(1e-12, "{:.1%} of a ball's points wrong, 6 degrees about
 
 CASES = table(
     "lighting",
-    *rows(
-        RIGHT,
+    right(
         below(1.0 + 1e-9, "up to {:.2f} of the light, none behind"),
-        each("roughness {}", ("1e-6", "1", "1e3"), lambda sigma: brightest(Reflectance(roughness=sigma))),
+        "roughness {}",
+        lambda sigma: brightest(Reflectance(roughness=sigma)),
+        ("1e-6", "1", "1e3"),
     ),
-    *rows(
-        RIGHT,
+    right(
         below(1e4, "finite, up to {:.0e}, none behind"),
-        each("Minnaert exponent {}", ("0.1", "1e4"), lambda m: brightest(Reflectance("minnaert", m))),
+        "Minnaert exponent {}",
+        lambda m: brightest(Reflectance("minnaert", m)),
+        ("0.1", "1e4"),
     ),
-    (
+    right(
+        below(1e-15, "one direction whatever the azimuth, within {:.0e}"),
         "light at the poles (elevation +-90)",
         pole_error,
-        RIGHT,
-        below(1e-15, "one direction whatever the azimuth, within {:.0e}"),
     ),
-    (
+    right(
+        below(1e-6, "as a distant one: light within {:.0e}, shadows differ at {} points"),
         "lamp at 1e9 mm",
         far_lamp,
-        RIGHT,
-        below(1e-6, "as a distant one: light within {:.0e}, shadows differ at {} points"),
     ),
-    ("lamp on the surface itself", touching, RIGHT, below(math.inf, "finite, at most {:.1e}")),
-    ("intensity 0, 1e-12 and 1e12", not_linear, RIGHT, LINEAR),
-    *rows(
-        RIGHT,
+    right(below(math.inf, "finite, at most {:.1e}"), "lamp on the surface itself", touching),
+    right(LINEAR, "intensity 0, 1e-12 and 1e12", not_linear),
+    right(
         AMBIENT_ALONE,
         {
             "lamp at 1 mm, inside the head": lambda: dark(*sphere()[:2], PointLight(0.3, 0.2, 1.0, 1.0)),
@@ -156,15 +153,14 @@ CASES = table(
             "no point": lambda: dark(np.zeros((0, 3)), np.zeros((0, 3)), LAMP),
         },
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "",
         {
-            "lamp at distance 0": lambda: shaded(PointLight(0.0, 0.0, 0.0)),
-            "lamp at -100 mm": lambda: shaded(PointLight(0.0, 0.0, -100.0)),
-            "intensity NaN": lambda: shaded(PointLight(0.0, 0.0, 100.0, math.nan)),
-            "azimuth NaN": lambda: PointLight(math.nan, 0.0).direction,
-            "intensity -1": lambda: shaded(PointLight(0.0, 0.0, 100.0, -1.0)),
+            "lamp at distance 0": lambda: PointLight(0.0, 0.0, 0.0),
+            "lamp at -100 mm": lambda: PointLight(0.0, 0.0, -100.0),
+            "intensity NaN": lambda: PointLight(0.0, 0.0, 100.0, math.nan),
+            "azimuth NaN": lambda: PointLight(math.nan, 0.0),
+            "intensity -1": lambda: PointLight(0.0, 0.0, 100.0, -1.0),
             **{
                 f"{field} {value}": partial(Reflectance, **{field: value})
                 for field in ("roughness", "exponent", "specular_strength")
@@ -181,21 +177,12 @@ CASES = table(
             "shadow map, faces beyond the vertices": lambda: spoilt_caster(face_shift=10**6),
         },
     ),
-    *rows(
-        RIGHT,
-        NO_SHADOW_ERROR,
-        each("shadow map, head {} mm off the origin", ("1e6", "1e7"), wrong_shadows),
-    ),
-    ("shadow map, the surface itself twice (coincident)", twice, RIGHT, below(1, "{} points differ")),
-    (
+    right(NO_SHADOW_ERROR, "shadow map, head {} mm off the origin", wrong_shadows, ("1e6", "1e7")),
+    right(below(1, "{} points differ"), "shadow map, the surface itself twice (coincident)", twice),
+    right(
+        below(1, "hides {} points"),
         "shadow map, one point as a mesh",
         lambda: 1 - ShadowMap(RayCaster(np.ones((3, 3)), [[0, 1, 2]]), 0 * UP[None], UP[None]).visible(UP)[0],
-        RIGHT,
-        below(1, "hides {} points"),
     ),
-    *rows(
-        RIGHT,
-        LINEAR,
-        each("environment times {}", ("0", "-1"), environment_error),
-    ),
+    right(LINEAR, "environment times {}", environment_error, ("0", "-1")),
 )

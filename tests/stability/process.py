@@ -3,11 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
-import trimesh
+from helpers.meshes import ball
 
-from scan2albedo import Budget, RawScan, process
-from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_from_vector, transform_points
-from stability.case import BUDGETS, REFUSES, RIGHT, SLOW, WARNS, Measured, below, each, noted, rows, table
+from scan2albedo import Budget, process
+from scan2albedo.geometry.rigid import invert_rigid, transform_points
+from stability.case import BUDGETS, Measured, below, gap, noted, refuses, right, table, warns
 from stability.scenes import person
 
 FEW = Budget(evaluations=30)
@@ -23,17 +23,12 @@ def without_albedo(scan, *skip, **settings):
     return processed(scan, skip=[*skip, "albedo"], **settings)
 
 
-def landmarks_off(result, scene):
-    """Return how far the fitted landmarks are from the true ones in mm, mean."""
+def landmarks(scene, **settings):
+    """Process a scene; return how far the fitted landmarks are from the true ones in mm (mean), and all."""
+    result = processed(scene.scan, **settings)
     model_from_truth = result.fitted.model_from_scan @ invert_rigid(scene.model_from_scan)
     off = transform_points(model_from_truth, scene.landmarks) - result.fitted.landmarks
-    return float(np.linalg.norm(off, axis=1).mean())
-
-
-def landmarks(scene, **settings):
-    """Process a scene; return how far its landmarks are off, and the result."""
-    result = processed(scene.scan, **settings)
-    return landmarks_off(result, scene), result
+    return float(np.linalg.norm(off, axis=1).mean()), result
 
 
 def out_of_time(found):
@@ -44,27 +39,14 @@ def out_of_time(found):
     return Measured(f"landmarks {off:.1f} mm off, converged False in every stage")
 
 
-def uncoloured(**colour):
-    """Return the person's scan without its texture."""
-    return RawScan(person().scan.vertices, person().scan.faces, **colour)
-
-
-def upside_down():
-    """Return the person's scan upside down in the model's frame."""
-    turned = compose(rotation_from_vector([0.0, 0, np.pi]), np.zeros(3))
-    return person().moved(turned @ person().model_from_scan).scan
-
-
 def far_object():
     """Return by how much the geometry image of an object 1e7 mm away differs from the one at the origin."""
-    ball = trimesh.creation.icosphere(3, 100.0)
-    colour = np.full((len(ball.vertices), 3), 0.5, np.float32)
-    scan = RawScan(ball.vertices, ball.faces, vertex_color_linear=colour)
+    scan = ball(3, 100.0)
     here, there = (
         without_albedo(replace(scan, vertices=scan.vertices + away), model="none").geometry_image.position
         for away in (0.0, 1e7)
     )
-    return float(np.abs(here - there).max())
+    return gap(here, there)
 
 
 def head_without_model():
@@ -77,65 +59,53 @@ SEED = "seed is {}, expected"
 
 CASES = table(
     "process",
-    *rows(
-        WARNS,
-        out_of_time,
-        each("a budget of {}", BUDGETS, lambda budget: landmarks(person(), budget=budget)),
-    ),
-    *rows(
-        RIGHT,
+    warns(out_of_time, "a budget of {}", lambda budget: landmarks(person(), budget=budget), BUDGETS),
+    right(
         below(3, "landmarks {:.1f} mm off"),
         {
             "seed 0": lambda: landmarks(person(), seed=0, budget=FEW),
             "seed 2**32 - 1": lambda: landmarks(person(), seed=2**32 - 1, budget=FEW),
         },
-        SLOW,
+        slow=True,
     ),
-    (
+    right(
+        below(2, "landmarks {:.2f} mm off"),
         "scan 1e9 mm away",
         lambda: landmarks(person().shifted(1e9), skip=["albedo"]),
-        RIGHT,
-        below(2, "landmarks {:.2f} mm off"),
     ),
-    ("a seed of -1", lambda: processed(seed=-1), REFUSES, SEED.format(-1)),
-    ("no seed", lambda: processed(seed=None), REFUSES, SEED.format(None)),
-    (
-        "vertex colours all black",
-        lambda: processed(uncoloured(vertex_color_linear=0 * person().scan.vertices), budget=FEW),
-        REFUSES,
+    refuses(SEED.format(-1), "a seed of -1", lambda: processed(seed=-1)),
+    refuses(SEED.format(None), "no seed", lambda: processed(seed=None)),
+    refuses(
         "only 0 of .* texels can be used to find the light.*black",
+        "vertex colours all black",
+        lambda: processed(person().painted(0), budget=FEW),
     ),
-    (
+    warns(
+        noted("another size than adults'"),
         "1.5 times too large",
         lambda: without_albedo(person().scaled(1.5).scan),
-        WARNS,
-        noted("another size than adults'"),
-        SLOW,
+        slow=True,
     ),
-    (
-        "not registered, and upside down",
-        lambda: without_albedo(upside_down(), "register"),
-        WARNS,
+    warns(
         noted("stretched the model's edges"),
-        SLOW,
+        "not registered, and upside down",
+        lambda: without_albedo(person().turned([0, 0, np.pi]).scan, "register"),
+        slow=True,
     ),
-    (
+    refuses(
+        "no part of the scan lies within .* mm of the model.*register the scan first",
         "not registered, and in any pose",
         lambda: without_albedo(person().scan, "register"),
-        REFUSES,
-        "no part of the scan lies within .* mm of the model.*register the scan first",
     ),
-    (
+    right(
+        below(1e-3, "{:.0e} mm from the same object at the origin"),
         "an object 1e7 mm away, without a model",
         far_object,
-        RIGHT,
-        below(1e-3, "{:.0e} mm from the same object at the origin"),
     ),
-    (
+    right(
+        below(0.1, "{:.0%} of the texels not seen, coverage {:.0%}"),
         "a head without a model",
         head_without_model,
-        RIGHT,
-        below(0.1, "{:.0%} of the texels not seen, coverage {:.0%}"),
-        SLOW,
+        slow=True,
     ),
 )

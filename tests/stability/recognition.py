@@ -15,7 +15,8 @@ from scan2albedo.recognition import (
     identify_by_similarity,
     roc_curve,
 )
-from stability.case import REFUSES, RIGHT, WARNS, below, each, measured, rows, table
+from stability.case import below, each, measured, refuses, right, table, warns
+from stability.scenes import with_one
 
 SHAPE = (128, 128)
 albedo = cache(build_albedo)
@@ -47,9 +48,14 @@ def wall():
     return found.ranks[0], *found.similarities[0].round(3)
 
 
+def one_person():
+    """Identify the only person of a gallery."""
+    return identify(templates(albedo(0)), templates(albedo(0)))
+
+
 def alone():
     """Return the rank of the only person of a gallery, the rate's interval and the curve."""
-    found = identify(templates(albedo(0)), templates(albedo(0)))
+    found = one_person()
     curve = cmc_curve(found)
     assert curve.rate.tolist() == [1.0]
     return found.ranks[0], curve.low[0], curve
@@ -71,17 +77,9 @@ def noisy():
     return curve.rate[0], curve.low[0], curve.high[0]
 
 
-def one_texel(value, others):
-    """Return an array of one value that has another value in one texel."""
-    image = np.array(others)
-    image[5, 5] = value
-    return image
-
-
 CASES = table(
     "recognition",
-    *rows(
-        RIGHT,
+    right(
         below(1e-3, "similarity 1 within {:.0e}"),
         {
             "constant images": lambda: unlike(everywhere(0.5), everywhere(0.2)),
@@ -97,56 +95,46 @@ CASES = table(
             ),
         },
     ),
-    ("a constant image and an albedo", lambda: like(everywhere(0.5)), RIGHT, below(0.5, "similarity {:.3f}")),
-    ("constant image in a gallery", wall, RIGHT, below(2, "rank {}, similarities {:.3f} and {:.3f}")),
-    ("image black", lambda: like(everywhere(0.0)), REFUSES, "mean 0 in its mask"),
-    ("image negative", lambda: like(everywhere(-1.0)), REFUSES, "mean -1 in its mask"),
-    (
-        "image with a NaN in its mask",
-        lambda: templates(one_texel(math.nan, albedo(0))),
-        REFUSES,
+    right(below(0.5, "similarity {:.3f}"), "a constant image and an albedo", lambda: like(everywhere(0.5))),
+    right(below(2, "rank {}, similarities {:.3f} and {:.3f}"), "constant image in a gallery", wall),
+    refuses("mean 0 in its mask", "image black", lambda: like(everywhere(0.0))),
+    refuses("mean -1 in its mask", "image negative", lambda: like(everywhere(-1.0))),
+    refuses(
         r"image 0 \(a\): 1 of 16384 pixels",
+        "image with a NaN in its mask",
+        lambda: templates(with_one(albedo(0), math.nan, (5, 5))),
     ),
-    (
-        "image infinite",
-        lambda: like(everywhere(math.inf)),
-        REFUSES,
-        "the second image: 16384 of 16384 pixels",
-    ),
-    *rows(
-        REFUSES,
+    refuses("the second image: 16384 of 16384 pixels", "image infinite", lambda: like(everywhere(math.inf))),
+    refuses(
         "",
         {
             "image of 1e300": lambda: like(1e300 * (1 + 1e7 * albedo(0))),
             "image of one texel": lambda: templates(np.ones((1, 1)), options=TemplateOptions(size=None)),
-            "image of 8 x 8, smaller than the pyramid": lambda: cw_ssim(np.ones((8, 8)), np.ones((8, 8))),
-            "image of 3 x 500": lambda: cw_ssim(np.ones((3, 500)), np.ones((3, 500))),
-            "mask of one texel": lambda: templates(albedo(0), masks=[one_texel(True, everywhere(False))]),
+            **each(
+                "image of {}",
+                {"8 x 8, smaller than the pyramid": np.ones((8, 8)), "3 x 500": np.ones((3, 500))},
+                lambda image: cw_ssim(image, image),
+            ),
+            "mask of one texel": lambda: templates(
+                albedo(0), masks=[with_one(everywhere(False), True, (5, 5))]
+            ),
             "similarity window=nan": lambda: like(albedo(1), window=math.nan),
             "templates size=4": lambda: templates(albedo(0), options=TemplateOptions(size=4)),
         },
     ),
-    ("mask empty", lambda: templates(albedo(0), masks=[everywhere(False)]), REFUSES, "masked everywhere"),
-    (
-        "gallery of one",
-        alone,
-        RIGHT,
-        below(2, "rank {}, 95 % interval from {:.3f}: one probe tells little"),
-    ),
-    (
-        "gallery of one, ROC",
-        lambda: roc_curve(identify(templates(albedo(0)), templates(albedo(0)))),
-        REFUSES,
+    refuses("masked everywhere", "mask empty", lambda: templates(albedo(0), masks=[everywhere(False)])),
+    right(below(2, "rank {}, 95 % interval from {:.3f}: one probe tells little"), "gallery of one", alone),
+    refuses(
         "one person only",
+        "gallery of one, ROC",
+        lambda: roc_curve(one_person()),
     ),
-    (
+    right(
+        below(1e-12, "{:.0e} from chance, right {:.0%}"),
         "all similarities equal",
         lambda: curves(np.full((4, 4), 0.5), "abcd", "abcd"),
-        RIGHT,
-        below(1e-12, "{:.0e} from chance, right {:.0%}"),
     ),
-    *rows(
-        RIGHT,
+    right(
         below(1.5, "intervals of 50 resamples: {1:.0%} right"),
         {
             "one probe alone, two persons": lambda: curves([[0.9, 0.1]], "ab", "a"),
@@ -155,5 +143,5 @@ CASES = table(
             ),
         },
     ),
-    ("probes of 400 % noise", noisy, WARNS, measured("rate {:.2f}, 95 % interval {:.2f} to {:.2f}")),
+    warns(measured("rate {:.2f}, 95 % interval {:.2f} to {:.2f}"), "probes of 400 % noise", noisy),
 )

@@ -14,12 +14,12 @@ from worlds.two_balls import build_scene
 
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.geometry.pinhole import look_at, project
+from scan2albedo.geometry.rigid import compose
 from scan2albedo.lighting.harmonics import harmonics, project_environment
 from scan2albedo.reflectance import (
     ImageObservation,
     MorphableReflectanceModel,
     MorphableShapeModel,
-    VertexReflectance,
     VertexSamples,
     extract_olat,
     fit_image,
@@ -33,18 +33,19 @@ from scan2albedo.reflectance import (
 from scan2albedo.synthetic import face_shape
 from stability.case import (
     BUDGETS,
-    REFUSES,
-    RIGHT,
-    SLOW,
-    WARNS,
     Measured,
     below,
-    each,
+    gap,
     measured,
-    rows,
+    refuses,
+    right,
     table,
     unfinished,
+    warns,
 )
+from stability.scenes import with_one
+
+NAN = math.nan
 
 
 def quiet(call, *arguments, **options):
@@ -58,9 +59,8 @@ def quiet(call, *arguments, **options):
 
 
 def flashes(flash, room, side=8):
-    """Return the light of flashes over pictures of one value each."""
-    flash = np.reshape(flash, (-1, 1, 1, 1)) + np.zeros((1, side, side, 3))
-    return extract_olat(flash, np.full((side, side, 3), room))
+    """Return the light of one flash over pictures of one value each."""
+    return extract_olat(np.full((1, side, side, 3), flash), np.full((side, side, 3), room))
 
 
 def complaint(olat):
@@ -71,8 +71,9 @@ def complaint(olat):
 def no_light():
     """Return how many deviations the light of a flash is that adds nothing, and the deviation."""
     olat = flashes(0.3, 0.3)
-    assert np.abs(olat.linear / olat.sigma).max() < 1e-6
-    return float(np.abs(olat.linear / olat.sigma).max()), olat.sigma.max()
+    deviations = gap(olat.linear / olat.sigma, 0)
+    assert deviations < 1e-6
+    return deviations, olat.sigma.max()
 
 
 # Reflectance of vertices.
@@ -94,64 +95,47 @@ def lobes_of(lights=None, normals=1.0):
     return replace(samples(), lobes=lobes)
 
 
-def known(fit):
-    """Return the mask of the vertices that a fit knows, all of it finite and in order there."""
+def judged(fit, least_inside=0, scale=1.0):
+    """Return the albedo's error, the part of true numbers within their intervals, and of those identified.
+
+    All in per cent, of the vertices that a fit knows, all of it finite and in order there.
+    """
     mask = fit.reflectance.known
-    found = np.stack([fit.parameters, fit.low, fit.high, fit.std])[:, mask]
-    assert np.isfinite(found).all()
-    assert (found[0] >= 0).all()
-    assert (found[1] <= found[0] + 1e-12).all()
-    assert (found[0] <= found[2] + 1e-12).all()
-    return mask
-
-
-def albedo_percent(fit, scale=1.0):
-    """Return the error of the albedo in per cent."""
-    mask = known(fit)
-    truth = scale * capture(400).truth.diffuse_linear
-    return 100 * relative_rmse(fit.reflectance.diffuse_linear[mask], truth[: len(mask)][mask])
-
-
-def inside_percent(fit):
-    """Return the part of the true numbers within their intervals."""
-    truth = capture(400).parameters
-    return 100 * float(((fit.low <= truth) & (truth <= fit.high))[known(fit)].mean())
+    value, low, high, std = (field[mask] for field in (fit.parameters, fit.low, fit.high, fit.std))
+    assert np.isfinite(value + low + high + std).all()
+    assert (value >= np.maximum(0, low - 1e-12)).all()
+    assert (value <= high + 1e-12).all()
+    albedo, truth = (
+        scale * field[: len(mask)][mask]
+        for field in (capture(400).truth.diffuse_linear, capture(400).parameters)
+    )
+    inside = 100 * float(((low <= truth) & (truth <= high)).mean())
+    assert inside > least_inside
+    off = 100 * relative_rmse(fit.reflectance.diffuse_linear[mask], albedo)
+    return off, inside, 100 * fit.identified[mask].mean()
 
 
 def one_pose():
     """Return the part of the lobes identified by 99 pairs of one pose, and the albedo's error."""
     fit = fit_reflectance(samples_of(of_pairs(capture(400), np.full(99, 49)), noise=0.01))
-    sure = float(fit.identified[known(fit)][:, 3:].mean())
+    off, *_ = judged(fit)
+    sure = float(fit.identified[fit.reflectance.known][:, 3:].mean())
     assert sure < 0.2
-    return 100 * sure, albedo_percent(fit)
-
-
-def noise():
-    """Return the albedo's error by pictures of 100 % noise; the intervals hold the truth."""
-    fit = fit_reflectance(samples(1.0))
-    assert inside_percent(fit) > 80
-    return albedo_percent(fit), inside_percent(fit), 100 * fit.identified[known(fit)].mean()
-
-
-def tilted(angle):
-    """Return the albedo's error with normals off by an angle, and the part within the intervals."""
-    fit = fit_reflectance(samples(normals_off_deg=angle))
-    assert inside_percent(fit) > 90
-    return albedo_percent(fit), inside_percent(fit)
+    return 100 * sure, off
 
 
 def exposed(scale):
-    """Return the albedo's error of pictures multiplied."""
+    """Judge pictures multiplied."""
     plain = samples()
     pictures = replace(plain, observed_linear=scale * plain.observed_linear, sigma=scale * plain.sigma)
-    return albedo_percent(fit_reflectance(pictures), scale)
+    return judged(fit_reflectance(pictures), scale=scale)
 
 
 def one_vertex():
-    """Return the albedo's error of one vertex alone."""
+    """Judge one vertex alone."""
     names = ("observed_linear", "sigma", "valid", "lobes")
     one = VertexSamples(*(getattr(samples(), name)[:, :1] for name in names), samples().light)
-    return albedo_percent(fit_reflectance(one))
+    return judged(fit_reflectance(one))
 
 
 # Looking up vertices in pictures.
@@ -180,18 +164,14 @@ def observed(picture=0.5, camera=None, scale=1.0, side=64):
 # The morphable model.
 
 
-def subject(seed=0, known=True):
-    """Return the reflectance of 60 vertices of one person."""
-    rng = np.random.default_rng(seed)
-    weights = np.abs(0.1 + 0.02 * rng.normal(size=(60, 3)))
-    diffuse = np.abs(0.4 + 0.05 * rng.normal(size=(60, 3)))
-    return VertexReflectance(diffuse, weights, np.broadcast_to(known, 60).copy())
+BALL = HalfBall.of(300)
 
 
 def strangers():
     """Return the directions and the support of a model of two subjects that share no vertex."""
-    odd = np.arange(60) % 2 == 1
-    model = MorphableReflectanceModel.from_samples([subject(0, odd), subject(1, ~odd)])
+    odd = np.arange(len(BALL.points)) % 2 == 1
+    one, other = BALL.people(2, 0)
+    model = MorphableReflectanceModel.from_samples([replace(one, known=odd), replace(other, known=~odd)])
     assert np.isfinite(model.diffuse.mean).all()
     assert model.components == 0
     return model.components, model.support.max()
@@ -199,54 +179,36 @@ def strangers():
 
 def at(coefficient):
     """Evaluate a model of four subjects."""
-    model = MorphableReflectanceModel.from_samples([subject(seed) for seed in range(4)], components=10)
+    model = MorphableReflectanceModel.from_samples(BALL.people(4, 0), components=10)
     return model.reconstruct(np.full(model.components, coefficient))
 
 
 # Photographs.
 
-BALL = HalfBall.of(300)
-NORMALS = BALL.normals
-SEEN = BALL.seen
-
-
-@cache
-def people(count, seed=0):
-    """Return smooth reflectances over a hemisphere, twelve ways to differ."""
-    shapes = np.random.default_rng(7).normal(size=(8, 12, 81)) @ harmonics(NORMALS).T * 0.4
-    rng, made = np.random.default_rng(seed), []
-    for _ in range(count):
-        fields = np.einsum("r,frv->fv", rng.normal(size=12) / np.sqrt(np.arange(1, 13)), shapes)
-        diffuse = np.array([0.55, 0.38, 0.30]) * np.exp(0.1 * fields[0, :, None] + 0.03 * fields[1:4].T)
-        lobes = np.exp(0.1 * fields[5:8].T) * [0.2, 0.4, 0.4]
-        weights = 0.25 * np.exp(0.1 * fields[4])[:, None] * lobes / lobes.sum(1, keepdims=True)
-        made.append(VertexReflectance(diffuse, weights, np.ones(len(NORMALS), bool)))
-    return made
+(STRANGER,) = BALL.people(1, 3)
+LIGHT = project_environment(generated_environment(8))
 
 
 @cache
 def model():
     """Return a model of twenty people."""
-    return MorphableReflectanceModel.from_samples(people(20), components=8)
+    return MorphableReflectanceModel.from_samples(BALL.people(20, 0), components=8)
 
 
-def shot(light=None, scale=1.0, seen=SEEN):
+def shot(light=LIGHT, scale=1.0, seen=BALL.seen):
     """Return a photograph of one whom the model does not know, its colours multiplied."""
-    light = project_environment(generated_environment(8)) if light is None else light
-    color = shade_environment(people(1, 3)[0], NORMALS, BALL.view, light).radiance_linear
-    return ImageObservation(scale * color, NORMALS, BALL.view, seen)
-
-
-def photograph_error(fit):
-    """Return the error of a face's albedo up to its scale."""
-    found, truth = fit.face.reflectance.diffuse_linear, people(1, 3)[0].diffuse_linear
-    return relative_rmse((found * truth).sum() / (found**2).sum() * found, truth)
+    color = shade_environment(STRANGER, BALL.normals, BALL.view, light).radiance_linear
+    return ImageObservation(scale * color, BALL.normals, BALL.view, seen)
 
 
 def fitted(*shown, **options):
     """Fit the model to a photograph; return the albedo's and the colours' errors in per cent, and the fit."""
     fit = quiet(fit_image, shot(*shown), model(), **options)
-    return 100 * photograph_error(fit), 100 * fit.relative_rmse, fit
+    return (
+        100 * BALL.albedo_error(fit.face.reflectance.diffuse_linear, STRANGER),
+        100 * fit.relative_rmse,
+        fit,
+    )
 
 
 def one_direction():
@@ -256,9 +218,8 @@ def one_direction():
 
 def one_seen():
     """Return the largest coefficient of a face of which one vertex is seen."""
-    seen = np.zeros(len(NORMALS), bool)
-    seen[np.flatnonzero(SEEN)[10]] = True
-    return float(np.abs(fitted(None, 1.0, seen)[2].face.coefficients).max())
+    seen = with_one(BALL.seen & False, True, np.flatnonzero(BALL.seen)[10])
+    return gap(fitted(LIGHT, 1.0, seen)[2].face.coefficients, 0)
 
 
 # Geometry from landmarks.
@@ -287,10 +248,8 @@ def placed(marks=None, camera=CAMERA, **options):
 
 def only(count):
     """Return the landmarks with all but some NaN."""
-    marks = np.full((68, 2), math.nan)
     chosen = np.linspace(0, 67, count).astype(int)
-    marks[chosen] = shapes()[1][chosen]
-    return marks
+    return with_one(np.full((68, 2), NAN), shapes()[1][chosen], chosen)
 
 
 def far_off(bound):
@@ -303,48 +262,40 @@ def far_off(bound):
     return figure
 
 
-def behind_the_camera():
-    """Return a pose behind the camera."""
-    pose = np.eye(4)
-    pose[2, 3] = 5000
-    return pose
-
-
 ALBEDO_OFF = below(3, "albedo off by {:.1f} %")
-NAN = math.nan
 
 CASES = table(
     "reflectance",
-    ("olat: flash and room exchanged", lambda: flashes(0.2, 0.6), REFUSES, "pair 0: 100 % .* exchanged"),
-    ("olat: values negative", lambda: flashes(-0.5, 0.1), REFUSES, "pair 0: 100 % .* exchanged"),
-    (
+    refuses(
+        "pair 0: 100 % .* exchanged",
+        {
+            "olat: flash and room exchanged": lambda: flashes(0.2, 0.6),
+            "olat: values negative": lambda: flashes(-0.5, 0.1),
+        },
+    ),
+    refuses(
+        r"flash picture 0 reaches 1e\+06.* white = 1",
         "olat: values beyond white (HDR 1e6)",
         lambda: flashes(1e6, 0.1),
-        REFUSES,
-        r"flash picture 0 reaches 1e\+06.* white = 1",
     ),
-    ("olat: NaN everywhere", lambda: flashes(NAN, 0.2), REFUSES, "no number"),
-    ("olat: saturated everywhere", lambda: flashes(1.0, 0.2), WARNS, complaint),
-    (
+    refuses("no number", "olat: NaN everywhere", lambda: flashes(NAN, 0.2)),
+    warns(complaint, "olat: saturated everywhere", lambda: flashes(1.0, 0.2)),
+    warns(
+        measured("light {:.0e} standard deviations: sigma {:.3f} says so"),
         "olat: flash as dark as the room",
         no_light,
-        WARNS,
-        measured("light {:.0e} standard deviations: sigma {:.3f} says so"),
     ),
-    (
-        "olat: images of 1 pixel",
-        lambda: float(np.abs(flashes(0.5, 0.1, 1).linear - (0.5**1.2 - 0.1**1.2)).max()),
-        RIGHT,
+    right(
         below(1e-6, "right within {:.0e}"),
+        "olat: images of 1 pixel",
+        lambda: gap(flashes(0.5, 0.1, 1).linear, 0.5**1.2 - 0.1**1.2),
     ),
-    (
+    warns(
+        measured("{:.0f} % of the lobes identified, albedo off by {:.0f} %"),
         "99 pairs, all of one pose",
         one_pose,
-        WARNS,
-        measured("{:.0f} % of the lobes identified, albedo off by {:.0f} %"),
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "none of 400 vertices is seen",
         {
             "flash behind the head": lambda: fit_reflectance(lobes_of([0.0, 0.0, -1000.0])),
@@ -355,8 +306,7 @@ CASES = table(
             ),
         },
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "vertex 1 is said to be valid in picture 0",
         {
             "sigma 0": lambda: replace(samples(), sigma=0 * samples().sigma),
@@ -366,31 +316,27 @@ CASES = table(
             ),
         },
     ),
-    (
-        "noise 100 %",
-        noise,
-        WARNS,
+    warns(
         measured("albedo off by {:.0f} %, {:.0f} % within the intervals, {:.0f} % identified"),
-        SLOW,
+        "noise 100 %",
+        lambda: judged(fit_reflectance(samples(1.0)), 80),
+        slow=True,
     ),
-    *rows(RIGHT, ALBEDO_OFF, each("pictures times {}", ("1e-9", "1e9"), exposed)),
-    ("one vertex", one_vertex, RIGHT, below(10, "albedo off by {:.1f} %")),
-    *rows(
-        RIGHT,
+    right(ALBEDO_OFF, "pictures times {}", exposed, ("1e-9", "1e9")),
+    right(below(10, "albedo off by {:.1f} %"), "one vertex", one_vertex),
+    right(
         below(5, "albedo off by {:.1f} %, {:.0f} % within the intervals"),
-        each("normals off by {} degrees", ("1", "3", "10"), tilted),
+        "normals off by {} degrees",
+        lambda angle: judged(fit_reflectance(samples(normals_off_deg=angle)), 90),
+        ("1", "3", "10"),
     ),
-    *rows(
-        WARNS,
+    warns(
         measured("converged=False, albedo off by {:.1f} %"),
-        each(
-            "vertex fit with a budget of {}",
-            BUDGETS,
-            lambda budget: albedo_percent(unfinished(fit_reflectance(samples(), budget=budget))),
-        ),
+        "vertex fit with a budget of {}",
+        lambda budget: judged(unfinished(fit_reflectance(samples(), budget=budget))),
+        BUDGETS,
     ),
-    *rows(
-        REFUSES,
+    refuses(
         "vertices are NaN or infinite|of length nan|none of 1024 vertices is seen",
         {
             "sampling: vertices NaN": lambda: looked_up(vertices=NAN),
@@ -399,101 +345,84 @@ CASES = table(
             "sampling: head scaled by 1e3, out of all pictures": lambda: looked_up(vertices=1e3),
         },
     ),
-    (
+    warns(
+        measured("{} directions; `support` says that each vertex was seen of {} subject"),
         "subjects of which none shares a vertex",
         strangers,
-        WARNS,
-        measured("{} directions; `support` says that each vertex was seen of {} subject"),
     ),
-    (
+    right(
+        below(4, "all there are: {} of 4 subjects"),
         "more directions asked than subjects tell",
         lambda: len(at(0.0).coefficients),
-        RIGHT,
-        below(4, "all there are: {} of 4 subjects"),
     ),
-    ("model coefficients NaN", lambda: at(NAN), REFUSES, "NaN or infinite"),
-    ("light with NaN", lambda: shot(np.full((81, 3), NAN)), REFUSES, "light.* NaN or infinite"),
-    (
+    refuses("NaN or infinite", "model coefficients NaN", lambda: at(NAN)),
+    refuses("light.* NaN or infinite", "light with NaN", lambda: shot(np.full((81, 3), NAN))),
+    warns(
+        measured("albedo off by {:.0f} %, colours off by {:.0f} %: the fit says so"),
         "photograph under one direction of light",
         one_direction,
-        WARNS,
-        measured("albedo off by {:.0f} %, colours off by {:.0f} %: the fit says so"),
-        SLOW,
+        slow=True,
     ),
-    (
+    warns(
+        measured("the mean face: coefficients up to {:.2f} deviations"),
         "photograph that shows one vertex",
         one_seen,
-        WARNS,
-        measured("the mean face: coefficients up to {:.2f} deviations"),
-        SLOW,
+        slow=True,
     ),
-    ("photograph black", lambda: shot(scale=0.0), REFUSES, "black where the face is"),
-    (
-        "photograph half negative",
-        lambda: shot(scale=(1 - 2 * (np.arange(len(NORMALS)) % 2 == 0))[:, None]),
-        REFUSES,
+    refuses(
         "black where the face is",
+        {
+            "photograph black": lambda: shot(scale=0.0),
+            "photograph half negative": lambda: shot(
+                scale=(1 - 2 * (np.arange(len(BALL.points)) % 2 == 0))[:, None]
+            ),
+        },
     ),
-    ("photograph with NaN where seen", lambda: shot(scale=NAN), REFUSES, "vertex 10 holds NaN"),
-    ("photograph that shows nothing", lambda: shot(seen=SEEN & False), REFUSES, "no vertex of the face"),
-    *rows(
-        WARNS,
+    refuses("vertex 10 holds NaN", "photograph with NaN where seen", lambda: shot(scale=NAN)),
+    refuses("no vertex of the face", "photograph that shows nothing", lambda: shot(seen=BALL.seen & False)),
+    warns(
         measured("converged=False, colours off by {:.0f} %"),
-        each(
-            "image fit with a budget of {}",
-            BUDGETS,
-            lambda budget: 100 * unfinished(fitted(budget=budget)[2]).relative_rmse,
-        ),
-        SLOW,
+        "image fit with a budget of {}",
+        lambda budget: 100 * unfinished(fitted(budget=budget)[2]).relative_rmse,
+        BUDGETS,
+        slow=True,
     ),
-    ("observing a photograph of 1 pixel", lambda: observed(side=1), REFUSES, "0 inside the picture"),
-    ("observing a photograph saturated", lambda: observed(1.0), REFUSES, "0 not saturated"),
-    ("observing a photograph black", lambda: observed(0.0), REFUSES, "black where the face is"),
-    ("observing a photograph NaN", lambda: observed(NAN), REFUSES, "0 with finite colours"),
-    ("observing a photograph HDR 1e6", lambda: observed(1e6), REFUSES, "white = 1"),
-    (
+    refuses("0 inside the picture", "observing a photograph of 1 pixel", lambda: observed(side=1)),
+    refuses("0 not saturated", "observing a photograph saturated", lambda: observed(1.0)),
+    refuses("black where the face is", "observing a photograph black", lambda: observed(0.0)),
+    refuses("0 with finite colours", "observing a photograph NaN", lambda: observed(NAN)),
+    refuses("white = 1", "observing a photograph HDR 1e6", lambda: observed(1e6)),
+    refuses(
+        "singular",
         "observing a photograph whose camera is singular",
         lambda: observed(camera=np.zeros((3, 4))),
-        REFUSES,
-        "singular",
     ),
-    (
+    refuses(
+        "0 are seen by the camera",
         "observing a photograph of a head scaled by 1e3",
         lambda: observed(scale=1e3),
-        REFUSES,
-        "0 are seen by the camera",
     ),
-    (
+    refuses(
+        "vertices are NaN or infinite",
         "observing a photograph of a head with NaN",
         lambda: observed(scale=NAN),
-        REFUSES,
-        "vertices are NaN or infinite",
     ),
-    ("geometry: no landmark", lambda: placed(only(0)), REFUSES, "give initial_scene_from_model"),
-    ("geometry: 3 landmarks", lambda: placed(only(3)), REFUSES, ""),
-    ("geometry: landmarks coincident", lambda: placed(np.full((68, 2), 120.0)), REFUSES, "one point"),
-    ("geometry: landmarks infinite", lambda: placed(np.full((68, 2), math.inf)), REFUSES, ""),
-    (
-        "geometry: start behind the camera",
-        lambda: placed(initial_scene_from_model=behind_the_camera()),
-        REFUSES,
+    refuses("give initial_scene_from_model", "geometry: no landmark", lambda: placed(only(0))),
+    refuses("", "geometry: 3 landmarks", lambda: placed(only(3))),
+    refuses("one point", "geometry: landmarks coincident", lambda: placed(np.full((68, 2), 120.0))),
+    refuses("", "geometry: landmarks infinite", lambda: placed(np.full((68, 2), math.inf))),
+    refuses(
         "behind the camera",
+        "geometry: start behind the camera",
+        lambda: placed(initial_scene_from_model=compose(np.eye(3), [0, 0, 5000])),
     ),
-    ("geometry: camera NaN", lambda: placed(camera=NAN * CAMERA), REFUSES, ""),
-    (
-        "geometry: landmarks on a line",
-        lambda: placed(shapes()[1] * [0, 1] + [110.0, 0]),
-        WARNS,
-        far_off(2),
-    ),
-    ("geometry: landmarks 1e9 px off", lambda: placed(shapes()[1] + 1e9), WARNS, far_off(1e5)),
-    *rows(
-        WARNS,
+    refuses("", "geometry: camera NaN", lambda: placed(camera=NAN * CAMERA)),
+    warns(far_off(2), "geometry: landmarks on a line", lambda: placed(shapes()[1] * [0, 1] + [110.0, 0])),
+    warns(far_off(1e5), "geometry: landmarks 1e9 px off", lambda: placed(shapes()[1] + 1e9)),
+    warns(
         measured("converged=False, landmarks off by {:.1f} px"),
-        each(
-            "geometry with a budget of {}",
-            BUDGETS,
-            lambda budget: unfinished(placed(budget=budget)).landmark_rmse_px,
-        ),
+        "geometry with a budget of {}",
+        lambda budget: unfinished(placed(budget=budget)).landmark_rmse_px,
+        BUDGETS,
     ),
 )

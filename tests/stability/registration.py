@@ -5,12 +5,14 @@ import numpy as np
 
 from scan2albedo import AnnotatedFaceModel, RawScan, register
 from scan2albedo.face_model import Region
-from scan2albedo.geometry.rigid import compose, rotation_from_vector
+from scan2albedo.geometry.mesh import join
+from scan2albedo.geometry.rigid import compose
 from scan2albedo.registration import RegistrationOptions
-from stability.case import BUDGETS, REFUSES, RIGHT, SLOW, WARNS, each, rows, said, table
+from stability.case import BUDGETS, each, refuses, right, said, table, warns
 from stability.scenes import (
     Scanned,
     at_random,
+    line,
     model,
     noisy,
     person,
@@ -54,22 +56,16 @@ def size(found):
     return said(f"face found at {100 * registration.face_scale:.0f} % of its size", registration.plan)
 
 
-def turned(axis_angle):
-    """Return the person as the model stands, turned."""
-    upright = person().moved(person().model_from_scan)
-    return upright.moved(compose(rotation_from_vector(axis_angle), np.zeros(3)))
-
-
 def two_heads():
-    """Return a scan of two people side by side, posed as the first or as the second of them."""
-    one, other = person(), person(3)
-    shift = np.array([350.0, 0, 0])
-    vertices = np.concatenate([one.in_model_frame, other.in_model_frame + shift])
-    faces = np.concatenate([one.scan.faces, other.scan.faces + len(one.scan.vertices)])
-    both = RawScan(vertices, faces, name="two heads")
+    """Return a registration of two people side by side, and how far it is off each of them."""
+    shifts = compose(np.eye(3), np.zeros(3)), compose(np.eye(3), [350.0, 0, 0])
+    heads = [
+        head.moved(shift @ head.model_from_scan)
+        for head, shift in zip((person(), person(3)), shifts, strict=True)
+    ]
+    both = RawScan(*join([(head.scan.vertices, head.scan.faces) for head in heads]), name="two heads")
     registration = register(both, model())
-    poses = (one, one.model_from_scan), (other, compose(np.eye(3), shift) @ other.model_from_scan)
-    return registration, [scene.pose_error(registration.model_from_scan @ placed) for scene, placed in poses]
+    return registration, [head.pose_error(registration.model_from_scan) for head in heads]
 
 
 def one_of_them(found):
@@ -91,11 +87,10 @@ def hundred_vertices():
 
 def tetrahedron():
     """Return a model of four control vertices."""
-    corners = np.array([[-60.0, -80, -30], [60, -80, -30], [0, 90, -20], [0, -10, 40]])
-    chart = np.array([[0.0, 0], [1, 0], [0.5, 1], [0.5, 0.4]])
+    chart = np.array([[1.0, 0], [0, 1], [0, 0], [0.3, 0.3]])
     faces, region = np.array([[0, 1, 3], [1, 2, 3], [2, 0, 3]]), np.zeros(3, np.uint8)
     regions = {"face": Region("face", 0)}
-    return AnnotatedFaceModel(corners, faces, chart, region, regions, name="tetrahedron")
+    return AnnotatedFaceModel(100 * np.eye(4, 3), faces, chart, region, regions, name="tetrahedron")
 
 
 def alone(vertices, faces):
@@ -113,13 +108,12 @@ NO_FACE = "no face found.*probability.*of the face.*box"
 
 CASES = table(
     "register",
-    *rows(
-        RIGHT,
+    right(
         pose,
         {
             **each("offset {} mm", ("1e6", "1e7", "1e9"), lambda far: found(person().shifted(far))),
-            "upside down": lambda: found(turned([0.0, 0, np.pi])),
-            "turned by 180 degrees": lambda: found(turned([0.0, np.pi, 0])),
+            "upside down": lambda: found(person().turned([0, 0, np.pi])),
+            "turned by 180 degrees": lambda: found(person().turned([0, np.pi, 0])),
             "slivers, coincident vertices, zero-area, double and non-manifold faces": lambda: found(
                 spoilt(person())
             ),
@@ -137,58 +131,46 @@ CASES = table(
             "seed 2**32 - 1": lambda: found(person(), seed=2**32 - 1),
         },
     ),
-    *rows(
-        RIGHT,
-        pose_out_of_time,
-        each("a budget of {}", BUDGETS, lambda budget: found(person(), budget=budget)),
-    ),
-    ("two heads", two_heads, WARNS, one_of_them, SLOW),
-    *rows(
-        WARNS,
+    right(pose_out_of_time, "a budget of {}", lambda budget: found(person(), budget=budget), BUDGETS),
+    warns(one_of_them, "two heads", two_heads, slow=True),
+    warns(
         size,
-        {
-            "1.5 times too large": lambda: (1.5, found(person().scaled(1.5))[1]),
-            "1.5 times too small": lambda: (1 / 1.5, found(person().scaled(1 / 1.5))[1]),
-        },
-        SLOW,
+        "1.5 times too {}",
+        lambda scale: (scale, found(person().scaled(scale))[1]),
+        {"large": 1.5, "small": 1 / 1.5},
+        slow=True,
     ),
-    (
+    refuses(
+        r"\d+ of \d+ triangles are wound against their neighbours.*load_scan does it",
         "one side of the face inside out",
         lambda: found(person().wound(person().centres[:, 0] > 0)),
-        REFUSES,
-        r"\d+ of \d+ triangles are wound against their neighbours.*load_scan does it",
     ),
-    (
+    refuses(
+        "inside out.*Reverse the order",
         "mirrored, so that triangles face inward",
         lambda: found(person().with_vertices(person().scan.vertices * [-1, 1, 1])),
-        REFUSES,
-        "inside out.*Reverse the order",
-        SLOW,
+        slow=True,
     ),
-    (
+    refuses(
+        "scan: 3 vertices cannot show a face.*scan the whole face",
         "a single triangle",
         lambda: alone([[0.0, 0, 0], [90, 0, 0], [0, 120, 0]], [[0, 1, 2]]),
-        REFUSES,
-        "scan: 3 vertices cannot show a face.*scan the whole face",
     ),
-    (
-        "a line of points",
-        lambda: alone(np.linspace(0, 200, 200)[:, None] * [1, 0, 0], np.arange(198)[:, None] + np.arange(3)),
-        REFUSES,
+    refuses(
         "scan: its surface of 0 mm2.*Scan the whole face",
+        "a line of points",
+        lambda: alone(*line()),
     ),
-    ("a plane", lambda: alone(*plane(40, 250)), REFUSES, NO_FACE, SLOW),
-    ("a seed of -1", lambda: found(person(), seed=-1), REFUSES, "seed is -1, expected a whole number"),
-    (
+    refuses(NO_FACE, "a plane", lambda: alone(*plane(40, 250)), slow=True),
+    refuses("seed is -1, expected a whole number", "a seed of -1", lambda: found(person(), seed=-1)),
+    refuses(
+        "anchor_spacing_mm must be finite and above 0",
         "options without a spacing",
         lambda: RegistrationOptions(anchor_spacing_mm=0.0),
-        REFUSES,
-        "anchor_spacing_mm must be finite and above 0",
     ),
-    (
+    refuses(
+        "tetrahedron: .* 4 control vertices.*at least",
         "a model of 4 control vertices",
         lambda: register(person().scan, tetrahedron()),
-        REFUSES,
-        "tetrahedron: .* 4 control vertices.*at least",
     ),
 )

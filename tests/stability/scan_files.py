@@ -9,8 +9,8 @@ from helpers.meshes import obj_text
 from helpers.square import write_square_obj
 
 from scan2albedo import RawScan, load_scan, register
-from stability.case import REFUSES, RIGHT, WARNS, Measured, below, each, noted, rows, table
-from stability.scenes import model, person
+from stability.case import Measured, below, gap, noted, refuses, right, table, warns
+from stability.scenes import TEXTURE_SHAPES, at_random, line, model, person, with_one
 
 
 def loaded(vertices=None, faces=None, kind="obj"):
@@ -27,7 +27,7 @@ def loaded(vertices=None, faces=None, kind="obj"):
 def far_away(distance):
     """Return how far vertices are off that were written far away."""
     vertices = person().scan.vertices
-    return float(np.abs(loaded(vertices + distance).vertices - distance - vertices).max())
+    return gap(loaded(vertices + distance).vertices - distance, vertices)
 
 
 def turned(mask):
@@ -83,82 +83,66 @@ def without_colour(scan):
     return Measured("; ".join(scan.notes[1:]))
 
 
-def even(*shape):
+def even(shape):
     """Return how far an even texture of a shape is from its colour."""
     with tempfile.TemporaryDirectory() as folder:
         scan = load_scan(write_square_obj(Path(folder), image=np.full((*shape, 3), 128, np.uint8)))
     assert scan.texture_linear.shape == (*shape, 3)
-    return float(np.abs(scan.texture_linear - 0.2159).max())
+    return gap(scan.texture_linear, 0.2159)
 
-
-ONE_NAN = np.where(np.arange(len(CHART))[:, None] == 3, np.nan, CHART)
 
 CASES = table(
     "load_scan",
-    *rows(
-        RIGHT,
-        below(2e-7, "{:.1e} mm off"),
-        each("{} mm away, double precision", ("1e6", "1e7", "1e9"), far_away),
-    ),
-    (
+    right(below(2e-7, "{:.1e} mm off"), "{} mm away, double precision", far_away, ("1e6", "1e7", "1e9")),
+    warns(
+        noted("positions are rounded to 1 mm"),
         "1e7 mm away, single precision",
         lambda: loaded(person().scan.vertices + 1e7, kind="ply"),
-        WARNS,
-        noted("positions are rounded to 1 mm"),
     ),
-    (
+    refuses(
+        "scan.ply: positions are rounded to 64 mm.*move the scan to the origin",
         "1e9 mm away, single precision",
         lambda: loaded(person().scan.vertices + 1e9, kind="ply"),
-        REFUSES,
-        "scan.ply: positions are rounded to 64 mm.*move the scan to the origin",
     ),
-    (
+    right(
+        lambda scan: f"{len(scan.vertices)} vertices, {scan.notes[0]}",
         "a single triangle, 3 vertices",
         lambda: loaded([[0, 0, 0], [100, 0, 0], [0, 120, 0]], [[0, 1, 2]]),
-        RIGHT,
-        lambda scan: f"{len(scan.vertices)} vertices, {scan.notes[0]}",
     ),
-    (
-        "a line of points",
-        lambda: loaded(5.0 * np.arange(30)[:, None] * [1, 0, 0], np.arange(30).reshape(-1, 3)),
-        REFUSES,
+    refuses(
         "every face has zero area",
+        "a line of points",
+        lambda: loaded(*line()),
     ),
-    (
-        "half of the faces wound the wrong way",
-        lambda: turned(np.random.default_rng(0).random(len(person().scan.faces)) < 0.4),
-        WARNS,
+    warns(
         wrongly_wound,
+        "half of the faces wound the wrong way",
+        lambda: turned(at_random(person(), 0.4)),
     ),
-    (
+    right(
+        below(3, "{1:.1f} degrees, {2:.1f} mm off"),
         "one side of the face inside out, then registered",
         registered,
-        RIGHT,
-        below(3, "{1:.1f} degrees, {2:.1f} mm off"),
     ),
-    ("non-manifold edges", with_fins, RIGHT, below(10, "kept, all but {} of 50 faces")),
-    *rows(
-        RIGHT,
+    right(below(10, "kept, all but {} of 50 faces"), "non-manifold edges", with_fins),
+    right(
         below(1e-3, "0.216 linear within {:.0e}"),
-        {
-            "a texture of 1 x 1": lambda: even(1, 1),
-            "a texture of 1 x 10000": lambda: even(1, 10000),
-            "a texture of 10000 x 1": lambda: even(10000, 1),
-        },
+        "a texture of {}",
+        even,
+        TEXTURE_SHAPES,
     ),
-    *rows(
-        WARNS,
+    warns(
         noted("clamped to one"),
-        each("texture coordinates of {}", ("1e9", "1e300"), lambda factor: textured(factor * CHART)),
+        "texture coordinates of {}",
+        lambda factor: textured(factor * CHART),
+        ("1e9", "1e300"),
     ),
-    (
-        "texture coordinates NaN at one vertex",
-        lambda: textured(ONE_NAN),
-        WARNS,
+    warns(
         noted("faces without texture"),
+        "texture coordinates NaN at one vertex",
+        lambda: textured(with_one(CHART, np.nan)),
     ),
-    *rows(
-        WARNS,
+    warns(
         without_colour,
         {
             "texture coordinates all NaN": lambda: textured(np.nan * CHART),
@@ -166,16 +150,14 @@ CASES = table(
             "no picture": lambda: textured(picture=False),
         },
     ),
-    (
+    refuses(
+        "texture_linear has shape .* no pixel.*leave it out",
         "RawScan with a texture of no pixels",
         lambda: RawScan(np.eye(3), [[0, 1, 2]], uv=np.zeros((1, 3, 2)), texture_linear=np.zeros((0, 0, 3))),
-        REFUSES,
-        "texture_linear has shape .* no pixel.*leave it out",
     ),
-    (
+    refuses(
+        r"a coordinate is 1e\+200, beyond 1e\+30.*re-export",
         "RawScan with coordinates of 1e200",
         lambda: RawScan(1e200 * np.eye(3), [[0, 1, 2]]),
-        REFUSES,
-        r"a coordinate is 1e\+200, beyond 1e\+30.*re-export",
     ),
 )

@@ -3,13 +3,19 @@
 from dataclasses import dataclass, replace
 from functools import cache
 
-import igl
 import numpy as np
+from helpers.meshes import grid
 
 from scan2albedo import AnnotatedFaceModel, RawScan
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import without_unreferenced
-from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_angle_rad, transform_points
+from scan2albedo.geometry.rigid import (
+    compose,
+    invert_rigid,
+    rotation_angle_rad,
+    rotation_from_vector,
+    transform_points,
+)
 from scan2albedo.synthetic import Scanner, raw_scan
 
 
@@ -41,6 +47,11 @@ class Scanned:
         """Return the same scan far from its origin."""
         return self.moved(compose(np.eye(3), distance_mm * np.array([1.0, -1.0, 1.0])))
 
+    def turned(self, axis_angle):
+        """Return the same scan as the model stands, turned."""
+        turn = compose(rotation_from_vector(axis_angle), np.zeros(3))
+        return self.moved(turn @ self.model_from_scan)
+
     def with_vertices(self, vertices):
         """Return the scan with other vertices."""
         return replace(self, scan=replace(self.scan, vertices=vertices))
@@ -48,6 +59,11 @@ class Scanned:
     def with_mesh(self, faces, more_vertices=np.zeros((0, 3))):
         """Return the scan with other faces, and more vertices, without colour."""
         return replace(self, scan=RawScan(np.vstack([self.scan.vertices, more_vertices]), faces, name="scan"))
+
+    def painted(self, value):
+        """Return the scan with vertex colours of one value in place of its texture."""
+        colour = np.full(self.scan.vertices.shape, value, np.float32)
+        return RawScan(self.scan.vertices, self.scan.faces, vertex_color_linear=colour, name="scan")
 
     def wound(self, turned):
         """Return the scan, without colour, with the winding of some faces (F,) turned."""
@@ -78,6 +94,9 @@ class Scanned:
         return float(query.query(transform_points(change, self.surface)).distance.mean())
 
 
+TEXTURE_SHAPES = {"1 x 1": (1, 1), "1 x 10000": (1, 10000), "10000 x 1": (10000, 1)}
+
+
 @cache
 def model():
     """Return the default model."""
@@ -92,23 +111,30 @@ def person(seed=0):
 
 
 def plane(cells, side_mm):
-    """Return vertices and faces of a flat square with a corner in the origin."""
-    grid, faces = igl.triangulated_grid(cells, cells)
-    return np.column_stack([side_mm * grid, np.zeros(len(grid))]), faces
+    """Return vertices and faces of a flat square about the origin."""
+    vertices, faces = grid(cells, cells)
+    return side_mm * (vertices - [0.5, 0.5, 0]), faces
+
+
+def line():
+    """Return vertices and faces of a line of 200 points."""
+    return np.linspace(0, 200, 200)[:, None] * [1, 0, 0], np.arange(198)[:, None] + np.arange(3)
 
 
 def moebius():
-    """Return vertices and faces of a Moebius strip."""
-    angle, across = np.meshgrid(np.linspace(0, 2 * np.pi, 80, endpoint=False), np.linspace(-30, 30, 5))
-    angle, across = angle.T.ravel(), across.T.ravel()
+    """Return vertices and faces of a Moebius strip: a band whose last row is the first one, turned over."""
+    band, faces = grid(5, 81)
+    across, angle = 60 * band[:400, 0] - 30, 2 * np.pi * band[:400, 1]
     radius = 100 + across * np.cos(angle / 2)
     points = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), across * np.sin(angle / 2)])
-    start = (5 * np.arange(80)[:, None] + np.arange(4)).ravel()
-    step, column = np.divmod(start, 5)
-    near = np.where(step < 79, start + 5, 4 - column)
-    far = np.where(step < 79, start + 6, 3 - column)
-    corners = [[start, near, start + 1], [start + 1, near, far]]
-    return points, np.concatenate([np.stack(three, 1) for three in corners])
+    return points, np.where(faces < 400, faces, 404 - faces)
+
+
+def with_one(array, value, at=3):
+    """Return an array with another value at one place."""
+    changed = array.copy()
+    changed[at] = value
+    return changed
 
 
 def mixed(faces, every=2):
