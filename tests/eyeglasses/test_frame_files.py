@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from helpers.eyeglasses import nearest_weights
+from helpers.json_files import changed
 from helpers.npz import rewritten
 from helpers.schemas import check_schema
 from numpy.testing import assert_allclose, assert_array_equal
@@ -92,11 +93,23 @@ def test_starts_come_back_in_mm(tmp_path):
     check_schema(tmp_path / "start.json", "eyeglasses_start")
 
 
-@pytest.mark.parametrize("pose", [2 * np.eye(4), np.diag([1, 1, -1, 1]), np.full((4, 4), np.nan), np.eye(3)])
-def test_starts_are_rigid(tmp_path, pose):
-    with pytest.raises(ValueError, match="world_from_glasses"):
-        write_start(tmp_path / "start.json", pose)
-    assert not (tmp_path / "start.json").exists()
+@pytest.mark.parametrize(
+    ("pose", "words"),
+    [
+        (2 * np.eye(4), "must be a rotation"),
+        (np.diag([1, 1, -1, 1]), "must be a rotation"),
+        (np.eye(4)[:3], "world_from_glasses"),
+    ],
+)
+def test_starts_are_rigid(tmp_path, pose, words):
+    path = tmp_path / "start.json"
+    with pytest.raises(ValueError, match=words):
+        write_start(path, pose)
+    assert not path.exists()
+    write_start(path, np.eye(4))
+    changed(path, lambda tree: tree.update(world_from_glasses=pose.tolist()))
+    with pytest.raises(EyeglassesError, match=rf"start\.json: .*{words}"):
+        read_start(path)
     with pytest.raises(EyeglassesError, match=r"none\.json.*write_start"):
         read_start(tmp_path / "none.json")
 

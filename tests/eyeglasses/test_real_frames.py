@@ -36,9 +36,3 @@ def test_weights_meet_the_bars_and_bend_the_frame_as_on_a_coarser_lattice(shared
     apart = row_lengths((coarser - found.weights) @ shift)
     assert apart.max() < 0.3
     assert rms(apart) < 0.1
-    # The bend keeps edges long.
-    before, after = (
-        row_lengths(corner - np.roll(corner, 1, 1))
-        for corner in (v[scan.faces] for v in (scan.vertices, scan.vertices + found.weights @ shift))
-    )
-    assert np.abs(after - before).max() < 0.5

@@ -19,7 +19,7 @@ from scan2albedo.eyeglasses import (
     write_labels,
     write_masks,
 )
-from scan2albedo.geometry.pinhole import look_at, normalized_cameras, project
+from scan2albedo.geometry.pinhole import look_at
 from scan2albedo.io.images import write_png
 
 SHAPE = (480, 640)
@@ -89,10 +89,7 @@ def test_cameras_come_back_in_mm_and_fit_their_schema(tmp_path, unit, mm):
         assert_allclose(a.matrix, b.matrix, rtol=1e-15)
     # What is in the file takes points in the file's unit to the same pixels.
     tree = check_schema(tmp_path / "cameras.json", "cameras", {"unit": "unknown"}, {"cameras": []})
-    points = np.random.default_rng(0).normal(0, 50, (5, 3))
-    matrices = normalized_cameras([tree["cameras"][1]["matrix"], cameras[1].matrix])
-    stored, expected = (project(*one)[0] for one in zip(matrices, (points / mm, points), strict=True))
-    assert_allclose(stored, expected, atol=1e-9)
+    assert_allclose(tree["cameras"][1]["matrix"], cameras[1].matrix * [mm, mm, mm, 1], rtol=1e-15)
 
 
 FLAT = [[900.0, 0, 0, 1], [0, 900.0, 0, 1], [0, 0, 0, 1.0]]

@@ -77,29 +77,6 @@ def test_clear_plane_glass_is_not_seen():
         assert not picture.unknown.any()
 
 
-def test_pictures_under_two_environments_add_up():
-    materials = (SUNGLASSES, LensMaterial(2.0, (0.9, 0.5, 0.2), alpha=0.6, beta=0.1, tinting="filter"))
-    shape = (120, 160)
-    options = {
-        "surfaces": [wavy(roughness_rad=0.4, specular=0.1)],
-        "camera": look_at([-150, 80, 500], [0, 0, 0], focal_px=400, shape=shape),
-        "shape": shape,
-    }
-    first, second, both = (
-        insert(
-            materials,
-            environment_linear=environment,
-            lights=DistantLights.from_environment(environment, 16, "even"),
-            **options,
-        )
-        for environment in (room(1), room(2), room(1) + room(2))
-    )
-    assert {0, 1} <= set(both.lens.flat)
-    for name in ("image_linear", "without_lenses_linear"):
-        apart = getattr(first, name) + getattr(second, name)
-        assert_allclose(getattr(both, name), apart, atol=1e-12)
-
-
 def test_a_photograph_takes_other_mirror_images():
     dark = insert(SUNGLASSES, picture_linear=NOISE)
     assert "no environment" in dark.notes[-1]

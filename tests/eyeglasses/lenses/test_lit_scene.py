@@ -86,20 +86,6 @@ def test_a_plate_has_lamberts_radiance_on_both_sides_and_for_any_winding():
     assert not seen_from_above(scene, xy, DistantLights([[-0.6, 0, -0.8]], [1.0])).bare.any()
 
 
-def test_shadows_fall_where_the_geometry_says():
-    scene = LensScene(plate(10, 30), [plate(100, 0)])
-    toward = np.array([0.36, -0.48, 0.8])
-    xy = np.random.default_rng(1).uniform(-60, 60, (4000, 2))
-    # Where the way to the light crosses the small square's height.
-    at = xy + 30 * toward[:2] / toward[2]
-    from_edge = 10 - np.abs(at).max(1)
-    seen = seen_from_above(scene, xy, DistantLights([toward], [np.pi]), z=20.0).bare
-    dark = seen[:, 0] == 0
-    assert (dark == (from_edge > 0))[np.abs(from_edge) > 0.2].all()
-    assert dark.sum() > 50
-    assert_allclose(seen[~dark], 0.5 * 0.8, rtol=1e-12)
-
-
 def test_rays_past_everything_see_the_environment():
     past = LensScene(plate(10, 0), ()), [[50.0, 0]], DistantLights([[0, 0, 1]], [1.0])
     seen = seen_from_above(*past, np.full((4, 8, 3), 5.0))
