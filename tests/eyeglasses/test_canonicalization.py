@@ -79,15 +79,6 @@ def test_an_extreme_bend_stays_near():
     assert error.max() < 2.2
 
 
-def test_the_way_back_is_exact():
-    glasses, given = weighted(SMALL["opened"])
-    _, found = error_and_result(glasses, given)
-    assert_allclose(found.apply(given.vertices), found.vertices, atol=1e-12)
-    assert_allclose(found.uncanonicalize(found.vertices), given.vertices, atol=1e-9)
-    with pytest.raises(ValueError, match="vertices is"):
-        found.uncanonicalize(given.vertices[:5])
-
-
 def some_set():
     return [weighted(SMALL[name], seed=k)[1] for k, name in enumerate(("spread", "twisted", "closed"))]
 

@@ -18,8 +18,8 @@ def plain(solved):
     return solved.weights
 
 
-def weights_of(vertices, faces, handles, spacing=SPACING):
-    weights = bounded_biharmonic_weights(vertices, faces, handles, spacing)
+def weights_of(vertices, faces, handles):
+    weights = bounded_biharmonic_weights(vertices, faces, handles, SPACING)
     assert np.abs(weights.sum(1) - 1).max() <= 1e-12
     return weights
 
@@ -43,7 +43,6 @@ def test_key_points_too_close_for_the_spacing_share_a_handle(glasses, plain):
     together = found.weights[:-2, :7].copy()
     together[:, 3] += found.weights[:-2, 7]
     assert np.abs(together - plain).max() < 0.1
-    assert found.residual.shape == (8,)
 
 
 def test_key_points_near_the_mesh_hold_it(glasses, plain):
@@ -99,22 +98,15 @@ def test_a_part_within_reach_is_bridged(glasses, plain):
 
 
 @pytest.mark.parametrize("distance", [60.0, 1e4])
-def test_a_floater_moves_in_one_piece_and_disturbs_nothing(glasses, plain, distance):
-    dust = rod([-70, distance, -118], [-60, distance, -118])
-    found = solve_weights(*with_part(glasses, dust), glasses.handles, SPACING)
-    whole, own = np.split(found.weights, [len(plain)])
+def test_floaters_move_in_one_piece_each_and_disturb_nothing(glasses, plain, distance):
+    dust = [rod([x, distance, -118], [x + 10, distance, -118]) for x in (-70, 60)]
+    found = solve_weights(*with_part(glasses, join(dust)), glasses.handles, SPACING)
+    whole, left, right = np.split(found.weights, len(plain) + np.array([0, len(dust[0][0])]))
     assert_allclose(whole, plain, atol=1e-12)
-    assert np.abs(own - own[0]).max() == 0
-    assert own[0, 0] > 0.5
-    assert found.plan[1].evidence == f"1 parts, {len(own)} vertices"
-
-
-@pytest.mark.parametrize("spacing", [SPACING, "auto"])
-def test_many_floaters(glasses, spacing):
-    rng = np.random.default_rng(0)
-    dust = rng.uniform(-300, 300, (400, 1, 3)) + rng.normal(0, 1, (400, 3, 3))
-    part = dust.reshape(-1, 3), np.arange(1200).reshape(-1, 3)
-    weights_of(*with_part(glasses, part), glasses.handles, spacing)
+    for own, handle in ((left, 0), (right, 6)):
+        assert np.abs(own - own[0]).max() == 0
+        assert own[0, handle] > 0.5
+    assert found.plan[1].evidence == f"2 parts, {len(left) + len(right)} vertices"
 
 
 def test_parts_closer_than_the_spacing_become_one():

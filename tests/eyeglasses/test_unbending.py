@@ -61,7 +61,10 @@ def test_rims_keep_their_shape_and_the_bend_goes(pair, unbent):
         assert rms(before) > 1.5
         assert rms(after) < 0.2
         assert frame.unbent
+        assert_allclose(frame.apply(given.vertices), frame.vertices, atol=1e-12)
         assert_allclose(frame.uncanonicalize(frame.vertices), given.vertices, atol=1e-9)
+        with pytest.raises(ValueError, match="vertices is"):
+            frame.uncanonicalize(given.vertices[:5])
         assert_allclose(frame.keypoints[list(MIRROR)], frame.keypoints * [-1, 1, 1], atol=0.1)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from helpers.eyeglasses import glazed
-from helpers.lens_frames import from_lens, half_rimless
+from helpers.lens_frames import half_rimless
 from helpers.plates import CORNERS, plate
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -161,14 +161,8 @@ def test_each_lens_has_its_own_power_and_an_empty_rim_none():
     assert "no lens is given" in none.notes[0]
 
 
-def test_a_monocle_and_a_half_rimless_frame():
-    lenses = LensMaterial(-5.0), None
-    left = BENT.faces[(from_lens(BENT)[:, 0] + BENT.lens_centers[0, 0]) > 8]
-    marks = BENT.keypoints
-    marks[11:] = np.nan
-    monocle = insert(lenses, frame=Surface(BENT.vertices, left), keypoints=marks)
-    assert (monocle.lens == 0).sum() > 5000
-    picture = insert(lenses, frame=Surface(BENT.vertices, half_rimless(BENT)))
+def test_a_half_rimless_frame_holds_a_lens():
+    picture = insert((LensMaterial(-5.0), None), frame=Surface(BENT.vertices, half_rimless(BENT)))
     assert "points of its rim come from its key points" in picture.notes[0]
     assert (picture.lens == 0).sum() > 5000
 
@@ -199,24 +193,6 @@ def test_glass_of_one_piece_with_the_rim_is_told():
     joined = np.concatenate([faces, [[rim, first, first + 1], [rim, first + 73, first + 74]]])
     picture = insert((LensMaterial(), None), frame=Surface(vertices, joined), shape=(60, 80))
     assert any("the left lens: the frame covers it" in note for note in picture.notes)
-
-
-@pytest.mark.parametrize("dioptres", [-20.0, 20.0])
-@pytest.mark.parametrize(
-    "position", [[0, 0, 600], [450, 20, 300], [0, 30, -400], [30, 0, -12], [0, 0, 60]], ids=str
-)
-def test_strong_lenses_give_numbers_from_everywhere(dioptres, position):
-    options = {
-        "lenses": LensMaterial(dioptres, (0.2, 0.1, 0), alpha=0.2, beta=0.2, fresnel=True),
-        "camera": look_at(position, [30, 1, 0], focal_px=250, shape=(60, 80)),
-        "surfaces": [wavy(-80.0, 50.0)],
-        "environment_linear": room(),
-    }
-    picture = insert(shape=(60, 80), options=LensPictureOptions(light_count=4), **options)
-    assert (picture.lens >= 0).any()
-    assert picture.image_linear.min() >= -1e-12
-    taken = insert(picture_linear=NOISE[:60, :80], **options)
-    assert np.isfinite(taken.image_linear + picture.image_linear).all()
 
 
 def test_a_camera_that_sees_no_lens_leaves_the_picture_alone_and_says_so():

@@ -104,8 +104,8 @@ def test_the_sphere_mirrors_as_spheres_do():
     # Points in the lens's plane stand for those of the sphere, of 80 mm, along its radius.
     points = center + 80 * (outward / outward[:, 2:] - axis)
     got, heading = mirror_on_sphere(points, incoming, center, axis, 80.0), normalized(incoming)
-    assert_allclose((got * outward).sum(1), -(heading * outward).sum(1), atol=1e-12)
-    assert_allclose(np.cross(got - heading, outward), 0, atol=1e-12)
+    along = (heading * outward).sum(1, keepdims=True)
+    assert_allclose(got, heading - 2 * along * outward, atol=1e-12)
     flat = mirror_on_sphere(points, incoming, center, 2 * axis, np.inf)
     assert_allclose(flat, heading * [1, 1, -1], atol=1e-15)
 

@@ -222,13 +222,11 @@ def test_each_bad_input_is_one_line_that_names_the_file(files, tmp_path):
     write_png(tmp_path / "small.png", np.zeros((5, 5, 3)))
     (tmp_path / "broken.exr").write_bytes(b"nothing")
     for words, what, name in (
-        ("none.json", "cameras", "none.json"),
         ("few.json: the left lens needs the key points of its rim", "keypoints", "few.json"),
         ("none.obj", "head", "none.obj"),
         ("mm away from the head", "head", "far.obj"),
         ("small.png: there are 1 pictures for 2 views", "picture", "small.png"),
         ("broken.exr", "environment", "broken.exr"),
-        ("lost.json", "keypoints", "lost.json"),
     ):
         answer = run(files, "-o", out, "--json", **{what: tmp_path / name})
         assert words in refusal(answer)

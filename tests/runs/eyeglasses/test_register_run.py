@@ -281,14 +281,6 @@ def test_another_unit_or_a_spoiled_canonical_frame_is_told(changed, tmp_path):
     assert "canonical.npz cannot be read" in usage_error(run(changed, tmp_path / "out"))
 
 
-def test_a_frame_without_key_points_gets_proposed_ones(changed, tmp_path):
-    (changed / "frame.keypoints.json").unlink()
-    answer = succeeded(run(changed, tmp_path / "out", mesh="frame.obj"))
-    assert "20 key points are proposed from its shape" in answer.stderr
-    record = read_json(tmp_path / "out" / "result.json")
-    assert any("proposed from its shape" in note for note in record["notes"])
-
-
 @pytest.mark.parametrize(
     ("mesh", "option", "value"),
     [
