@@ -92,3 +92,7 @@ def test_a_background_that_is_hidden_comes_from_beside_the_lens(two_sheets):
     assert seen.unknown.all()
     at = project(CAMERA, origin[None])[0][0, 0]
     assert_allclose(seen.bare[0, 0] * 160, at, atol=1.5)
+    # In this direction, 72 px beside the middle, it sees the background.
+    shown = photograph.seen(toward(scene, origin + [[0.12, 0, -1.0]], origin))
+    assert not shown.unknown.any()
+    assert_allclose(shown.bare[0] * 160, 79.5 + 72, atol=1e-6)
