@@ -14,6 +14,11 @@ from scan2albedo.eyeglasses.lattice import (
 )
 
 
+def block(*shape):
+    """All cells (C, 3) of a block, from 0 on."""
+    return np.indices(shape).reshape(3, -1).T
+
+
 def clipped(triangle, cell):
     """Return the polygon of a triangle inside a cube (Sutherland and Hodgman)."""
     polygon = list(triangle)
@@ -34,8 +39,7 @@ def clipped(triangle, cell):
 def test_surface_cells_are_those_that_clipping_finds(seed):
     rng = np.random.default_rng(seed)
     triangle = rng.uniform(-4, 4, (3, 3)) * ([1, 1, 0.05] if seed % 3 == 0 else [1, 1, 1])
-    box = np.stack(np.meshgrid(*[np.arange(-5, 5)] * 3, indexing="ij"), -1).reshape(-1, 3)
-    wanted = np.array([cell for cell in box if clipped(triangle, cell)])
+    wanted = [cell for cell in block(10, 10, 10) - 5 if clipped(triangle, cell)]
     assert_array_equal(surface_cells(triangle[None], 10_000), wanted)
 
 
@@ -46,17 +50,17 @@ def test_triangles_without_area_leave_the_cells_of_their_corners_and_too_many_ce
 
 
 def test_enclosed_cells_need_closed_walls():
-    block = np.argwhere(np.ones((5, 5, 5), bool)).astype(np.int64)
-    inner = ((block > 0) & (block < 4)).all(1)
-    assert_array_equal(enclosed_cells(block[~inner]), block[inner])
-    door = (block == [0, 2, 2]).all(1)
-    assert len(enclosed_cells(block[~inner & ~door])) == 0
+    cells = block(5, 5, 5)
+    inner = (np.abs(cells - 2) < 2).all(1)
+    assert_array_equal(enclosed_cells(cells[~inner]), cells[inner])
+    door = (cells == [0, 2, 2]).all(1)
+    assert len(enclosed_cells(cells[~inner & ~door])) == 0
 
 
 @pytest.fixture
 def lattice():
-    block = np.argwhere(np.ones((6, 5, 4), bool)).astype(np.int64)
-    return Lattice.of_cells(block[(block[:, 0] < 3) | (block[:, 1] < 2)] - 2)
+    cells = block(6, 5, 4) - 2
+    return Lattice.of_cells(cells[(cells[:, 0] < 1) | (cells[:, 1] < 0)])
 
 
 def test_laplacian_is_symmetric_an_m_matrix_of_seven_points_and_biharmonic_energy_is_of_its_square(lattice):
@@ -69,8 +73,8 @@ def test_laplacian_is_symmetric_an_m_matrix_of_seven_points_and_biharmonic_energ
         assert x @ (laplacian @ x) == pytest.approx(len(lattice.cells))
     volumes = node_volumes(lattice)
     assert volumes.sum() == pytest.approx(len(lattice.cells))
-    inside = np.flatnonzero(volumes == 1)
-    assert sorted(laplacian[inside[0]].data) == [-1] * 6 + [6]
+    inside = np.argmax(volumes == 1)
+    assert sorted(laplacian[inside].data) == [-1] * 6 + [6]
     u = np.random.default_rng(0).random(len(lattice.nodes))
     expected = np.sum((laplacian @ u) ** 2 / volumes)
     assert u @ (biharmonic_energy(lattice) @ u) == pytest.approx(expected)
@@ -78,7 +82,7 @@ def test_laplacian_is_symmetric_an_m_matrix_of_seven_points_and_biharmonic_energ
 
 def test_interpolation_is_exact_for_linear_fields_and_convex(lattice):
     rng = np.random.default_rng(0)
-    points = lattice.cells[rng.integers(0, len(lattice.cells), 50)] + rng.random((50, 3))
+    points = rng.choice(lattice.cells, 50) + rng.random((50, 3))
     matrix = lattice.interpolation(points)
     assert_allclose(matrix @ lattice.nodes, points, atol=1e-12)
     assert matrix.min() >= 0

@@ -15,8 +15,6 @@ from scan2albedo.eyeglasses.mean_keypoints import (
 )
 from scan2albedo.synthetic import GlassesBend, eyeglasses
 
-BENDS = [(8, 2), (-6, 1), (4, 0), (2, -3), (0, 3), (5, 5), (-3, 0), (1, 1), (7, 2), (-5, 2)]
-
 
 def test_the_width_is_that_of_the_front_whatever_the_temples():
     wide = eyeglasses(0, bend=GlassesBend(temple_spread_mm=40)).keypoints
@@ -68,13 +66,11 @@ def test_no_width_of_spectacles_is_refused():
 
 
 def test_outliers_are_found_beside_bent_frames():
-    points = [
-        eyeglasses(seed, bend=GlassesBend(temple_spread_mm=spread, twist_deg=twist)).keypoints
-        for seed, (spread, twist) in enumerate(BENDS)
-    ]
+    bends = np.random.default_rng(0).uniform([-6, 0, -3], [8, 0, 5], (10, 3))
+    points = [eyeglasses(seed, bend=GlassesBend(*bend)).keypoints for seed, bend in enumerate(bends)]
     assert outliers(points, widths_of(points)) == {}
     points[3][[3, 5]] = points[3][[5, 3]]
-    points[6] = 1.4 * points[6]
+    points[6] *= 1.4
     found = outliers(points, widths_of(points))
     assert sorted(found) == [3, 6]
     assert "the farthest is left_rim_" in found[3]

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 from helpers.eyeglasses import glazed, outline_distances
+from helpers.lens_frames import from_lens, half_rimless
 
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.lenses.inserted_lenses import lens_mesh
 from scan2albedo.eyeglasses.lenses.rims import find_lens_rim, fit_normal
-from scan2albedo.geometry.mesh import face_areas, face_normals
+from scan2albedo.geometry.mesh import face_areas, face_normals, join
 from scan2albedo.geometry.rigid import compose, random_rotation, transform_points
 from scan2albedo.synthetic import GlassesBend, eyeglasses
 
@@ -53,13 +54,11 @@ def test_a_given_normal_will_do_and_need_not_be_exact():
 
 def test_pose_and_unit_do_not_matter():
     rng = np.random.default_rng(0)
-    glasses, truth = eyeglasses(3, welded=False), eyeglasses(3).lens_outlines[1]
+    glasses = eyeglasses(3, welded=False)
+    given = glasses.vertices, glasses.lens_centers[1], rim_points(glasses, "right"), glasses.lens_outlines[1]
     for scale in (1.0, 1e-3, 1e3):
         pose = compose(scale * random_rotation(rng), scale * rng.normal(0, 1000, 3))
-        vertices, center, marks, outline = (
-            transform_points(pose, points)
-            for points in (glasses.vertices, glasses.lens_centers[1], rim_points(glasses, "right"), truth)
-        )
+        vertices, center, marks, outline = (transform_points(pose, points) for points in given)
         rim = find(glasses, vertices=vertices, center=center, rim_points=marks)
         assert outline_distances(rim.points, outline).max() <= scale * BAR_MM
         assert rim.normal @ pose[:3, 2] > 0.9 * scale
@@ -67,20 +66,18 @@ def test_pose_and_unit_do_not_matter():
 
 def test_winding_repeated_faces_and_floaters_do_not_matter():
     glasses = eyeglasses(4)
-    rng = np.random.default_rng(1)
-    flipped = np.where(rng.random(len(glasses.faces))[:, None] < 0.5, glasses.faces[:, ::-1], glasses.faces)
-    crumb = glasses.lens_centers[0] + [15, 2, 0] + rng.normal(0, 0.3, (3, 3))
-    vertices = np.concatenate([glasses.vertices, crumb])
-    faces = np.concatenate([flipped, flipped[:50], [[0, 0, 1]], [len(glasses.vertices) + np.arange(3)]])
+    own = glasses.faces
+    faces = np.concatenate([own[::2, ::-1], own[1::2], own[:50], [[0, 0, 1]]])
+    crumb = glasses.lens_centers[0] + [15, 2, 0] + np.eye(3) / 3
+    vertices, faces = join([(glasses.vertices, faces), (crumb, np.array([[0, 1, 2]]))])
     assert off(find(glasses, vertices=vertices, faces=faces), glasses).max() <= BAR_MM
 
 
 def test_small_gaps_are_interpolated_without_key_points():
     glasses = eyeglasses(5)
-    middle = glasses.vertices[glasses.faces].mean(1) - glasses.lens_centers[0]
-    angle = np.rad2deg(np.arctan2(middle[:, 1], middle[:, 0]))
-    front = np.hypot(middle[:, 0], middle[:, 1]) < 40
-    hole = front & ((np.abs(angle - 80) < 7) | (np.abs(angle + 60) < 5))
+    x, y, _ = from_lens(glasses).T
+    angle = np.rad2deg(np.arctan2(y, x))
+    hole = (np.hypot(x, y) < 40) & ((np.abs(angle - 80) < 7) | (np.abs(angle + 60) < 5))
     rim = find(glasses, faces=glasses.faces[~hole], rim_points=None, normal=[0.1, 0, 1])
     assert rim.gaps == "interpolated"
     assert 0.7 < rim.measured.mean() < 0.97
@@ -92,9 +89,7 @@ def test_small_gaps_are_interpolated_without_key_points():
 def test_an_open_side_is_rounded_off_from_the_key_points(bend):
     for seed in range(4):
         glasses = eyeglasses(seed, bend=bend, nose_pads=False)
-        middle = glasses.vertices[glasses.faces].mean(1) - glasses.lens_centers[0]
-        lower = (middle[:, 1] < -6) & (np.abs(middle[:, 0]) < 45) & (np.abs(middle[:, 2]) < 20)
-        half_rim = glasses.faces[~lower]
+        half_rim = half_rimless(glasses)
         rim = find(glasses, faces=half_rim)
         assert rim.gaps == "subdivided"
         assert 0.4 < rim.measured.mean() < 0.75
@@ -107,8 +102,8 @@ def test_an_open_side_is_rounded_off_from_the_key_points(bend):
 
 def test_without_any_rim_the_outline_runs_through_the_key_points():
     glasses = eyeglasses(6)
-    front = np.abs(glasses.vertices[glasses.faces].mean(1) - glasses.lens_centers[0])[:, :2].max(1) < 40
-    rim = find(glasses, faces=glasses.faces[~front])
+    beside = np.abs(from_lens(glasses))[:, :2].max(1) >= 40
+    rim = find(glasses, faces=glasses.faces[beside])
     assert rim.gaps == "subdivided"
     assert not rim.measured.any()
     assert off(rim, glasses).max() <= 5.0
@@ -116,16 +111,14 @@ def test_without_any_rim_the_outline_runs_through_the_key_points():
 
 def test_a_lens_fills_its_rim_and_faces_the_viewer():
     glasses = eyeglasses(8, bend=BENT)
-    for side in range(2):
-        rim = find(glasses, side)
-        for points in (rim.points, rim.points[::-1]):
-            vertices, faces = lens_mesh(rim.center, points, rim.normal)
-            assert (vertices.shape, faces.shape) == ((129, 3), (128, 3))
-            assert (face_normals(vertices, faces) @ rim.normal > 0.8).all()
-        outline = glasses.lens_outlines[side] - rim.center
-        area = np.linalg.norm(np.cross(outline, np.roll(outline, -1, 0)), axis=1).sum() / 2
+    rim = find(glasses)
+    outline = glasses.lens_outlines[0] - rim.center
+    area = np.linalg.norm(np.cross(outline, np.roll(outline, -1, 0)), axis=1).sum() / 2
+    for points, normal in ((rim.points, None), (rim.points, rim.normal), (rim.points[::-1], rim.normal)):
+        vertices, faces = lens_mesh(rim.center, points, normal)
+        assert (vertices.shape, faces.shape) == ((129, 3), (128, 3))
+        assert (face_normals(vertices, faces) @ rim.normal > 0.8).all()
         assert face_areas(vertices, faces).sum() == pytest.approx(area, rel=0.01)
-        assert (face_normals(*lens_mesh(rim.center, rim.points)) @ rim.normal > 0.8).all()
 
 
 @pytest.mark.parametrize(
@@ -151,8 +144,7 @@ def test_a_fan_that_folds_is_refused():
 def test_lenses_that_the_mesh_holds_are_looked_through(known):
     glasses = eyeglasses(1)
     vertices, whole = glazed(glasses, gap=0.0)
-    marks = rim_points(glasses, "left")
-    options = {} if known == "rim points" else {"rim_points": None, "normal": fit_normal(marks, vertices)}
+    normal = fit_normal(rim_points(glasses, "left"), vertices)
+    options = {} if known == "rim points" else {"rim_points": None, "normal": normal}
     rim = find(glasses, vertices=vertices, faces=whole, **options)
-    alone = find(glasses, **options)
-    np.testing.assert_allclose(rim.points, alone.points, atol=1e-4)
+    np.testing.assert_allclose(rim.points, find(glasses, **options).points, atol=1e-4)

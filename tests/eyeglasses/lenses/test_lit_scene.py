@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from brdf_reference import oren_nayar, phong
+from helpers.meshes import sphere
 from helpers.plates import CORNERS, FACES, plate
 from numpy.testing import assert_allclose
 
@@ -32,47 +33,43 @@ def seen_from_above(scene, xy, lights, environment=None, z=100.0):
 
 def test_the_back_of_a_one_sided_surface_is_not_seen_but_casts_shadows():
     scene = LensScene(plate(10, -50), [replace(plate(60, 0), one_sided=True)])
-    turn = np.array([1.0, 1, -1])
     xy = np.random.default_rng(0).uniform(-50, 50, (200, 2))
-    from_front = look_down(scene, xy)
-    down = from_front.directions
-    from_behind = scene.rays(from_front.origins * turn, down * turn)
-    assert (scene.surface_of_face[from_front.hits.face] == 1).all()
     small = (np.abs(xy) < 10).all(1)
-    assert (from_behind.hits.face[~small] < 0).all()
-    assert np.isinf(from_behind.hits.distance[~small]).all()
-    assert (scene.surface_of_face[from_behind.hits.face[small]] == 0).all()
-    below = np.column_stack([xy, np.full(200, -20.0)])
-    assert ShadowMap(scene.caster, below, -down).visible([0, 0, 1]).sum() == 0
+    from_front = look_down(scene, xy)
+    up = -from_front.directions
+    from_behind = scene.rays(from_front.origins + 200 * from_front.directions, up).hits
+    assert (scene.surface_of_face[from_front.hits.face] == 1).all()
+    assert (from_behind.face[~small] < 0).all()
+    assert np.isinf(from_behind.distance[~small]).all()
+    assert (scene.surface_of_face[from_behind.face[small]] == 0).all()
+    assert not ShadowMap(scene.caster, from_front.ends - [0, 0, 20], up).visible([0, 0, 1]).any()
 
 
 def test_a_scene_does_what_the_reference_says():
     """Rough and glossy surfaces, seen from many sides, with a lens in the way of some of the light."""
     glasses, rng = eyeglasses(1), np.random.default_rng(0)
-    finish = {"roughness_rad": 0.4, "specular": 0.3, "shininess": 20.0, "albedo_linear": (0.2, 0.5, 0.8)}
+    albedo = np.array([0.2, 0.5, 0.8])
+    finish = {"roughness_rad": 0.4, "specular": 0.3, "shininess": 20.0, "albedo_linear": albedo}
     scene = LensScene(Surface(glasses.vertices, glasses.faces), [plate(80, -30, **finish)])
     dyed = LensMaterial(tint_linear=(1, 0.5, 0.2), alpha=0.9, tinting="filter")
     lenses = [insert_lens(glasses.vertices, glasses.faces, glasses.keypoints, side, dyed) for side in (0, 1)]
     toward, light = distant_directions(30), rng.random((30, 3))
-    targets = np.column_stack([rng.uniform(-70, 70, (400, 2)), np.full(400, -30.0)])
+    targets = rng.uniform([-70, -70, -30], [70, 70, -30], (400, 3))
     origin = np.array([150.0, 100, 300])
-    directions = normalized(targets - origin)
-    rays = scene.rays(origin, directions)
+    rays = scene.rays(origin, normalized(targets - origin))
     on = scene.surface_of_face[rays.hits.face] == 1
     colors = LitScene(scene, lenses, DistantLights(toward, light), None).seen(rays)
-    normal, ways = np.array([0, 0, 1.0]), set()
+    ways, above = set(), rays.ends + [0, 0, 0.2]
     bare = shaded = np.zeros(3)
-    for way, sent in zip(toward, light, strict=True):
-        n_l, n_v, l_v = way @ normal, -directions @ normal, -directions @ way
-        if n_l <= 0:
-            continue
-        open_ = ~scene.caster.occluded(rays.ends + 0.2 * normal, way)
-        matte = scene.surfaces[1].albedo_linear / np.pi * oren_nayar(n_l, n_v, l_v, 0.4)[:, None]
-        sent = sent * open_[:, None] * (matte + 0.3 * phong(n_l, n_v, l_v, 20.0)[:, None])
+    for way, sent in zip(toward[toward[:, 2] > 0], light[toward[:, 2] > 0], strict=True):
+        angles = way[2], -rays.directions[:, 2], -rays.directions @ way
+        open_ = ~scene.caster.occluded(above, way)
+        matte = albedo / np.pi * oren_nayar(*angles, 0.4)[:, None]
+        sent = sent * open_[:, None] * (matte + 0.3 * phong(*angles, 20.0)[:, None])
         crossed = sum(lens.caster.occluded(rays.ends, way).astype(int) for lens in lenses)
         bare = bare + sent
         shaded = shaded + sent * dyed.transmission ** crossed[:, None]
-        ways |= set((open_ + crossed * open_).tolist())
+        ways |= set((open_ + crossed * open_).flat)
     assert on.sum() > 200
     assert ways >= {0, 1, 2}
     assert_allclose(colors.bare[on], bare[on], rtol=1e-9, atol=1e-12)
@@ -81,28 +78,12 @@ def test_a_scene_does_what_the_reference_says():
 
 
 def test_a_plate_has_lamberts_radiance_on_both_sides_and_for_any_winding():
-    toward = np.array([[0.6, 0, 0.8]])
-    lights = DistantLights(toward, [[1.0, 2, 3]])
     xy = np.array([[3.0, 4], [-7, 2]])
     for faces in (FACES, [[0, 2, 1], [0, 2, 3]]):
         scene = LensScene(replace(plate(10, 0, albedo_linear=[0.5, 0.5, 1]), faces=faces), ())
-        seen = seen_from_above(scene, xy, lights).bare
-        assert_allclose(seen, np.tile([0.4 / np.pi, 0.8 / np.pi, 2.4 / np.pi], (2, 1)), rtol=1e-12)
-    assert not seen_from_above(scene, xy, DistantLights(-toward, [1.0])).bare.any()
-
-
-def test_shadows_fall_where_the_geometry_says():
-    scene = LensScene(plate(10, 30), [plate(100, 0)])
-    toward = np.array([0.36, -0.48, 0.8])
-    xy = np.random.default_rng(1).uniform(-60, 60, (4000, 2))
-    # Where the way to the light crosses the small square's height.
-    at = xy + 30 * toward[:2] / toward[2]
-    from_edge = 10 - np.abs(at).max(1)
-    seen = seen_from_above(scene, xy, DistantLights([toward], [np.pi]), z=20.0).bare
-    dark = seen[:, 0] == 0
-    assert (dark == (from_edge > 0))[np.abs(from_edge) > 0.2].all()
-    assert dark.sum() > 50
-    assert_allclose(seen[~dark], 0.5 * 0.8, rtol=1e-12)
+        seen = seen_from_above(scene, xy, DistantLights([[0.6, 0, 0.8]], [[1.0, 2, 3]])).bare
+        assert_allclose(seen, np.tile([0.4, 0.8, 2.4], (2, 1)) / np.pi, rtol=1e-12)
+    assert not seen_from_above(scene, xy, DistantLights([[-0.6, 0, -0.8]], [1.0])).bare.any()
 
 
 def test_rays_past_everything_see_the_environment():
@@ -113,23 +94,21 @@ def test_rays_past_everything_see_the_environment():
 
 
 def test_the_environment_lies_where_its_axes_say():
-    row, column = np.mgrid[:180, :360] + 0.5
-    azimuth, polar = np.deg2rad(column - 180), np.deg2rad(row)
-    sphere = np.stack([np.sin(polar) * np.sin(azimuth), np.cos(polar), np.sin(polar) * np.cos(azimuth)], -1)
+    polar, azimuth = np.deg2rad(np.mgrid[:180, -180:180] + 0.5)
+    around = np.sin(polar)
+    toward = np.stack([around * np.sin(azimuth), np.cos(polar), around * np.cos(azimuth)], -1)
     directions = np.concatenate([distant_directions(300), np.eye(3), -np.eye(3)])
-    assert_allclose(radiance_at(sphere, 7 * directions), directions, atol=0.01)
+    assert_allclose(radiance_at(toward, 7 * directions), directions, atol=0.01)
     assert not radiance_at(None, directions).any()
 
 
 def test_colours_come_from_vertices_or_textures():
     image = np.random.default_rng(2).random((8, 16, 3))
-    corner_uv = (CORNERS + 1) / 2
-    by_vertex = plate(10, 0, uv=corner_uv, texture_linear=image)
-    by_corner = plate(10, 0, uv=corner_uv[by_vertex.faces], texture_linear=image)
+    by_vertex = (CORNERS + 1) / 2
     xy = np.random.default_rng(3).uniform(-10, 10, (50, 2))
-    texel = np.stack([(xy[:, 0] + 10) / 20 * 16 - 0.5, (10 - xy[:, 1]) / 20 * 8 - 0.5], 1)
-    for surface in (by_vertex, by_corner):
-        scene = LensScene(plate(1, -50), [surface])
+    texel = (xy * [1, -1] + 10) / 20 * [16, 8] - 0.5
+    for uv in (by_vertex, by_vertex[FACES]):
+        scene = LensScene(plate(1, -50), [plate(10, 0, uv=uv, texture_linear=image)])
         rays = look_down(scene, xy)
         assert (scene.surface_of_face[rays.hits.face] == 1).all()
         assert_allclose(scene.albedo(rays), bilinear(image, texel), atol=1e-12)
@@ -139,28 +118,18 @@ def test_colours_come_from_vertices_or_textures():
 
 
 def test_normals_are_smooth_where_the_winding_is_one():
-    angle = np.linspace(-0.5, 0.5, 9)
-    arc = np.concatenate(
-        [np.stack([80 * np.sin(angle), np.full(9, y), 80 * np.cos(angle)], 1) for y in (-9, 9)]
-    )
-    a = np.arange(8)
-    faces = np.concatenate([np.stack([a, a + 1, a + 10], 1), np.stack([a, a + 10, a + 9], 1)])
+    vertices, faces = sphere(3, 80.0)
     for winding in (faces, faces[:, ::-1]):
-        scene = LensScene(Surface(arc, winding), ())
+        scene = LensScene(Surface(vertices, winding), ())
         rays = look_down(scene, np.array([[5.0, 1], [-20, 3], [12, -4]]))
-        radial = normalized(rays.ends * [1, 0, 1])
-        assert ((scene.normals(rays) * radial).sum(1) > 0.9999).all()
+        assert ((scene.normals(rays) * normalized(rays.ends)).sum(1) > 0.9999).all()
 
 
 @pytest.mark.parametrize(
     ("changes", "kind", "words"),
     [
         ({"faces": np.zeros((0, 3), int)}, EyeglassesError, "no faces"),
-        ({"vertices": np.full((3, 3), np.nan)}, EyeglassesError, "NaN"),
         ({"albedo_linear": [np.nan, 0, 0]}, EyeglassesError, "albedo_linear"),
-        ({"faces": [[0, 1, 3]]}, ValueError, "0 to 3 of 3"),
-        ({"faces": [[0.0, 1, 2]]}, ValueError, "expected int"),
-        ({"vertices": np.zeros((3, 2))}, ValueError, r"vertices is \(3, 2\)"),
         ({"albedo_linear": np.zeros((4, 3))}, ValueError, "albedo_linear must"),
         ({"texture_linear": np.ones((2, 2, 3))}, ValueError, "needs uv"),
         ({"uv": np.zeros((2, 2)), "texture_linear": np.ones((2, 2, 3))}, ValueError, "uv must"),

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.eyeglasses.lenses.scene_colors import PhotographedScene
 from scan2albedo.eyeglasses.lenses.scenes import LensScene, Surface
-from scan2albedo.geometry.mesh import normalized
+from scan2albedo.geometry.mesh import join, normalized
 from scan2albedo.geometry.pinhole import look_at, project
 from scan2albedo.geometry.rasterization import bilinear
 
@@ -34,9 +34,8 @@ def photographed(*surfaces):
 @pytest.fixture
 def two_sheets():
     """One surface: a wall, and a strip of it that stands 40 mm before it; albedo 0.2 and 0.8."""
-    corners = np.concatenate([sheet((-60, 60), (-70, 70), -30.0), sheet((-10, 10), (-70, 70), 10.0)])
-    albedo = np.repeat([[0.2] * 3, [0.8] * 3], 4, 0)
-    return photographed(Surface(corners, np.concatenate([FACES, FACES + 4]), albedo))
+    sheets = (sheet((-60, 60), (-70, 70), -30.0), FACES), (sheet((-10, 10), (-70, 70), 10.0), FACES)
+    return photographed(Surface(*join(sheets), np.repeat([0.2, 0.8], 12).reshape(8, 3)))
 
 
 def toward(scene, points, origin=(55.0, 0, 40)):
@@ -66,10 +65,8 @@ def test_what_stands_behind_the_same_surface_is_hidden(two_sheets):
 
 def test_the_frame_hides_what_is_behind_it_and_its_fringe(two_sheets):
     scene, photograph = two_sheets
-    # Places on the wall where the frame's right edge is seen, and 0.2 and 6 px beside it.
-    edge = 40 * 630 / 580
-    pixel = 630 / 600
-    points = np.array([[edge - 5, 0, -30], [edge + 0.2 * pixel, 0, -30], [edge + 6 * pixel, 0, -30]])
+    # Places on the wall beside the one where the frame's right edge is seen; a pixel is 1.05 mm there.
+    points = np.array([[40 * 630 / 580 + beside, 0, -30] for beside in (-5, 0.21, 6.3)])
     seen = photograph.seen(toward(scene, points, origin=(60.0, 0, 0)))
     assert seen.unknown.tolist() == [True, True, False]
 
@@ -88,10 +85,14 @@ def test_points_outside_the_picture_or_behind_the_camera_are_unknown():
 def test_a_background_that_is_hidden_comes_from_beside_the_lens(two_sheets):
     scene, photograph = two_sheets
     # Past the wall's edge, in a direction in which the camera sees the wall.
-    origin = np.array([[70.0, 0, -50]])
-    rays = scene.rays(origin, normalized(np.array([[-0.05, 0, -1.0]])))
+    origin = np.array([70.0, 0, -50])
+    rays = toward(scene, origin + [[-0.05, 0, -1.0]], origin)
     assert rays.hits.face.tolist() == [-1]
     seen = photograph.seen(rays)
     assert seen.unknown.all()
-    at = project(CAMERA, origin)[0][0, 0]
+    at = project(CAMERA, origin[None])[0][0, 0]
     assert_allclose(seen.bare[0, 0] * 160, at, atol=1.5)
+    # In this direction, 72 px beside the middle, it sees the background.
+    shown = photograph.seen(toward(scene, origin + [[0.12, 0, -1.0]], origin))
+    assert not shown.unknown.any()
+    assert_allclose(shown.bare[0] * 160, 79.5 + 72, atol=1e-6)

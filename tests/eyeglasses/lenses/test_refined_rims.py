@@ -3,42 +3,39 @@
 import numpy as np
 import pytest
 from helpers.eyeglasses import outline_distances
+from helpers.lens_frames import frame_mask, from_lens
+from helpers.measures import rms
 
 from scan2albedo.eyeglasses import find_lens_rim, refine_lens_rim
-from scan2albedo.geometry.pinhole import camera_centers, look_at, pixel_directions, pixel_grid
+from scan2albedo.eyeglasses.mean_keypoints import RIMS
+from scan2albedo.geometry.pinhole import look_at
 from scan2albedo.synthetic import eyeglasses
-from scan2albedo.synthetic.renderer import RayScene
 
-SIZE = 640
+SHAPE = (640, 640)
 GLASSES = eyeglasses(5)
-MARKS = GLASSES.keypoints[[i for i, n in enumerate(GLASSES.names) if n.startswith("left_rim")]]
+MARKS = GLASSES.keypoints[RIMS[0]]
 CENTER, TRUTH = GLASSES.lens_centers[0], GLASSES.lens_outlines[0]
 CAMERAS = [
-    look_at(CENTER + 600 * np.array([np.sin(a), 0.13, np.cos(a)]), CENTER, focal_px=1800, shape=(SIZE, SIZE))
+    look_at(CENTER + 600 * np.array([np.sin(a), 0.13, np.cos(a)]), CENTER, focal_px=1800, shape=SHAPE)
     for a in (-0.6, 0.0, 0.6)
 ]
 
 
 @pytest.fixture(scope="module")
 def masks():
-    scene, seen = RayScene(GLASSES.vertices, GLASSES.faces), []
-    for camera in CAMERAS:
-        rays = pixel_directions(camera, pixel_grid((SIZE, SIZE)))
-        hit = scene.first_hit(np.broadcast_to(camera_centers(camera[None])[0], rays.shape), rays)
-        seen.append((camera, (hit.face >= 0).reshape(SIZE, SIZE)))
-    return seen
+    return [(camera, frame_mask(GLASSES.vertices, GLASSES.faces, camera, SHAPE)) for camera in CAMERAS]
 
 
 def found(lost, scale=1.0):
     """The rim of a frame that lacks the faces of the left rim where the angle around its centre is `lost`."""
-    offset = GLASSES.vertices[GLASSES.faces].mean(1) - CENTER
-    near = (np.hypot(offset[:, 0], offset[:, 1]) < 40) & (np.abs(offset[:, 2]) < 15)
-    faces = GLASSES.faces[~(near & DAMAGE[lost](np.arctan2(offset[:, 1], offset[:, 0])))]
+    x, y, z = from_lens(GLASSES).T
+    near = (np.hypot(x, y) < 40) & (np.abs(z) < 15)
+    faces = GLASSES.faces[~(near & DAMAGE[lost](np.arctan2(y, x)))]
     return find_lens_rim(scale * GLASSES.vertices, faces, scale * CENTER, rim_points=scale * MARKS)
 
 
 def error(rim):
-    return np.sqrt((outline_distances(rim.points, TRUTH) ** 2).mean())
+    return rms(outline_distances(rim.points, TRUTH))
 
 
 DAMAGE = {
@@ -69,7 +66,7 @@ def test_a_whole_rim_stays_where_it_was_measured(masks):
 def test_pictures_that_say_nothing_change_nothing(masks):
     rim = found("half")
     camera = masks[0][0]
-    nothing = np.zeros((SIZE, SIZE), bool)
+    nothing = np.zeros(SHAPE, bool)
     away = camera + np.array([[900.0], [0], [0]]) * camera[2]
     for views in ([], [(camera, nothing)], [(camera, ~nothing)], [(away, masks[0][1])]):
         assert refine_lens_rim(rim, views, rim_points=MARKS) is rim
@@ -80,8 +77,9 @@ def test_pictures_that_say_nothing_change_nothing(masks):
 
 def test_masks_of_other_views_are_left_out(masks):
     rim = found("gaps")
-    exchanged = [(camera, mask) for (camera, _), (_, mask) in zip(masks, masks[::-1], strict=True)]
-    for views in (exchanged, [masks[0], masks[1], (masks[2][0], masks[0][1])]):
+    cameras, shown = zip(*masks, strict=True)
+    for taken in ((2, 1, 0), (0, 1, 0)):
+        views = [(camera, shown[number]) for camera, number in zip(cameras, taken, strict=True)]
         refined = refine_lens_rim(rim, views, rim_points=MARKS)
         assert error(refined) < 0.3
 

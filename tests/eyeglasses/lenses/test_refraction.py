@@ -1,4 +1,4 @@
-"""Thin lenses against constructions that know nothing of the formula: conjugate points, focal rays, Snell."""
+"""Thin lenses against constructions that know nothing of the formula: conjugate points, focal rays."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,6 @@ from numpy.testing import assert_allclose
 
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.lenses.optics import ThinLens, refract
-from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import random_rotation
 
 
@@ -20,30 +19,12 @@ def lens_points(rng, count=200):
 
 
 def test_rays_meet_the_conjugate_image():
-    points, worst = lens_points(np.random.default_rng(0)), []
+    points = lens_points(np.random.default_rng(0))
     for dioptres in (-8, -4, -2, -0.25, 0.25, 1, 2.1, 4, 8):
         for camera in ([30.0, -60, 600], [-200, 90, 350], [5, 3, 1500], [1, 1, 40]):
             got = refract(thin(dioptres), camera, points).directions
             image = conjugate_directions(np.array(camera), points, np.zeros(3), np.eye(3)[2], dioptres)
-            worst.append(angle_deg(got, image).max())
-    assert max(worst) <= 1e-5
-
-
-def test_paraxial_rays_agree_with_snells_law_at_two_spheres():
-    dioptres = 5.0
-    index = 1.5
-    points = np.array([[0.2, 0.1, 0], [-0.3, 0.2, 0], [0.0, 0.4, 0]])
-    radius = 2 * (index - 1) * 1000 / dioptres
-    camera = np.array([0, 0, 600.0])
-    d = normalized(points - camera)
-    for side, ratio in ((1, 1 / index), (-1, index)):
-        # Lens-maker: both spheres pass (almost) through the plane z = 0; thickness is left out.
-        normal = normalized(side * points + [0, 0, radius])
-        cosine = -(d * normal).sum(1)
-        across = np.sqrt(1 - ratio**2 * (1 - cosine**2))
-        d = ratio * d + (ratio * cosine - across)[:, None] * normal
-    got = refract(thin(dioptres), camera, points).directions
-    assert angle_deg(got, d).max() < 1e-6
+            assert angle_deg(got, image).max() <= 1e-5
 
 
 def test_nothing_is_lost_within_20_dioptres_at_the_poles_of_the_usual_formula():
@@ -72,19 +53,17 @@ def test_a_moved_scene_gives_moved_rays_and_either_normal_will_do():
     turn, shift = random_rotation(rng), np.array([1e4, -5e3, 800.0])
     still = refract(thin(-6.0), camera, points)
     for sign in (1.0, -3.0):
-        moved = refract(
-            ThinLens(shift, sign * turn[:, 2], -6.0), turn @ camera + shift, points @ turn.T + shift
-        )
+        lens = ThinLens(shift, sign * turn[:, 2], -6.0)
+        moved = refract(lens, turn @ camera + shift, points @ turn.T + shift)
         assert angle_deg(moved.directions, still.directions @ turn.T).max() < 1e-9
         assert_allclose(moved.origins, still.origins @ turn.T + shift, atol=1e-8)
 
 
 def test_any_point_on_a_ray_names_it():
     points, camera = lens_points(np.random.default_rng(5)), np.array([0.0, 30, 600])
-    lens = thin(7.0)
-    bent = refract(lens, camera, points).directions
+    bent = refract(thin(7.0), camera, points).directions
     for along in (0.2, 0.99, 1.01, 3.0):
-        rays = refract(lens, camera, camera + along * (points - camera))
+        rays = refract(thin(7.0), camera, camera + along * (points - camera))
         assert_allclose(rays.origins, points, atol=1e-10)
         assert angle_deg(rays.directions, bent).max() < 1e-10
 

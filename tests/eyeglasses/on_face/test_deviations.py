@@ -79,18 +79,17 @@ def test_slopes_are_those_of_the_sum(seen):
 @pytest.mark.slow
 @pytest.mark.parametrize("masked", [True, False])
 def test_stated_deviations_hold_on_bends_of_another_kind(masked):
-    check_coverage(without_lenses(synthetic("shield")), range(2000, 2004), Errors(), masked)
+    check_coverage(synthetic("shield"), range(2000, 2004), Errors(), masked)
 
 
 @pytest.mark.slow
 def test_stated_deviations_hold_on_real_sunglasses(shared_data):
     # Masks two pixels too narrow would not show its wires at all. Deviations are somewhat small here.
-    errors = Errors(bias_px=0.4)
-    check_coverage(without_lenses(khronos()), range(2000, 2003), errors, True, most=1.7)
+    check_coverage(khronos(), range(2000, 2003), Errors(bias_px=0.4), True, most=1.7)
 
 
-def check_coverage(frame, seeds, errors, masked, most=1.4):
-    off, stated = [], []
+def check_coverage(glazed, seeds, errors, masked, most=1.4):
+    frame, off, stated = without_lenses(glazed), [], []
     within = [], []
     for seed in seeds:
         pictures = photographed(frame, seed, errors=errors, glass=False)

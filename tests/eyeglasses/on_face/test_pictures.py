@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from helpers.measures import row_lengths
 from helpers.wearers import small_wearer
-from helpers.worn_frames import register
-from scipy.ndimage import gaussian_filter
+from helpers.worn_frames import front_error_mm, photographs, register
 
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.on_face.outline import color_odds, grouped_colors, search_colors
@@ -15,32 +14,15 @@ def person():
     return small_wearer(1, 384)
 
 
-def pictures(shown=True):
-    """Dark frames before mottled skin."""
-    rng, made = np.random.default_rng(0), []
-    for mask in person().masks:
-        mottle = gaussian_filter(rng.normal(size=mask.shape), 4)[..., None]
-        skin = np.array([180.0, 130, 110]) * (1 + 1.5 * mottle)
-        linear = np.where((mask & shown)[..., None], [40.0, 35, 38], skin)
-        made.append(gaussian_filter(linear, (0.7, 0.7, 0)) + rng.normal(0, 4, skin.shape))
-    return made
-
-
-def front_error_mm(found):
-    worn = person()
-    front = worn.glasses.rest_vertices[:, 2] > worn.glasses.rest_keypoints[:, 2].max() - 20
-    return float(np.sqrt((row_lengths(found.vertices - worn.vertices)[front] ** 2).mean()))
-
-
 def found_in_pictures(**changes):
     worn = person()
     given = {"keypoints_2d": np.full_like(worn.labels, np.nan), "masks": None, "shapes": [(384, 384)] * 3}
-    return register(worn, **{**given, **changes})
+    return register(worn, **{**given, "pictures": photographs(worn), **changes})
 
 
 @pytest.fixture(scope="module")
 def seen():
-    return found_in_pictures(pictures=pictures())
+    return found_in_pictures()
 
 
 def test_a_bar_is_found_where_it_is_and_missed_where_it_is_not():
@@ -49,19 +31,21 @@ def test_a_bar_is_found_where_it_is_and_missed_where_it_is_not():
     picture[:, 52:60] = 30.0  # two pixels farther on
     colors = grouped_colors(picture, np.array([[0.0, 0], [119, 79]]))
     odds = color_odds(colors, frame)
-    place, outward = np.array([[57.0, 40]]), np.array([[1.0, 0]])
-    way, noise, chance = search_colors(odds, frame, place, outward, np.array([15.0]))
+    where = np.array([[57.0, 40]]), np.array([[1.0, 0]]), np.array([15.0])
+    way, noise, chance = search_colors(odds, frame, *where)
     assert way[0] == pytest.approx(2, abs=0.5)
     assert noise[0] < 1.5
     assert chance[0] > 0.8
     hidden = np.where(colors == colors[0, 57], odds.min(), odds)
-    assert search_colors(hidden, frame, place, outward, np.array([15.0]))[2][0] < 0.5
+    assert search_colors(hidden, frame, *where)[2][0] < 0.5
 
 
 @pytest.mark.slow
 def test_pictures_place_a_frame_that_nobody_labelled(seen):
-    assert front_error_mm(seen) < 0.8
-    assert front_error_mm(found_in_pictures()) > 2 * front_error_mm(seen)
+    guessed = found_in_pictures(pictures=None)
+    error, before = (front_error_mm(found.vertices, person()) for found in (seen, guessed))
+    assert error < 0.8
+    assert before > 2 * error
     assert any(step.stage == "glasses.pictures" and step.ran for step in seen.plan)
 
 
@@ -80,14 +64,14 @@ def test_proposals_are_as_good_as_they_say(seen):
 
 def test_labels_and_masks_that_somebody_made_go_first():
     worn = person()
-    found = found_in_pictures(keypoints_2d=worn.labels, pictures=pictures())
-    assert not (np.isfinite(found.proposed_labels) & np.isfinite(worn.labels)).any()
-    both = register(worn, pictures=pictures())
+    found = found_in_pictures(keypoints_2d=worn.labels)
+    assert not np.isfinite(found.proposed_labels + worn.labels).any()
+    both = found_in_pictures(keypoints_2d=worn.labels, masks=worn.masks)
     assert both.proposed_masks == (None, None, None)
 
 
 def test_nothing_is_proposed_where_there_is_no_frame():
-    found = found_in_pictures(pictures=pictures(shown=False))
+    found = found_in_pictures(pictures=photographs(person(), shown=False))
     assert np.isnan(found.proposed_labels).all()
     assert found.proposed_masks == (None, None, None)
     assert any("not found in the pictures" in step.reason for step in found.plan.doubts())
@@ -108,4 +92,4 @@ def test_nothing_is_proposed_where_there_is_no_frame():
 )
 def test_without_labels_pictures_and_a_head_in_the_face_models_frame_are_needed(changes, kind, words):
     with pytest.raises(kind, match=words):
-        found_in_pictures(**{"pictures": pictures(), **changes})
+        found_in_pictures(**changes)

@@ -1,6 +1,5 @@
 """Lenses in registered frames from files and to files, and the command for it."""
 
-import hashlib
 import json
 import shutil
 from pathlib import Path
@@ -10,6 +9,10 @@ import pytest
 import trimesh
 from helpers.cli import invoke
 from helpers.commands import printed, refusal, succeeded
+from helpers.eyeglasses import outline_distances
+from helpers.lens_frames import frame_mask, half_rimless
+from helpers.measures import rms
+from helpers.meshes import sphere
 from helpers.records import files_in, read_json, valid_record
 from helpers.usage import usage_error
 from numpy.testing import assert_allclose, assert_array_equal
@@ -17,7 +20,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scan2albedo.core import RawScan
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import (
-    KEY_POINT_NAMES,
     Camera,
     LensMaterial,
     LensPictureOptions,
@@ -27,20 +29,18 @@ from scan2albedo.eyeglasses import (
     write_masks,
 )
 from scan2albedo.eyeglasses.lenses.scenes import WHITE_SHOWN, soft_environment, white_exposure
-from scan2albedo.eyeglasses.mean_keypoints import own_axes
-from scan2albedo.geometry.pinhole import look_at, pixel_directions, pixel_grid
+from scan2albedo.eyeglasses.mean_keypoints import RIMS, own_axes
+from scan2albedo.geometry.mesh import normalized
+from scan2albedo.geometry.pinhole import look_at
 from scan2albedo.geometry.rigid import random_rotation
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import read_image_linear, write_exr, write_png
-from scan2albedo.io.load_scan import input_sha256
+from scan2albedo.io.load_scan import file_sha256, input_sha256
+from scan2albedo.io.obj import write_obj
 from scan2albedo.lighting.environment import texel_directions, texel_solid_angles
 from scan2albedo.runs.eyeglasses.inputs import material_pair, read_lens_scene
-from scan2albedo.runs.eyeglasses.lenses_run import (
-    render_lenses,
-    surface_of,
-)
+from scan2albedo.runs.eyeglasses.lenses_run import render_lenses, surface_of
 from scan2albedo.synthetic import eyeglasses
-from scan2albedo.synthetic.renderer import RayScene
 
 pytestmark = pytest.mark.slow
 
@@ -57,14 +57,8 @@ def view(name, position):
 VIEWS = (view("front", [0, 0, 600]), view("side", [250, 40, 520]))
 
 
-def head():
-    """A ball behind the frame, as large as a head."""
-    ball = trimesh.creation.icosphere(4, 95.0)
-    ball.apply_translation([0, 0, -110])
-    return ball
-
-
-SKIN = Surface(head().vertices, head().faces)
+SKIN = Surface(*sphere(4, 95.0, [0, 0, -110]))
+"""A ball behind the frame, as large as a head."""
 
 
 def drawn(head=SKIN, cameras=VIEWS, **more):
@@ -79,9 +73,7 @@ def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("worn")
     write_glb(folder / "registered.glb", BENT.vertices, BENT.faces)
     write_keypoints(folder / "keypoints.json", BENT.keypoints)
-    ball = head()
-    ball.apply_scale(0.1)
-    ball.export(folder / "head.ply")
+    write_obj(folder / "head.obj", SKIN.vertices / 10, SKIN.faces)
     write_cameras(folder / "cameras.json", VIEWS)
     for camera in VIEWS:
         write_png(folder / f"{camera.name}.png", np.random.default_rng(0).random((*SHAPE, 3)))
@@ -90,7 +82,7 @@ def files(tmp_path_factory):
 
 
 def run(folder, *arguments, frame="registered.glb", **given):
-    named = {"--cameras": folder / "cameras.json", "--head": folder / "head.ply"}
+    named = {"--cameras": folder / "cameras.json", "--head": folder / "head.obj"}
     named |= {f"--{name}": value for name, value in given.items()}
     options = [part for pair in named.items() for part in pair]
     return invoke("glasses", "lenses", folder / frame, *options, *QUICK, *arguments)
@@ -98,28 +90,28 @@ def run(folder, *arguments, frame="registered.glb", **given):
 
 def test_the_input_has_the_hashes_of_what_was_read(files, tmp_path):
     copy = shutil.copytree(files, tmp_path / "copy")
-    digests = {path: hashlib.sha256(path.read_bytes()).hexdigest() for path in copy.iterdir()}
-    names = {"mesh": "registered.glb", "head": "head.ply", "cameras": "cameras.json"}
+    names = {"mesh": "registered.glb", "head": "head.obj", "cameras": "cameras.json"}
     names |= {"environment": "room.exr", "keypoints": "keypoints.json"}
     paths = {what: copy / name for what, name in names.items()}
-    expected = {what: (str(path), digests[path]) for what, path in paths.items()}
-    for what in ("head", "mesh"):
-        expected[what] = (str(paths[what]), input_sha256(paths[what]))
+    meshes = ("head", "mesh")
+    expected = {
+        what: (str(path), input_sha256(path) if what in meshes else file_sha256(path))
+        for what, path in paths.items()
+    }
     frame, head, cameras, room, _ = paths.values()
     source = read_lens_scene(frame, head, cameras, environment=room)
-    for path in digests:
+    for path in paths.values():
         path.write_bytes(b"changed while pictures were drawn")
     assert {what: (file.file, file.sha256) for what, file in source.files.items()} == expected
 
 
 def test_the_inside_of_an_open_face_is_not_drawn():
     """From behind, where a relit picture shows none of it either; a face wound inward stays."""
-    ball = head()
-    front = ball.faces[ball.triangles_center[:, 2] > -110]
+    front = SKIN.faces[SKIN.vertices[SKIN.faces].mean(1)[:, 2] > -110]
     shown = []
     for faces in (front, front[:, ::-1]):
         scene = drawn(
-            Surface(ball.vertices, faces, (0.0, 0.0, 0.0)),
+            Surface(SKIN.vertices, faces, (0, 0, 0)),
             [view("behind", [0, 0, -600])],
             environment_linear=np.full((8, 16, 3), 0.5),
             options=LensPictureOptions(supersampling=1, light_count=4),
@@ -133,20 +125,17 @@ def test_drawn_views_and_their_files(files, tmp_path):
     out = tmp_path / "out"
     summary = printed(run(files, "-o", out, "--dioptres", "-4,-2.5", "--fresnel", "--json"))
     pictures = {f"{name}_lenses.{kind}" for name in ("front", "side") for kind in ("png", "exr")}
-    assert files_in(out) == COMMON | pictures
     record = valid_record(out / "result.json", "eyeglasses_lenses")
-    assert set(record["files"]) == COMMON | pictures
-    assert [lens["dioptres"] for lens in record["lenses"]] == [-4, -2.5]
-    assert [lens["beta"] for lens in record["lenses"]] == [0.04] * 2
+    assert files_in(out) == set(record["files"]) == COMMON | pictures
     assert record["light"] == "built-in"
     assert record["mm_per_unit"] == 1000
-    for lens, center in zip(record["lenses"], BENT.lens_centers, strict=True):
-        assert np.linalg.norm(np.array(lens["center_mm"]) - center) < 1
-        assert lens["measured"] == 1
+    for lens, center, dioptres in zip(record["lenses"], BENT.lens_centers, (-4, -2.5), strict=True):
+        assert np.linalg.norm(lens["center_mm"] - center) < 1
+        assert (lens["dioptres"], lens["beta"], lens["measured"]) == (dioptres, 0.04, 1)
     assert summary["status"] == "done"
     assert summary["lenses"] == record["lenses"]
     # What stands in the files is what the library makes of the same things.
-    source = read_lens_scene(files / "registered.glb", files / "head.ply", files / "cameras.json")
+    source = read_lens_scene(files / "registered.glb", files / "head.obj", files / "cameras.json")
     rendered = render_lenses(
         surface_of(source.frame.scan, (0.05, 0.05, 0.06)),
         source.frame.keypoints,
@@ -168,8 +157,7 @@ def test_drawn_views_and_their_files(files, tmp_path):
     lens = scene.geometry["left_lens"]
     assert_allclose(1000 * lens.vertices, rendered.lenses[0].vertices, atol=1e-3)
     assert lens.visual.material.alphaMode == "BLEND"
-    bounds = BENT.vertices.min(0), BENT.vertices.max(0)
-    assert_allclose(1000 * scene.geometry["frame"].bounds, bounds, atol=1e-3)
+    assert_allclose(1000 * scene.geometry["frame"].vertices, BENT.vertices, atol=1e-3)
 
 
 def test_photographs_environment_and_views(files, tmp_path):
@@ -200,31 +188,24 @@ def test_photographs_environment_and_views(files, tmp_path):
 
 def test_masks_of_any_cameras_refine_the_rims(files, tmp_path):
     worn = shutil.copytree(files, tmp_path / "worn")
-    offset = BENT.vertices[BENT.faces].mean(1) - BENT.lens_centers[0]
-    lost = (np.abs(offset[:, 0]) < 35) & (np.abs(offset[:, 2]) < 15) & (offset[:, 1] < 0)
-    write_glb(worn / "registered.glb", BENT.vertices, BENT.faces[~lost])
+    write_glb(worn / "registered.glb", BENT.vertices, half_rimless(BENT))
     size, masks = (640, 640), worn / "masks"
-    eyes = {"a": [-340, 60, 500], "b": [0, 60, 600], "c": [340, 60, 500]}
-    cameras = [Camera(n, look_at(p, [0, 0, -20], focal_px=1400, shape=size), size) for n, p in eyes.items()]
+    cameras = [
+        Camera(f"camera {x}", look_at([x, 60, 500], [0, 0, -20], focal_px=1400, shape=size), size)
+        for x in (-340, 0, 340)
+    ]
     write_cameras(worn / "cameras.json", [*VIEWS, *cameras])
-    scene = RayScene(BENT.vertices, BENT.faces)
-    shown = []
-    for camera, eye in zip(cameras, eyes.values(), strict=True):
-        ways = pixel_directions(camera.matrix, pixel_grid(size))
-        shown.append((scene.first_hit(np.full(ways.shape, eye, float), ways).face >= 0).reshape(size))
+    shown = [frame_mask(BENT.vertices, BENT.faces, camera.matrix, size) for camera in cameras]
     write_masks(masks, shown, cameras)
     off, records = [], []
-    for more in ({}, {"masks": masks}):
-        out = tmp_path / f"out {len(off)}"
+    for out, more in ((tmp_path / "bare", {}), (tmp_path / "masked", {"masks": masks})):
         succeeded(run(worn, "--view", "front", out=out, **more))
         records.append(valid_record(out / "result.json", "eyeglasses_lenses"))
-        lens = trimesh.load(out / "frame_with_lenses.glb").geometry["left_lens"]
-        rim = 1e3 * lens.vertices[np.unique(lens.edges[trimesh.grouping.group_rows(lens.edges_sorted, 1)])]
-        nearest = np.linalg.norm(rim[:, None] - BENT.lens_outlines[0], axis=2).min(1)
-        off.append(np.sqrt((nearest**2).mean()))
-    deviations = [[entry["deviation_mm"] for entry in record["lenses"]] for record in records]
-    assert deviations[0] == [None, None]
-    assert 0 < deviations[1][1] < deviations[1][0] < 1.5
+        lens = trimesh.load_scene(out / "frame_with_lenses.glb").geometry["left_lens"]
+        off.append(rms(outline_distances(1e3 * lens.vertices[1:], BENT.lens_outlines[0])))
+    bare, masked = ([entry["deviation_mm"] for entry in record["lenses"]] for record in records)
+    assert bare == [None, None]
+    assert 0 < masked[1] < masked[0] < 1.5
     assert [len(record["masks"]) for record in records] == [0, 3]
     assert "the left lens: masks refine its outline" in "".join(records[1]["notes"])
     assert off[1] < 0.5 * off[0]
@@ -234,22 +215,18 @@ def test_masks_of_any_cameras_refine_the_rims(files, tmp_path):
 
 def test_each_bad_input_is_one_line_that_names_the_file(files, tmp_path):
     out = tmp_path / "out"
-    marks = BENT.keypoints.copy()
+    marks = BENT.keypoints
     marks[2] = np.nan
     write_keypoints(tmp_path / "few.json", marks)
-    far = head()
-    far.apply_translation([3000, 0, 0])
-    far.export(tmp_path / "far.ply")
+    write_obj(tmp_path / "far.obj", SKIN.vertices + [3000, 0, 0], SKIN.faces)
     write_png(tmp_path / "small.png", np.zeros((5, 5, 3)))
     (tmp_path / "broken.exr").write_bytes(b"nothing")
     for words, what, name in (
-        ("none.json", "cameras", "none.json"),
         ("few.json: the left lens needs the key points of its rim", "keypoints", "few.json"),
-        ("none.ply", "head", "none.ply"),
-        ("mm away from the head", "head", "far.ply"),
+        ("none.obj", "head", "none.obj"),
+        ("mm away from the head", "head", "far.obj"),
         ("small.png: there are 1 pictures for 2 views", "picture", "small.png"),
         ("broken.exr", "environment", "broken.exr"),
-        ("lost.json", "keypoints", "lost.json"),
     ):
         answer = run(files, "-o", out, "--json", **{what: tmp_path / name})
         assert words in refusal(answer)
@@ -276,43 +253,39 @@ def test_options_that_mean_nothing_are_usage_errors(files, tmp_path, arguments):
 
 def test_lenses_of_the_commands_options():
     plain = {"tint": None, "alpha": None, "beta": None, "sunglasses": False, "fresnel": False}
-    left, right = material_pair("3", **plain)
-    assert left == right == LensMaterial(3.0)
-    tinted, _ = material_pair("0", **{**plain, "tint": "0.5,0.2,0.1", "beta": 0.1})
-    assert (tinted.tint_linear, tinted.alpha, tinted.beta) == ((0.5, 0.2, 0.1), 0.5, 0.1)
-    dark, _ = material_pair("-1", **{**plain, "sunglasses": True, "alpha": 0.5, "tint": "0,0,0"})
-    assert (dark.tinting, dark.alpha, dark.beta, dark.fresnel) == ("filter", 0.5, 0.04, True)
+    assert material_pair("3", **plain) == (LensMaterial(3.0),) * 2
+    tinted = LensMaterial(0.0, (0.5, 0.2, 0.1), alpha=0.5, beta=0.1)
+    assert material_pair("0", **{**plain, "tint": "0.5,0.2,0.1", "beta": 0.1}) == (tinted,) * 2
+    dark = LensMaterial(-1.0, (0, 0, 0), alpha=0.5, beta=0.04, fresnel=True, tinting="filter")
+    options = {"sunglasses": True, "alpha": 0.5, "tint": "0,0,0"}
+    assert material_pair("-1", **{**plain, **options}) == (dark,) * 2
 
 
 def test_a_heads_colours_are_used():
     rng = np.random.default_rng(0)
-    mesh, grey = (np.eye(3) * 100, np.array([[0, 1, 2]])), (0.4, 0.5, 0.6)
-    texture, uv = rng.random((4, 4, 3)).astype(np.float32), rng.random((1, 3, 2))
-    textured = surface_of(RawScan(*mesh, uv=uv, texture_linear=texture), grey)
-    assert_array_equal(textured.texture_linear, texture, strict=True)
-    colors = rng.random((3, 3)).astype(np.float32)
+    mesh, grey = (np.eye(3), np.array([[0, 1, 2]])), (0.4, 0.5, 0.6)
+    uv, colors = rng.random((1, 3, 2)), rng.random((3, 3)).astype(np.float32)
+    textured = surface_of(RawScan(*mesh, uv=uv, texture_linear=colors[None]), grey)
+    assert_array_equal(textured.texture_linear, colors[None], strict=True)
     assert_array_equal(surface_of(RawScan(*mesh, vertex_color_linear=colors), grey).albedo_linear, colors)
     assert_array_equal(surface_of(RawScan(*mesh), grey).albedo_linear, grey)
 
 
 def test_the_built_in_room_turns_with_the_frame():
     pose = random_rotation(np.random.default_rng(3))
-    rows = 64
     axes = own_axes(BENT.keypoints)
     assert_allclose(axes, np.eye(3), atol=0.05)
     assert_allclose(own_axes(BENT.keypoints @ pose.T), axes @ pose.T, atol=1e-12)
-    one = BENT.keypoints.copy()
-    one[[name.startswith("right_rim") for name in KEY_POINT_NAMES]] = np.nan
+    one = BENT.keypoints
+    one[RIMS[1]] = np.nan
     assert_allclose(own_axes(one), axes, atol=0.05)
     assert_array_equal(own_axes(np.full((20, 3), np.nan)), np.eye(3))
-    straight, moved = soft_environment(np.eye(3), rows=rows), soft_environment(pose.T, rows=rows)
-    assert (straight > 0).all()
     brightest = []
-    for room in (straight, moved):
-        bright = room[..., 0] > 0.9 * room.max()
-        toward = texel_directions(room.shape[:2])[bright]
-        mean = (texel_solid_angles(rows, 2 * rows)[np.nonzero(bright)[0], None] * toward).sum(0)
-        brightest.append(mean / np.linalg.norm(mean))
+    for turned in (np.eye(3), pose.T):
+        room = soft_environment(turned, rows=64)
+        assert (room > 0).all()
+        bright = (room[..., 0] > 0.9 * room.max()) * texel_solid_angles(64, 128)[:, None]
+        brightest.append(normalized(np.tensordot(bright, texel_directions((64, 128)))))
     # Above, at the wearer's right, and in front.
     assert (brightest[0] * [-1, 1, 1] > 0.3).all()
     assert_allclose(pose @ brightest[0], brightest[1], atol=0.02)
@@ -338,16 +311,8 @@ def test_exposure_is_the_scenes_own():
     [
         ({"cameras": []}, ValueError, "give a camera"),
         ({"pictures_linear": [np.zeros((*SHAPE, 3))]}, ValueError, "1 pictures for 2 cameras"),
-        (
-            {"cameras": VIEWS[:1], "pictures_linear": [np.zeros((4, 4, 3))]},
-            ValueError,
-            "picture of 'front'",
-        ),
-        (
-            {"head": Surface(SKIN.vertices + [0, 900, 0], SKIN.faces)},
-            EyeglassesError,
-            "mm away from the head",
-        ),
+        ({"pictures_linear": np.zeros((2, 4, 4, 3))}, ValueError, "picture of 'front'"),
+        ({"head": Surface(SKIN.vertices + 900, SKIN.faces)}, EyeglassesError, "mm away from the head"),
     ],
 )
 def test_what_does_not_fit_together_is_refused(given, error, words):
