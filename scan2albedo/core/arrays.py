@@ -82,6 +82,11 @@ def norms(vectors: ArrayLike) -> FloatArray:
     return np.linalg.norm(vectors, axis=-1)
 
 
+def dots(one: NDArray, other: NDArray) -> NDArray:
+    """Return the scalar products (...) of vectors (..., C) and (..., C)."""
+    return np.einsum("...c,...c->...", one, other)
+
+
 def triangle_sides(corners: NDArray) -> tuple[NDArray, NDArray]:
     """Return the vectors (F, C) from the first of triangles' corners (F, 3, C) to the second and third."""
     return corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]

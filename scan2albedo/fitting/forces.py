@@ -6,7 +6,7 @@ from typing import Self
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, norms
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, dots, norms
 from scan2albedo.core.compiled import compiled, triple
 from scan2albedo.fitting.options import GATE_MM, FitOptions, between
 from scan2albedo.fitting.scan_surface import ScanSurface
@@ -103,9 +103,9 @@ def scan_forces(
     offset, normal, distance, border = pulled(
         samples, vertex, *scan.nearest.arrays, scan.normals, scan.boundary
     )
-    agreement = np.einsum("ij,ij->i", normal, sample_normals)
+    agreement = dots(normal, sample_normals)
     open_gate = ~border & (distance < gates.distance_mm) & (agreement > MIN_NORMAL_COSINE)
-    across = np.einsum("ij,ij->i", normal, offset)
+    across = dots(normal, offset)
     weight = np.where(open_gate, robust_weights(across, open_gate, gates, rim), 0.0)
     near = np.where(border, np.nan, np.minimum(distance, gates.distance_mm))
     return ScanForces(weight, gates.tangential, offset, normal, near, vertex)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scan2albedo.core import PlanStep
-from scan2albedo.core.arrays import SMALLEST, BoolArray, norms
+from scan2albedo.core.arrays import SMALLEST, BoolArray, dots, norms
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.fitting.result import FittedFace
@@ -114,7 +114,7 @@ def asymmetry(fitted: FittedFace) -> tuple[float, str] | None:
     weight, robust = area * (seen & upper), np.ones(len(points))
     for _ in range(6):
         laid = transform_points(procrustes(image, points, weights=weight * robust), image)
-        distance = np.einsum("ij,ij->i", laid - points, normals)
+        distance = dots(laid - points, normals)
         robust = 1 / (1 + distance**2)
 
     def unlike_mm(where: BoolArray, patch_mm: float) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray, dots
 from scan2albedo.core.compiled import compiled, triple
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import MOUTH_REGION
@@ -69,7 +69,7 @@ class SurfaceSamples:
         # The matrix leaves out distances of zero: each sample itself.
         around = sparse.coo_matrix((self.area[near.col], (near.row, near.col)), shape).tocsr()
         mean = normalized(around @ normals + self.area[:, None] * normals)
-        return _LEAST_RELIEF + np.minimum(1 - np.einsum("ij,ij->i", normals, mean), _MOST_RELIEF)
+        return _LEAST_RELIEF + np.minimum(1 - dots(normals, mean), _MOST_RELIEF)
 
     def product(self, stiffness: FloatArray) -> Callable[[FloatArray], FloatArray]:
         """Return x -> S^T H S x for displacements x (C, 3), H the stiffness (N, 6) at the samples."""

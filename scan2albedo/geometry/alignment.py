@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from scan2albedo.core.arrays import FloatArray, NDArray
+from scan2albedo.core.arrays import FloatArray, NDArray, dots
 from scan2albedo.core.compiled import compiled
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import Similarity, dot, rotation_from_vector
@@ -87,12 +87,12 @@ def align(
         turned = (moved - pose.translation)[index]
         rows = np.empty((len(index), 7 + count))
         rows[:, :3], rows[:, 3:6] = np.cross(turned, normal), normal
-        rows[:, 6] = np.einsum("ij,ij->i", turned, normal)
+        rows[:, 6] = dots(turned, normal)
         if by is not None:
             rows[:, 7:] = ((pose.scale * normal @ pose.rotation)[:, None, :] @ by)[:, 0]
         weighted = weight[:, None] * rows
         matrix = weighted.T @ rows
-        gradient = -(weighted.T @ np.einsum("ij,ij->i", found.offset[index], normal))
+        gradient = -(weighted.T @ dots(found.offset[index], normal))
         size = np.log(pose.scale)
         # Neighbouring pairs err together: all of them count as 300 against the prior.
         prior = found.noise**2 * weights.sum() / 300 * known

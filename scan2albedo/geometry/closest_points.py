@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray, NDArray, norms, triangle_sides
+from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray, NDArray, dots, norms, triangle_sides
 from scan2albedo.core.compiled import compiled, triple
 from scan2albedo.geometry.mesh import RayHits, face_lists, face_normals, neighbour_lists, vertex_mask
 
@@ -54,7 +54,7 @@ class ClosestPointQuery:
         min_cosine = 0.3
         targets, facing = np.asarray(points, float), np.asarray(normals, float)
         hits, across = self.query(targets), face_normals(self._vertices, self._faces)
-        agreement = np.einsum("ij,ij->i", across[hits.face], facing)
+        agreement = dots(across[hits.face], facing)
         wrong = np.flatnonzero((agreement < min_cosine) & (np.abs(facing).sum(1) > 0))
         if len(wrong) == 0:
             return hits
@@ -98,8 +98,8 @@ def barycentric_coordinates(points: FloatArray, triangles: FloatArray) -> FloatA
     """
     e0, e1 = triangle_sides(triangles)
     d = points - triangles[:, 0]
-    a, b, c = (np.einsum("ij,ij->i", p, q) for p, q in ((e0, e0), (e0, e1), (e1, e1)))
-    p, q = np.einsum("ij,ij->i", d, e0), np.einsum("ij,ij->i", d, e1)
+    a, b, c = (dots(p, q) for p, q in ((e0, e0), (e0, e1), (e1, e1)))
+    p, q = dots(d, e0), dots(d, e1)
     determinant = a * c - b * b
     good = determinant > 1e-14 * np.maximum(a, c) ** 2
     safe = np.where(good, determinant, 1.0)

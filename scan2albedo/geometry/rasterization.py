@@ -13,6 +13,7 @@ from scan2albedo.core.arrays import (
     IntArray,
     NDArray,
     RealArray,
+    dots,
     norms,
     triangle_sides,
 )
@@ -271,7 +272,7 @@ def front_picture(
     looked, shown = np.zeros((*shape, 4)), covered.copy()
     colors, shown[covered] = scan_colors(scan, face, barycentric)
     looked[covered, :3] = colors * shown[covered, None]
-    looked[covered, 3] = np.einsum("nk,nk->n", barycentric, vertices[scan.faces[face], 2])
+    looked[covered, 3] = dots(barycentric, vertices[scan.faces[face], 2])
     blocks = rows, 2, columns, 2
     count, seen = (looks.reshape(blocks).sum((1, 3)) for looks in (covered, shown))
     total = looked.reshape(*blocks, 4).sum((1, 3))

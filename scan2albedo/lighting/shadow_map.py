@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from scan2albedo.core.arrays import ArrayLike, ByteArray, Float32Array, FloatArray, NDArray, norms
+from scan2albedo.core.arrays import ArrayLike, ByteArray, Float32Array, FloatArray, NDArray, dots, norms
 from scan2albedo.core.compiled import compiled
 from scan2albedo.geometry.rays import RayCaster
 
@@ -71,7 +71,7 @@ class ShadowMap:
             return self.visible(direction, distance_mm)
         to_lamp, radius = np.asarray(direction) - self.position / distance_mm, math.radians(radius_deg)
         length = norms(to_lamp)
-        cosine = np.einsum("nc,nc->n", self.normal, to_lamp) / np.maximum(length, 1e-9)
+        cosine = dots(self.normal, to_lamp) / np.maximum(length, 1e-9)
         # The most by which the cosines to points of the disc differ from that to its centre.
         spread = radius / np.maximum(length - radius / 2, 1e-9)
         result = (cosine > self._above + spread).astype(np.float32)
@@ -96,7 +96,7 @@ class ShadowMap:
         seen, facing = np.zeros((2, len(self.position)))
         for toward in directions:
             to_lamp = toward - self.position / distance_mm
-            cosine = np.maximum(np.einsum("nc,nc->n", self.normal, to_lamp), 0.0)
+            cosine = np.maximum(dots(self.normal, to_lamp), 0.0)
             facing += cosine
             seen += cosine * self.visible(toward, distance_mm)
         return seen, facing

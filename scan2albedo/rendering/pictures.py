@@ -14,6 +14,7 @@ from scan2albedo.core.arrays import (
     IntArray,
     NDArray,
     RealArray,
+    dots,
 )
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.pinhole import project
@@ -111,7 +112,7 @@ class SeenSamples:
         .. [2] J. Hanika, "Hacking the shadow terminator", Ray Tracing Gems II, 2021.
         """
         flat = self.interpolated(vertices)
-        below = np.einsum("nkc,nkc->nk", vertices[self.corners] - flat[:, None], normals[self.corners])
+        below = dots(vertices[self.corners] - flat[:, None], normals[self.corners])
         if outward:
             below = np.maximum(below, 0.0)
         toward_planes = np.einsum("nk,nk,nkc->nc", self.weight, below, normals[self.corners])

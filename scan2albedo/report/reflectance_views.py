@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, IntArray, finite_rows
+from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, IntArray, dots, finite_rows
 from scan2albedo.geometry.mesh import face_cross_products, normalized
 from scan2albedo.geometry.operators import filled_over_mesh
 from scan2albedo.geometry.pinhole import camera_centers
@@ -138,7 +138,7 @@ def relit_picture(
     and shadowed one by one. The back of the mesh is not seen.
     """
     center, across = camera_centers(camera[None]), face_cross_products(vertices, faces)
-    front = np.einsum("fc,fc->f", across, center - vertices[faces[:, 0]]) > 0
+    front = dots(across, center - vertices[faces[:, 0]]) > 0
     seen = seen_samples(vertices, faces[front], camera, shape, 3)
     if len(seen.index) == 0 or not reflectance.known.any():
         return np.zeros((*shape, 3)), np.zeros(shape, bool)

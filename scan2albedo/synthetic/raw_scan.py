@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from scan2albedo.core import GeometryImage, PointLight, RawScan
-from scan2albedo.core.arrays import Float32Array, FloatArray, IntArray, on_grid
+from scan2albedo.core.arrays import Float32Array, FloatArray, IntArray, dots, on_grid
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry import pinhole, rigid
 from scan2albedo.geometry.mesh import face_normals, normalized, vertex_normals
@@ -123,14 +123,14 @@ def capture(
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
     triangles = triangles[longest < 2.5 * spacing_mm]
     normals = face_normals(points, triangles)
-    leaning = -np.einsum("ij,ij->i", normals, rays[seen][triangles[:, 0]])
+    leaning = -dots(normals, rays[seen][triangles[:, 0]])
     # The cosine between each triangle's normal and each pod, -1 where the pod cannot see it.
     facing = np.empty((len(triangles), len(pods)))
     for k, (camera, place) in enumerate(zip(pods, pinhole.camera_centers(pods), strict=True)):
         toward_pod = normalized(place - points)
         hidden = np.asarray((np.abs(pinhole.project(camera, points)[0] - 0.5) > 0.4975).any(1))
         hidden[~hidden] = scene.occluded((points + toward_pod / 2)[~hidden], toward_pod[~hidden])
-        cosine = np.einsum("ij,ij->i", normals, toward_pod[triangles[:, 0]])
+        cosine = dots(normals, toward_pod[triangles[:, 0]])
         facing[:, k] = np.where(hidden[triangles].any(1), -1.0, cosine)
     kept = (leaning > _LEAST_COSINE) & (facing.max(1) > _LEAST_COSINE)
     used, renumbered = np.unique(triangles[kept], return_inverse=True)

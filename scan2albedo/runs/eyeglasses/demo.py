@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from scan2albedo import eyeglasses
 from scan2albedo.core import ProgressCallback
-from scan2albedo.core.arrays import FloatArray, IntArray, Values, norms
+from scan2albedo.core.arrays import FloatArray, IntArray, Values, dots, norms
 from scan2albedo.errors import OutputError
 from scan2albedo.eyeglasses import Camera, LensMaterial, write_keypoints, write_labels
 from scan2albedo.fitting import fit
@@ -93,7 +93,7 @@ def compare_with_wearer(placed: PlacedFrame, person: Wearer, head: Head = "fitte
     for center, hidden in zip(camera_centers(person.cameras), person.hidden, strict=True):
         shown = ~hidden[glasses.keypoint_vertices]
         rays = normalized(person.keypoints[shown] - center)
-        depth_errors.append(rms(np.einsum("ki,ki->k", rays, off[shown])))
+        depth_errors.append(rms(dots(rays, off[shown])))
     errors = {
         "seen_rms_mm": rms(error[seen]),
         "seen_max_mm": float(error[seen].max()),
