@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist
 
-from scan2albedo.core import Budget, Meter, PlanStep, ProgressCallback, RawScan, Trace
+from scan2albedo.core import BudgetLike, Meter, OnProgress, PlanStep, RawScan, Trace
 from scan2albedo.core.arrays import EPSILON, BoolArray, FloatArray, IntArray, dots
 from scan2albedo.errors import FitError
 from scan2albedo.fitting.alignment import SIZE_SD
@@ -252,8 +252,8 @@ def fit_linear_model(
     model: LinearFaceModel,
     places: SurfacePoints,
     weight: FloatArray,
-    budget: Budget | float | None = None,
-    on_progress: ProgressCallback | None = None,
+    budget: BudgetLike = None,
+    on_progress: OnProgress = None,
 ) -> LinearModelFit:
     """Return the most probable pose, shape, expression and joints' rotations of a linear model on a scan.
 
@@ -279,7 +279,7 @@ def fit_linear_model(
     budget, on_progress
         See `fit`; the best answer so far is returned with ``converged=False``.
     """
-    meter = Meter("linear_model", "mm", Budget.of(budget), on_progress)
+    meter = Meter("linear_model", "mm", budget, on_progress)
     task = _Task.of(scan, fitted, model, places, weight)
     state, along = task.placed(meter)
     surface = task.scan_around(scan, fitted, state)

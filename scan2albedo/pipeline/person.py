@@ -11,7 +11,15 @@ from typing import Any
 import numpy as np
 
 from scan2albedo.albedo import AlbedoEstimate, CommonAlbedo, estimate_common_albedo
-from scan2albedo.core import Budget, GeometryImage, Plan, PlanStep, ProgressCallback, RawScan, Trace
+from scan2albedo.core import (
+    Budget,
+    GeometryImage,
+    OnProgress,
+    Plan,
+    PlanStep,
+    RawScan,
+    Trace,
+)
 from scan2albedo.core.arrays import Values
 from scan2albedo.core.first_run import compiled_beside
 from scan2albedo.core.raw_scan import is_folder_name, lost_texture, scan_name
@@ -94,7 +102,7 @@ def process_person(
     out: str | Path | None = None,
     *,
     name: str = "person",
-    on_progress: ProgressCallback | None = None,
+    on_progress: OnProgress = None,
     **options: Any,
 ) -> PersonResult:
     """Return one neutral shape and one albedo of a person from any number of scans.
@@ -203,9 +211,7 @@ def process_person(
         return replace(person, out=place)
 
 
-def _common_albedo(
-    spool: _Spool, chosen: ProcessOptions, on_progress: ProgressCallback | None
-) -> CommonAlbedo:
+def _common_albedo(spool: _Spool, chosen: ProcessOptions, on_progress: OnProgress) -> CommonAlbedo:
     """Return the albedo of all scans; each is kept with its own light."""
 
     def keep(k: int, estimate: AlbedoEstimate) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core import Plan, PlanStep, ProgressCallback, RawScan
+from scan2albedo.core import OnProgress, Plan, PlanStep, RawScan
 from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, Values, identities
 from scan2albedo.core.first_run import compiled_beside
 from scan2albedo.core.raw_scan import is_folder_name
@@ -103,7 +103,7 @@ def process_sequence(
     *,
     name: str,
     fps: float = 30.0,
-    on_progress: ProgressCallback | None = None,
+    on_progress: OnProgress = None,
     **options: Any,
 ) -> SequenceResult:
     """Return the frames of one take of one face, in order, as one mesh that moves.

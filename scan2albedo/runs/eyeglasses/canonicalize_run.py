@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from scan2albedo import eyeglasses
-from scan2albedo.core import Budget, PlanStep, ProgressCallback
+from scan2albedo.core import Budget, BudgetLike, OnProgress, PlanStep
 from scan2albedo.core.arrays import Values, norms
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import CanonicalizationOptions, skin, write_keypoints
@@ -100,8 +100,8 @@ def canonicalize_frames(
     *,
     mean: Path | None = None,
     options: CanonicalizationOptions = CanonicalizationOptions(),
-    budget: Budget | float | None = None,
-    on_progress: ProgressCallback | None = None,
+    budget: BudgetLike = None,
+    on_progress: OnProgress = None,
 ) -> CanonicalFiles:
     """Take poses and bends away; frames go where their mean lies, or an earlier `mean_keypoints.json`.
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scan2albedo import eyeglasses
-from scan2albedo.core import ProgressCallback
+from scan2albedo.core import OnProgress
 from scan2albedo.core.arrays import FloatArray, IntArray, Values, dots, norms
 from scan2albedo.errors import OutputError
 from scan2albedo.eyeglasses import Camera, LensMaterial, write_keypoints, write_labels
@@ -117,7 +117,7 @@ def run_glasses_demo(
     seed: int = 0,
     head: Head = "fitted",
     person: Wearer | None = None,
-    on_progress: ProgressCallback | None = None,
+    on_progress: OnProgress = None,
     say: Callable[[str], None] = lambda line: None,
 ) -> GlassesDemoReport:
     """Photograph a synthetic person with glasses, register the frame on the face, compare with the truth.
@@ -145,7 +145,7 @@ def run_glasses_demo(
     return compare_with_wearer(placed, person, head)
 
 
-def fitted_face(seed: int, on_progress: ProgressCallback | None = None) -> Mesh:
+def fitted_face(seed: int, on_progress: OnProgress = None) -> Mesh:
     """Return the face fitted to a raw scan of the person of `wearer(seed)`, in that wearer's world."""
     # Neither registration nor fit look at the scan's pictures.
     scan, truth = raw_scan(seed, scanner=Scanner(size=64, picture_size=64))

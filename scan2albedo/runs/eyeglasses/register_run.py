@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from scan2albedo import eyeglasses
-from scan2albedo.core import Budget, PlanStep, ProgressCallback
+from scan2albedo.core import Budget, BudgetLike, OnProgress, PlanStep
 from scan2albedo.core.arrays import FloatArray, Values, norms
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import write_keypoints, write_labels
@@ -145,8 +145,8 @@ def register_frame(
     given: GlassesInput,
     *,
     bend: bool = True,
-    budget: Budget | float | None = None,
-    on_progress: ProgressCallback | None = None,
+    budget: BudgetLike = None,
+    on_progress: OnProgress = None,
 ) -> PlacedFrame:
     """Register a frame on a face as `register_on_face` does.
 

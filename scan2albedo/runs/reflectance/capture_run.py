@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from scan2albedo import reflectance
-from scan2albedo.core import Budget, ProgressCallback
+from scan2albedo.core import BudgetLike, OnProgress
 from scan2albedo.core.arrays import SMALLEST, BoolArray, FloatArray, Values
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.geometry.mesh import vertex_components, vertex_normals
@@ -71,8 +71,8 @@ def fit_capture(
     *,
     options: ReflectanceFitOptions = ReflectanceFitOptions(),
     held_out_every: int = 10,
-    budget: Budget | float | None = None,
-    on_progress: ProgressCallback | None = None,
+    budget: BudgetLike = None,
+    on_progress: OnProgress = None,
 ) -> FittedCapture:
     """Read the pictures of a capture, fit its vertices, and test a fit without one of `held_out_every` pairs.
 

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from scan2albedo import reflectance
 from scan2albedo.albedo import albedo_error
-from scan2albedo.core import ProgressCallback
+from scan2albedo.core import OnProgress
 from scan2albedo.core.arrays import EPSILON, FloatArray, IntArray, Values, norms
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import procrustes, transform_points
@@ -58,7 +58,7 @@ def run_reflectance_demo(
     people: int = 8,
     photographs: int = 12,
     seed: int = 0,
-    on_progress: ProgressCallback | None = None,
+    on_progress: OnProgress = None,
     say: Callable[[str], None] = lambda line: None,
 ) -> Values:
     """Photograph people with flashes, learn a model, use it on photographs of others, compare with the truth.

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from scan2albedo import reflectance
-from scan2albedo.core import Budget, ProgressCallback, RawScan, Trace
+from scan2albedo.core import BudgetLike, OnProgress, RawScan, Trace
 from scan2albedo.core.arrays import FloatArray, IntArray, Values
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.fitting import fit
@@ -69,8 +69,8 @@ def fit_photograph(
     photograph: PhotographFiles,
     models: FaceModels,
     *,
-    budget: Budget | float | None = None,
-    on_progress: ProgressCallback | None = None,
+    budget: BudgetLike = None,
+    on_progress: OnProgress = None,
 ) -> FittedPhotograph:
     """Fit reflectance and light to a photograph and, where it has no mesh, the shape.
 
@@ -92,8 +92,8 @@ def fit_photograph(
 def shaped_vertices(
     photograph: PhotographFiles,
     models: FaceModels,
-    budget: Budget | float | None = None,
-    on_progress: ProgressCallback | None = None,
+    budget: BudgetLike = None,
+    on_progress: OnProgress = None,
 ) -> tuple[FloatArray, GeometryFit | None, Trace]:
     """Return the vertices (V, 3) on a photograph's mesh, or those that its landmarks and colours give."""
     if photograph.vertices is not None:
@@ -228,8 +228,8 @@ def tune_model(
     out: Path,
     options: Values,
     *,
-    budget: Budget | float | None = None,
-    on_progress: ProgressCallback | None = None,
+    budget: BudgetLike = None,
+    on_progress: OnProgress = None,
     say: Callable[[str], None] = lambda line: None,
 ) -> Values:
     """Fine-tune a model with photograph files, test it on others, and write the model's folder anew.
