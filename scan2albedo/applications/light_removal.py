@@ -23,7 +23,7 @@ from scan2albedo.applications.light_beyond_face import (
 )
 from scan2albedo.core import GeometryImage, RawScan
 from scan2albedo.core.arguments import require_type
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, dots, smoothstep
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, GridShape, IntArray, dots, smoothstep
 from scan2albedo.errors import ApplicationError
 from scan2albedo.face_model.appearance import CLASSES
 from scan2albedo.fitting import FittedFace
@@ -305,7 +305,7 @@ def _unlit_texture(scan: RawScan, light: _ScanLight, brightness: float) -> _Unli
     return made
 
 
-def _tiles(shape: tuple[int, int], face: FloatArray) -> list[tuple[int, int]]:
+def _tiles(shape: GridShape, face: FloatArray) -> list[tuple[int, int]]:
     """Return the upper left corners of a texture's tiles; that with most of the `face` (N, 2) comes first.
 
     What is usual there serves for all, so that they join without a seam.

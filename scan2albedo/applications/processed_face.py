@@ -15,6 +15,7 @@ from scan2albedo.core.arrays import (
     Float32Array,
     FloatArray,
     IntArray,
+    Texts,
     all_finite,
     on_grid,
 )
@@ -138,7 +139,7 @@ class ProcessedFace:
     """(68, 3): iBUG-68 order; None where they are not known."""
     inside: EyesAndMouth | None = field(default=None, init=False)
     """What lies behind its openings, where `relight` looked for it; a copy with changes has it no more."""
-    notes: tuple[str, ...] = ()
+    notes: Texts = ()
     """What was decided in making it, one sentence each."""
 
     def __post_init__(self) -> None:

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AwareDatetime, Field
 
+from scan2albedo.core.arrays import Texts
 from scan2albedo.core.raw_scan import lost_texture
 from scan2albedo.errors import BatchError, Scan2AlbedoError
 from scan2albedo.io.atomic import make_folder, write_text
@@ -42,9 +43,9 @@ class BatchScanRecord(Record):
     finished_at: AwareDatetime
     metrics: Figures = Field(default={}, description="As in result.json.")
     timings_s: dict[str, Number] = Field(default={}, description="Wall-clock seconds of each stage.")
-    plan_ran: tuple[str, ...] = ()
-    plan_skipped: tuple[str, ...] = ()
-    notes: tuple[str, ...] = Field(default=(), description="Repairs and warnings, as in result.json.")
+    plan_ran: Texts = ()
+    plan_skipped: Texts = ()
+    notes: Texts = Field(default=(), description="Repairs and warnings, as in result.json.")
     files: dict[str, Sha256] = Field(default={}, description="SHA-256 of every file of the result.")
 
 
@@ -77,7 +78,7 @@ class BatchRecord(RunRecord):
     files_verified: int = Field(ge=0)
     scans_per_hour: OptionalNumber = Field(None, description="Of the last run, failed ones included.")
     failures: tuple[BatchFailure, ...] = ()
-    notes: tuple[str, ...] = ()
+    notes: Texts = ()
 
 
 @dataclass(frozen=True)
@@ -125,7 +126,7 @@ class BatchReport:
     failures: Mapping[str, str] = field(default_factory=dict)
     jobs: int = 1
     files_verified: int = 0
-    notes: tuple[str, ...] = ()
+    notes: Texts = ()
 
     def figures(self) -> dict[str, Any]:
         """Return the summary for JSON."""

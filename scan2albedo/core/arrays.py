@@ -15,6 +15,11 @@ IntArray = NDArray[np.int64]
 Values = dict[str, Any]
 """By name: figures, options, arrays, what becomes an object of JSON."""
 
+Texts = tuple[str, ...]
+"""Names, notes and the like, in an order that does not change."""
+GridShape = tuple[int, int]
+"""Of a picture or chart: height and width."""
+
 EPSILON = np.finfo(float).eps
 """Relative rounding error of float64."""
 SMALLEST = np.finfo(float).tiny

@@ -11,6 +11,8 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from scan2albedo.core.arrays import Texts
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -44,7 +46,7 @@ class Trace:
         return Trace(self.rows + other.rows)
 
     @property
-    def stages(self) -> tuple[str, ...]:
+    def stages(self) -> Texts:
         """Stage names in order of first appearance."""
         return tuple(dict.fromkeys(row.stage for row in self.rows))
 

@@ -12,7 +12,9 @@ from scan2albedo.core.arrays import (
     ArrayLike,
     BoolArray,
     FloatArray,
+    GridShape,
     NDArray,
+    Texts,
     all_finite,
     checked_array,
     norms,
@@ -36,7 +38,7 @@ class Camera:
     name: str
     matrix: FloatArray
     """(3, 4): pixels (column, row), centres at integers, from points in mm; any scale and sign."""
-    shape: tuple[int, int]
+    shape: GridShape
 
     def __post_init__(self) -> None:
         checked_name(self.name)
@@ -182,7 +184,7 @@ def read_masks(folder: str | Path, cameras: Sequence[Camera]) -> tuple[BoolArray
 class ViewLabels:
     """Labels: `pixels` (C, 20, 2), column and row in the views of `camera_names`, NaN for missing ones."""
 
-    camera_names: tuple[str, ...]
+    camera_names: Texts
     pixels: FloatArray
 
     def of_cameras(self, names: Sequence[str]) -> FloatArray:

@@ -13,7 +13,7 @@ from typing import Literal, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, IntArray, Values, triangle_sides
+from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, IntArray, Texts, Values, triangle_sides
 from scan2albedo.errors import ModelError
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints
 from scan2albedo.geometry.mesh import normalized
@@ -91,7 +91,7 @@ class AnnotatedSurface:
     template_uv: FloatArray | None = None
     template_from_model: FloatArray | None = None
     face_uv: FloatArray | None = None
-    notes: tuple[str, ...] = ()
+    notes: Texts = ()
     name: str = "annotated face model"
     _subdivisions: dict[int, LoopSubdivision] = field(default_factory=dict, repr=False, compare=False)
 

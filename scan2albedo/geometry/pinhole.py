@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scan2albedo.core.arrays import ArrayLike, BoolArray, FloatArray, all_finite, norms
+from scan2albedo.core.arrays import ArrayLike, BoolArray, FloatArray, GridShape, all_finite, norms
 from scan2albedo.geometry.mesh import normalized
 
 
@@ -81,14 +81,14 @@ def pixel_directions(camera: FloatArray, pixels: ArrayLike) -> FloatArray:
     return normalized(np.asarray(np.linalg.solve(camera[:, :3], homogeneous.T).T, float))
 
 
-def pixel_grid(shape: tuple[int, int]) -> FloatArray:
+def pixel_grid(shape: GridShape) -> FloatArray:
     """Return (H W, 2) pixels (column, row) of an image (H, W), row by row."""
     row, column = np.divmod(np.arange(shape[0] * shape[1]), shape[1])
     return np.stack([column, row], 1).astype(float)
 
 
 def look_at(
-    position: ArrayLike, target: ArrayLike, *, focal_px: float, shape: tuple[int, int], roll_rad: float = 0.0
+    position: ArrayLike, target: ArrayLike, *, focal_px: float, shape: GridShape, roll_rad: float = 0.0
 ) -> FloatArray:
     """Return the (3, 4) camera at `position` that sees `target` in the middle of its picture (H, W), +y up.
 

@@ -10,6 +10,7 @@ from scan2albedo.core.arrays import (
     ArrayLike,
     BoolArray,
     FloatArray,
+    GridShape,
     IntArray,
     NDArray,
     RealArray,
@@ -45,13 +46,13 @@ def rasterize_uv(uv: ArrayLike, faces: ArrayLike, size: int | tuple[int, int]) -
     return rasterize(pixels, np.zeros(len(pixels)), faces, (height, width))
 
 
-def pixels_from_uv(uv: ArrayLike, shape: tuple[int, int]) -> FloatArray:
+def pixels_from_uv(uv: ArrayLike, shape: GridShape) -> FloatArray:
     """Return (N, 2) pixel coordinates (column, row), pixel centres at integers, of texture coordinates."""
     coordinates = np.asarray(uv, float)
     return np.stack([coordinates[:, 0] * shape[1] - 0.5, (1 - coordinates[:, 1]) * shape[0] - 0.5], 1)
 
 
-def rasterize(pixels: ArrayLike, depth: ArrayLike, faces: ArrayLike, shape: tuple[int, int]) -> Raster:
+def rasterize(pixels: ArrayLike, depth: ArrayLike, faces: ArrayLike, shape: GridShape) -> Raster:
     """Rasterise triangles with a z-buffer; the largest depth (V,) wins, whatever the winding.
 
     `pixels` (V, 2) are column and row of each vertex; pixel centres lie at integers.
@@ -65,7 +66,7 @@ def nearest_depths(
     pixels: ArrayLike,
     depth: ArrayLike,
     faces: ArrayLike,
-    shape: tuple[int, int],
+    shape: GridShape,
     raster: Raster = Raster(np.zeros((0, 0), int), np.zeros((0, 0, 3))),
 ) -> FloatArray:
     """Return the largest depth (H, W) at each pixel centre, -inf where nothing covers it; fill a `raster`."""
@@ -170,7 +171,7 @@ def filled_from_nearest(image: NDArray, mask: BoolArray) -> FloatArray:
     return image[row, column].astype(float)
 
 
-def area_mean(values: ArrayLike, shape: tuple[int, int]) -> FloatArray:
+def area_mean(values: ArrayLike, shape: GridShape) -> FloatArray:
     """Return an image (H, W) or (H, W, C) with `shape` pixels, at most as many as it has on either side.
 
     Pixels that an area covers in part count by that part, as `cv2.INTER_AREA` and scikit-image's

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, PlainSerializer, PlainValidator
 
 from scan2albedo.core import EnvironmentLight, PlanStep, PointLight, RawScan
-from scan2albedo.core.arrays import Values
+from scan2albedo.core.arrays import Texts, Values
 from scan2albedo.io.load_scan import input_sha256
 from scan2albedo.io.records import Figures, Matrix, Number, OptionalNumber, Record
 
@@ -127,13 +127,13 @@ class ResultRecord(RunRecord):
     )
     parameters: Figures = Field(description="Of the reflectance model; null is infinite, as a distance.")
     timings_s: dict[str, Number] = Field(description="Wall-clock seconds of each stage.")
-    notes: tuple[str, ...] = Field((), description="What loading repaired, and warnings of the stages.")
+    notes: Texts = Field((), description="What loading repaired, and warnings of the stages.")
     template_from_model: Matrix | None = Field(
         None,
         description="Row-major 4x4 acting on column vectors: points of template.obj into the axes, origin "
         "and unit of the template's own file.",
     )
-    files: tuple[str, ...] = Field((), description="Names of the files beside this one.")
+    files: Texts = Field((), description="Names of the files beside this one.")
 
 
 class RegistrationRecord(Record):
@@ -197,7 +197,7 @@ class ApplicationRecord(Record):
     scan2albedo_version: str
     name: str = Field(min_length=1, description="Name of the face that came of it.")
     application: str = Field(description="swap, blend or transfer-expression.")
-    inputs: tuple[str, ...] = Field(description="Names of the faces it was made from, in order.")
+    inputs: Texts = Field(description="Names of the faces it was made from, in order.")
     options: Figures = Field(description="What the application was called with.")
     model: str = Field(description="Name of the face model whose chart this is.")
     chart_mesh: bool = Field(description="The surface is the geometry image's texels: there is no mesh.")
@@ -212,8 +212,8 @@ class ApplicationRecord(Record):
     landmarks: tuple[tuple[Number, Number, Number], ...] | None = Field(
         None, description="68 in iBUG order, in mm, where they are known."
     )
-    notes: tuple[str, ...] = Field((), description="What was decided in making it, one sentence each.")
-    files: tuple[str, ...] = Field((), description="Names of the files beside this one.")
+    notes: Texts = Field((), description="What was decided in making it, one sentence each.")
+    files: Texts = Field((), description="Names of the files beside this one.")
 
 
 def flat_figures(figures: Mapping[str, Any], prefix: str) -> Values:

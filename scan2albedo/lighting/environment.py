@@ -7,7 +7,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import ArrayLike, FloatArray, checked_array, norms
+from scan2albedo.core.arrays import ArrayLike, FloatArray, GridShape, checked_array, norms
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rasterization import area_mean
 
@@ -130,7 +130,7 @@ def important_directions(environment_linear: ArrayLike, count: int) -> FloatArra
     return toward
 
 
-def texel_directions(shape: tuple[int, int]) -> FloatArray:
+def texel_directions(shape: GridShape) -> FloatArray:
     """Return (H, W, 3) unit vectors to the middles of a map's texels."""
     height, width = shape
     polar = (np.arange(height)[:, None] + 0.5) / height * np.pi

@@ -20,7 +20,7 @@ from scan2albedo.core import (
     RawScan,
     Trace,
 )
-from scan2albedo.core.arrays import Values
+from scan2albedo.core.arrays import Texts, Values
 from scan2albedo.core.first_run import compiled_beside
 from scan2albedo.core.raw_scan import is_folder_name, lost_texture, scan_name
 from scan2albedo.errors import RegistrationError, Scan2AlbedoError, one_line
@@ -50,7 +50,7 @@ class PersonResult(ProcessResult):
     """The neutral face and each scan's expression."""
     common: CommonAlbedo | None = None
     """The albedo of all scans, its error and where they disagree; None when no scan has colour."""
-    members: tuple[str, ...] = ()
+    members: Texts = ()
     """Names of the scans of this person."""
     left_out: tuple[tuple[str, str], ...] = ()
     """Names of scans that were left out, and why."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from scan2albedo.core.arrays import ByteArray, FloatArray, RealArray, Values
+from scan2albedo.core.arrays import ByteArray, FloatArray, RealArray, Texts, Values
 from scan2albedo.core.raw_scan import lost_texture
 from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
@@ -113,7 +113,7 @@ class ProcessResult:
     """Of the file and those it refers to, before they were read (`io.input_sha256`); None without a file."""
 
     @property
-    def notes(self) -> tuple[str, ...]:
+    def notes(self) -> Texts:
         """What loading decided and repaired, and what is doubtful or wrong, one sentence each."""
         return (*self.scan.notes, *(step.text for step in self.plan.doubts()))
 

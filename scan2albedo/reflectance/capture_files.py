@@ -9,7 +9,7 @@ from typing import Literal, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, NDArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, NDArray, Texts
 from scan2albedo.errors import ReflectanceError, ScanError, errors_of
 from scan2albedo.io.images import read_image_values
 from scan2albedo.io.load_scan import read_mesh_file
@@ -234,7 +234,7 @@ class CaptureFiles:
         """Whether the file gives the strength of the flashes, so that albedos have their true scale."""
         return self.content.flash_strength != FlashCaptureFile.model_fields["flash_strength"].default
 
-    def pair_names(self) -> tuple[str, ...]:
+    def pair_names(self) -> Texts:
         """Camera and flash of each pair."""
         return tuple(f"{pair.camera} lit by {pair.flash}" for pair in self.content.pictures)
 

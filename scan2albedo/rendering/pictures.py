@@ -11,6 +11,7 @@ from scan2albedo.core.arrays import (
     ByteArray,
     Float32Array,
     FloatArray,
+    GridShape,
     IntArray,
     NDArray,
     RealArray,
@@ -79,7 +80,7 @@ class SeenSamples:
     barycentric coordinates `weight` (N, 3).
     """
 
-    shape: tuple[int, int]
+    shape: GridShape
     side: int
     index: IntArray
     corners: IntArray
@@ -127,7 +128,7 @@ class SeenSamples:
 
 
 def seen_samples(
-    vertices: FloatArray, faces: IntArray, camera: FloatArray, shape: tuple[int, int], side: int = 1
+    vertices: FloatArray, faces: IntArray, camera: FloatArray, shape: GridShape, side: int = 1
 ) -> SeenSamples:
     """Return what a normalised camera (3, 4) sees of a mesh in `side` x `side` samples of each pixel.
 

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from pydantic import Field
 
+from scan2albedo.core.arrays import Texts
 from scan2albedo.core.version import VERSION
 from scan2albedo.io.atomic import write_text
 from scan2albedo.io.npz import write_npz
@@ -63,14 +64,14 @@ class IdentificationRecord(Record):
     probes: str = Field(description="The file or folder that names them, as given.")
     use: tuple[Kind, ...] = Field(min_length=1, description="What was compared.")
     gallery_images: int = Field(ge=1)
-    persons: tuple[str, ...] = Field(min_length=1, description="Of the gallery.")
+    persons: Texts = Field(min_length=1, description="Of the gallery.")
     combine: Literal["best", "mean"] = Field(description="What is taken of a person's several images.")
     template_options: Figures
     model: str | None = Field(description="Name of the face model on whose chart the albedos lie.")
     rates: RatesRecord | None = Field(description="Null when no probe's person is known.")
     results: tuple[ProbeRecord, ...] = Field(min_length=1, description="In the order of the probes.")
-    notes: tuple[str, ...] = ()
-    files: tuple[str, ...] = Field((), description="Names of the files beside this one.")
+    notes: Texts = ()
+    files: Texts = Field((), description="Names of the files beside this one.")
 
 
 FILES = OwnFiles(

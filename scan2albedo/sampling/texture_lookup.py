@@ -9,6 +9,7 @@ from scan2albedo.core.arrays import (
     BoolArray,
     Float32Array,
     FloatArray,
+    GridShape,
     IntArray,
     Values,
     dots,
@@ -252,7 +253,7 @@ def _distances(camera: FloatArray, points: FloatArray, places: FloatArray) -> Fl
         return norms(image[..., :2] / image[..., 2:] - places)
 
 
-def texel_steps(vertices: FloatArray, uv: FloatArray, faces: IntArray, shape: tuple[int, int]) -> FloatArray:
+def texel_steps(vertices: FloatArray, uv: FloatArray, faces: IntArray, shape: GridShape) -> FloatArray:
     """Return (F, 3, 2): displacement in mm of one texel to the right and one texel down on each face."""
     corners, chart = vertices[faces], uv[faces]
     edges = np.stack(triangle_sides(corners), 2)

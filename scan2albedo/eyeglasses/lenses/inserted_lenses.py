@@ -11,6 +11,7 @@ from scan2albedo.core.arrays import (
     BoolArray,
     FloatArray,
     IntArray,
+    Texts,
     all_finite,
     checked_array,
     dots,
@@ -146,7 +147,7 @@ def lens_mesh(
 
 def without_glass(
     frame: Surface, lenses: Sequence[InsertedLens], keypoints: FloatArray
-) -> tuple[Surface, tuple[str, ...]]:
+) -> tuple[Surface, Texts]:
     """Return a frame without parts across a lens, and notes, also on glass of one piece with the rim."""
     vertices, faces = np.asarray(frame.vertices), np.asarray(frame.faces)
     kept, notes = np.ones(len(faces), bool), []

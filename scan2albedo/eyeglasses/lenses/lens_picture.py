@@ -9,8 +9,10 @@ from scan2albedo.core.arrays import (
     ArrayLike,
     BoolArray,
     FloatArray,
+    GridShape,
     IntArray,
     NDArray,
+    Texts,
     Values,
     checked_array,
     norms,
@@ -60,7 +62,7 @@ class LensPicture:
     """(H, W) True where a lens shows what the photograph does not, and the colour is a guess."""
     lenses: tuple[inserted.InsertedLens, ...]
     """With their rims and meshes."""
-    notes: tuple[str, ...]
+    notes: Texts
     """What was left out or filled in, a sentence each."""
 
 
@@ -71,7 +73,7 @@ def insert_lenses(
     *,
     surfaces: Sequence[Surface],
     camera: ArrayLike,
-    shape: tuple[int, int] | None = None,
+    shape: GridShape | None = None,
     picture_linear: ArrayLike | None = None,
     environment_linear: ArrayLike | None = None,
     lights: DistantLights | None = None,
@@ -183,9 +185,7 @@ def insert_lenses(
     return LensPicture(image, without, seen, unknown, placed, tuple(notes))
 
 
-def _lens_region(
-    camera: FloatArray, lenses: Sequence[inserted.InsertedLens], shape: tuple[int, int]
-) -> Window:
+def _lens_region(camera: FloatArray, lenses: Sequence[inserted.InsertedLens], shape: GridShape) -> Window:
     """Return rows and columns of the pixels that may see a lens, with one to spare around them."""
     size = np.array(shape[::-1], float)
     low, high = np.zeros(2), np.zeros(2)

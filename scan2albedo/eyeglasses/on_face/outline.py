@@ -13,6 +13,7 @@ from scan2albedo.core.arrays import (
     BoolArray,
     Float32Array,
     FloatArray,
+    GridShape,
     IntArray,
     NDArray,
     RealArray,
@@ -110,7 +111,7 @@ class ObservedView:
     camera: FloatArray
     labels: FloatArray
     distance: MaskDistance | None
-    shape: tuple[int, int] | None
+    shape: GridShape | None
     colors: IntArray | None = None
 
     @property

@@ -9,7 +9,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from scan2albedo.core import Budget, BudgetLike, Meter, OnProgress, Plan, PlanStep
-from scan2albedo.core.arrays import ArrayLike, norms
+from scan2albedo.core.arrays import ArrayLike, GridShape, norms
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses.mean_keypoints import BEHIND
 from scan2albedo.eyeglasses.on_face import inputs, objective, outline, start_poses
@@ -41,7 +41,7 @@ def register_on_face(
     *,
     head: Any | None = None,
     start: ArrayLike | None = None,
-    shapes: Sequence[tuple[int, int]] | None = None,
+    shapes: Sequence[GridShape] | None = None,
     pictures: Sequence[ArrayLike | None] | None = None,
     options: FaceRegistrationOptions = FaceRegistrationOptions(),
     on_progress: OnProgress = None,

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from scan2albedo import eyeglasses
 from scan2albedo.core import Budget, BudgetLike, OnProgress, PlanStep
-from scan2albedo.core.arrays import Values, norms
+from scan2albedo.core.arrays import Texts, Values, norms
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import CanonicalizationOptions, skin, write_keypoints
 from scan2albedo.eyeglasses.frame_files import read_keypoints_with_unit, write_frame_glb
@@ -42,11 +42,11 @@ class CanonicalFrameRecord(RunRecord):
         description="Whether the frame keeps its own shape and sizes, or its key points are the mean's."
     )
     converged: bool = Field(description="Whether the weights did.")
-    missing_key_points: tuple[str, ...] = ()
+    missing_key_points: Texts = ()
     plan: tuple[PlanStep, ...]
     metrics: Figures
-    notes: tuple[str, ...] = Field((), description="What loading decided and repaired.")
-    files: tuple[str, ...] = Field(description="Names of the files beside this one.")
+    notes: Texts = Field((), description="What loading decided and repaired.")
+    files: Texts = Field(description="Names of the files beside this one.")
 
 
 class FailedFrameRecord(Record):
@@ -60,14 +60,14 @@ class CanonicalSetRecord(RunRecord):
     """The content of a set's `set.json`."""
 
     options: Figures = Field(description="What the run was called with.")
-    frames: tuple[str, ...] = Field(description="Folders of the frames that were done.")
+    frames: Texts = Field(description="Folders of the frames that were done.")
     failures: tuple[FailedFrameRecord, ...] = ()
-    notes: tuple[str, ...] = Field((), description="The plan's doubts, and bends that stay.")
+    notes: Texts = Field((), description="The plan's doubts, and bends that stay.")
     converged: bool
     iterations: int = Field(ge=0, description="Rounds of the mean; 0 when it was given.")
     seconds: Number = Field(ge=0)
     plan: tuple[PlanStep, ...]
-    files: tuple[str, ...] = Field(description="Names of the files beside this one.")
+    files: Texts = Field(description="Names of the files beside this one.")
 
 
 _COMMAND = "scan2albedo glasses canonicalize"
@@ -88,7 +88,7 @@ class CanonicalFiles:
     seconds: float
 
     @property
-    def notes(self) -> tuple[str, ...]:
+    def notes(self) -> Texts:
         """What a person should check, and the bends that stay."""
         plan = self.result.plan
         return tuple(s.text for s in (*plan.doubts(), *plan.of_stage("eyeglasses.common_bend")))

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from scan2albedo import eyeglasses
 from scan2albedo.core import RawScan
-from scan2albedo.core.arrays import ArrayLike, finite_rows, norms
+from scan2albedo.core.arrays import ArrayLike, Texts, finite_rows, norms
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import Camera, LensPictureOptions, Surface
 from scan2albedo.eyeglasses.keypoints import checked_keypoints
@@ -88,8 +88,8 @@ class LensesRecord(RunRecord):
     exposure: Number = Field(gt=0, description="Factor on linear colours in the PNG files.")
     lenses: tuple[LensRecord, ...]
     views: tuple[LensViewRecord, ...] = Field(min_length=1)
-    notes: tuple[str, ...] = ()
-    files: tuple[str, ...] = Field(description="Names of the files beside this one.")
+    notes: Texts = ()
+    files: Texts = Field(description="Names of the files beside this one.")
 
 
 _MADE = ("*_lenses.exr", "*_lenses.png", "*_unknown.png", "frame_with_lenses.glb", "overview.png")
@@ -123,7 +123,7 @@ class RenderedLenses:
         return self.views[0].picture.lenses
 
     @property
-    def notes(self) -> tuple[str, ...]:
+    def notes(self) -> Texts:
         """Notes of all views; those that only some have name them. The last is on the exposure."""
         said: dict[str, list[str]] = {}
         for view in self.views:

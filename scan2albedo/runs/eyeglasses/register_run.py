@@ -11,7 +11,7 @@ from pydantic import Field
 
 from scan2albedo import eyeglasses
 from scan2albedo.core import Budget, BudgetLike, OnProgress, PlanStep
-from scan2albedo.core.arrays import FloatArray, Values, norms
+from scan2albedo.core.arrays import FloatArray, Texts, Values, norms
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import write_keypoints, write_labels
 from scan2albedo.eyeglasses.frame_files import write_frame_glb
@@ -58,14 +58,14 @@ class RegisteredFrameRecord(RunRecord):
     iterations: int = Field(ge=0, description="Evaluations of the objective.")
     seconds: Number = Field(ge=0)
     depth_observed: bool
-    unobserved: tuple[str, ...] = Field(description="'depth', and key points that no picture tells.")
+    unobserved: Texts = Field(description="'depth', and key points that no picture tells.")
     views: tuple[RegisteredViewRecord, ...]
     plan: tuple[PlanStep, ...]
     metrics: Figures
-    notes: tuple[str, ...] = Field(
+    notes: Texts = Field(
         (), description="What reading decided, repaired and did not find, and the plan's doubts."
     )
-    files: tuple[str, ...] = Field(description="Names of the files beside this one.")
+    files: Texts = Field(description="Names of the files beside this one.")
 
 
 _MADE = ("registered.glb", "registered.npz", "keypoints.json", "trace.csv", "error_vs_time.png")
@@ -87,7 +87,7 @@ class PlacedFrame:
     seconds: float
 
     @property
-    def notes(self) -> tuple[str, ...]:
+    def notes(self) -> Texts:
         """What reading said, what was done about lenses, and what a person should check."""
         plan, doubts = self.result.plan, set(self.result.plan.doubts())
         found = ("glasses.lenses", "glasses.proposed")

@@ -7,7 +7,7 @@ import numpy as np
 
 from scan2albedo import reflectance
 from scan2albedo.core import BudgetLike, OnProgress
-from scan2albedo.core.arrays import SMALLEST, BoolArray, FloatArray, Values
+from scan2albedo.core.arrays import SMALLEST, BoolArray, FloatArray, Texts, Values
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.geometry.mesh import vertex_components, vertex_normals
 from scan2albedo.io.color import encode_srgb_bytes
@@ -33,7 +33,7 @@ class FittedCapture:
     fit: reflectance.ReflectanceFit
     held_out: BoolArray
     error: reflectance.RelightingError | None
-    notes: tuple[str, ...] = ()
+    notes: Texts = ()
 
 
 def write_olat(capture: CaptureFiles, out: Path) -> Values:
@@ -216,7 +216,7 @@ def _notes_of_capture(capture: CaptureFiles, olat: OlatImages) -> list[str]:
     return notes + [f"{names[one.pair]}: {one.message}" for one in faults]
 
 
-def gamma_notes(files: CaptureFiles | reflectance.PhotographFiles) -> tuple[str, ...]:
+def gamma_notes(files: CaptureFiles | reflectance.PhotographFiles) -> Texts:
     """Return the caveat of a file that gives no gamma, which is a guess then."""
     if "gamma" in files.content.model_fields_set:
         return ()

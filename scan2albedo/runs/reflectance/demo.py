@@ -11,7 +11,7 @@ from pydantic import Field
 from scan2albedo import reflectance
 from scan2albedo.albedo import albedo_error
 from scan2albedo.core import OnProgress
-from scan2albedo.core.arrays import EPSILON, FloatArray, IntArray, Values, norms
+from scan2albedo.core.arrays import EPSILON, FloatArray, IntArray, Texts, Values, norms
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.io.atomic import write_text
@@ -152,7 +152,7 @@ class SyntheticRecord(Record):
     """The content of `synthetic.json`, beside pictures of synthetic people."""
 
     format_version: Literal[1] = 1
-    files: tuple[str, ...] = Field((), description="Names of the files beside this one.")
+    files: Texts = Field((), description="Names of the files beside this one.")
 
 
 _OWN_FILES = OwnFiles(

@@ -12,7 +12,7 @@ import numpy as np
 
 from scan2albedo import reflectance
 from scan2albedo.core import BudgetLike, OnProgress, RawScan, Trace
-from scan2albedo.core.arrays import FloatArray, IntArray, Values
+from scan2albedo.core.arrays import FloatArray, IntArray, Texts, Values
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.fitting import fit
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
@@ -45,7 +45,7 @@ class FittedPhotograph:
     trace: Trace
     """Of all fits, one after the other; each begins at 0 seconds."""
 
-    def notes(self) -> tuple[str, ...]:
+    def notes(self) -> Texts:
         """Return the caveats of the figures."""
         notes = gamma_notes(self.photograph)
         for name, part in {"shape": self.geometry, "reflectance and light": self.face.fit}.items():
