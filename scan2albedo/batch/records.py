@@ -14,7 +14,17 @@ from scan2albedo.core.arrays import Texts
 from scan2albedo.core.raw_scan import lost_texture
 from scan2albedo.errors import BatchError, Scan2AlbedoError
 from scan2albedo.io.atomic import make_folder, write_text
-from scan2albedo.io.records import Figures, Number, OptionalNumber, Record, read_record, write_record
+from scan2albedo.io.records import (
+    Count,
+    Figures,
+    Name,
+    Number,
+    OptionalNumber,
+    PositiveCount,
+    Record,
+    read_record,
+    write_record,
+)
 from scan2albedo.io.result_records import SHA256, RunRecord
 
 BatchOutcome = Literal["done", "failed"]
@@ -29,7 +39,7 @@ class BatchScanRecord(Record):
 
     format_version: Literal[1] = 1
     run: str = Field(description="Of the batch's run that wrote it.")
-    name: str = Field(min_length=1, description="Of the result's folder.")
+    name: Name = Field(description="Of the result's folder.")
     source: str = Field(description="Path as the manifest has it.")
     status: BatchOutcome
     reason: str = Field("", description="Why it failed, one line.")
@@ -64,18 +74,18 @@ class BatchRecord(RunRecord):
     status: BatchStatus = Field(description="A run that was killed is still called running.")
     manifest: str = Field(description="Path as given.")
     options: Figures = Field(description="Of the batch; lines of the manifest may set others.")
-    jobs: int = Field(ge=1, description="Processes that worked.")
-    jobs_asked: int = Field(ge=1)
+    jobs: PositiveCount = Field(description="Processes that worked.")
+    jobs_asked: PositiveCount
     scheduler: str | None = None
     started_at: AwareDatetime
     finished_at: AwareDatetime | None = None
     seconds: Number = Field(description="Of the last run.")
-    scans: int = Field(ge=0)
-    done: int = Field(ge=0)
-    failed: int = Field(ge=0)
-    not_run: int = Field(ge=0)
-    kept: int = Field(ge=0, description="Done in an earlier run, files verified.")
-    files_verified: int = Field(ge=0)
+    scans: Count
+    done: Count
+    failed: Count
+    not_run: Count
+    kept: Count = Field(description="Done in an earlier run, files verified.")
+    files_verified: Count
     scans_per_hour: OptionalNumber = Field(None, description="Of the last run, failed ones included.")
     failures: tuple[BatchFailure, ...] = ()
     notes: Texts = ()

@@ -13,7 +13,7 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, NDArray, Te
 from scan2albedo.errors import ReflectanceError, ScanError, errors_of
 from scan2albedo.io.images import read_image_values
 from scan2albedo.io.load_scan import read_mesh_file
-from scan2albedo.io.records import read_record, write_record
+from scan2albedo.io.records import Name, read_record, write_record
 from scan2albedo.io.units import MM_PER_UNIT
 from scan2albedo.reflectance.olat import OlatImages, OlatOptions, extract_olat
 from scan2albedo.reflectance.shape_model import LANDMARKS
@@ -138,7 +138,7 @@ def read_skin_mask(path: Path, shape: tuple[int, ...], whose: str) -> BoolArray:
 class PoseEntry(_Part):
     """Pose of the head before one camera: x_cam = R x + t. The flash of the same name is at that camera."""
 
-    name: str = Field(min_length=1)
+    name: Name
     rotation: Matrix = Field(description="R, row-major, proper.")
     translation: Row = Field(description="t, in `unit`.")
     intrinsics: Matrix | None = Field(None, description="Of this camera, instead of the common ones.")

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array, checked_mesh
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
+from scan2albedo.io.records import Count, PositiveCount
 from scan2albedo.reflectance.linear_model import require_one_topology
 from scan2albedo.reflectance.vertex_fit import ReflectanceFit
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance, check_exponents
@@ -64,8 +65,8 @@ class MeshReflectanceHeader(BaseModel):
     format: Literal["scan2albedo mesh reflectance"] = "scan2albedo mesh reflectance"
     format_version: Literal[1] = 1
     exponents: tuple[float, float, float] = Field(description="Of the Blinn-Phong lobes, in their order.")
-    vertices: int = Field(ge=1, description="V.")
-    faces: int = Field(ge=0, description="F.")
+    vertices: PositiveCount = Field(description="V.")
+    faces: Count = Field(description="F.")
 
 
 def write_reflectance(path: str | Path, mesh: MeshReflectance, *, fit: ReflectanceFit | None = None) -> None:

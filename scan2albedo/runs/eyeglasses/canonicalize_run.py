@@ -16,7 +16,18 @@ from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import CanonicalizationOptions, skin, write_keypoints
 from scan2albedo.eyeglasses.frame_files import read_keypoints_with_unit, write_frame_glb
 from scan2albedo.geometry.rigid import transform_points
-from scan2albedo.io.records import Figures, Matrix, Number, Record, plain_json
+from scan2albedo.io.records import (
+    CalledWith,
+    Count,
+    Figures,
+    Matrix,
+    Name,
+    NonNegative,
+    OwnFileNames,
+    Positive,
+    Record,
+    plain_json,
+)
 from scan2albedo.io.result_records import SHA256, InputRecord, RunRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder, Staging
 from scan2albedo.io.units import MM_PER_UNIT
@@ -28,12 +39,12 @@ from scan2albedo.runs.eyeglasses.inputs import GlassesFrame
 class CanonicalFrameRecord(RunRecord):
     """The content of a canonical frame's `result.json`."""
 
-    name: str = Field(min_length=1, description="Name of the frame.")
+    name: Name = Field(description="Name of the frame.")
     input: InputRecord
     keypoints_file: str | None = Field(description="Path as given; null when all were proposed.")
     keypoints_sha256: str | None = Field(pattern=SHA256)
-    mm_per_unit: Number = Field(gt=0, description="Of the mesh's file.")
-    scale: Number = Field(gt=0, description="Factor on the frame in mm; 1 unless it was of no true size.")
+    mm_per_unit: Positive = Field(description="Of the mesh's file.")
+    scale: Positive = Field(description="Factor on the frame in mm; 1 unless it was of no true size.")
     canonical_from_frame: Matrix = Field(
         description="Row-major 4x4 acting on column vectors: the frame in mm, scaled, into canonical space; "
         "rigid. The bend is taken out after it, by the key points."
@@ -46,7 +57,7 @@ class CanonicalFrameRecord(RunRecord):
     plan: tuple[PlanStep, ...]
     metrics: Figures
     notes: Texts = Field((), description="What loading decided and repaired.")
-    files: Texts = Field(description="Names of the files beside this one.")
+    files: OwnFileNames
 
 
 class FailedFrameRecord(Record):
@@ -59,15 +70,15 @@ class FailedFrameRecord(Record):
 class CanonicalSetRecord(RunRecord):
     """The content of a set's `set.json`."""
 
-    options: Figures = Field(description="What the run was called with.")
+    options: CalledWith
     frames: Texts = Field(description="Folders of the frames that were done.")
     failures: tuple[FailedFrameRecord, ...] = ()
     notes: Texts = Field((), description="The plan's doubts, and bends that stay.")
     converged: bool
-    iterations: int = Field(ge=0, description="Rounds of the mean; 0 when it was given.")
-    seconds: Number = Field(ge=0)
+    iterations: Count = Field(description="Rounds of the mean; 0 when it was given.")
+    seconds: NonNegative
     plan: tuple[PlanStep, ...]
-    files: Texts = Field(description="Names of the files beside this one.")
+    files: OwnFileNames
 
 
 _COMMAND = "scan2albedo glasses canonicalize"

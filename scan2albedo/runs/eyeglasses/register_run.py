@@ -16,7 +16,20 @@ from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import write_keypoints, write_labels
 from scan2albedo.eyeglasses.frame_files import write_frame_glb
 from scan2albedo.io.images import write_png
-from scan2albedo.io.records import Figures, Matrix, Number, OptionalNumber, Record, plain_json
+from scan2albedo.io.records import (
+    CalledWith,
+    Count,
+    Figures,
+    Matrix,
+    Name,
+    NonNegative,
+    OptionalNumber,
+    OwnFileNames,
+    Positive,
+    Record,
+    Share,
+    plain_json,
+)
 from scan2albedo.io.result_records import RunRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
 from scan2albedo.report.eyeglasses_views import MOST_SHOWN, registration_panels
@@ -28,11 +41,11 @@ class RegisteredViewRecord(Record):
     """How well a registered frame fits one picture."""
 
     camera: str
-    labels: int = Field(ge=0, description="Key points labelled.")
-    outliers: int = Field(ge=0, description="Labels farther off than three times their noise.")
+    labels: Count = Field(description="Key points labelled.")
+    outliers: Count = Field(description="Labels farther off than three times their noise.")
     label_rms_px: OptionalNumber = Field(None, description="Of the labels that are not outliers.")
     mask: bool = Field(description="Whether there was one.")
-    proposed: int = Field(0, ge=0, description="Key points that the picture shows and nobody labelled.")
+    proposed: Count = Field(0, description="Key points that the picture shows and nobody labelled.")
     proposed_deviation_px: OptionalNumber = Field(
         None, description="Of these along an axis, median; each one's is in the plan."
     )
@@ -40,23 +53,23 @@ class RegisteredViewRecord(Record):
     iou: OptionalNumber = Field(
         None, description="Of the frame's mask and the given one; high values are no evidence in space."
     )
-    visible_share: Number = Field(ge=0, le=1, description="Vertices in the picture and not behind the head.")
+    visible_share: Share = Field(description="Vertices in the picture and not behind the head.")
 
 
 class RegisteredFrameRecord(RunRecord):
     """The content of a registered frame's `result.json`."""
 
-    name: str = Field(min_length=1, description="Name of the frame.")
-    options: Figures = Field(description="What the run was called with.")
+    name: Name = Field(description="Name of the frame.")
+    options: CalledWith
     inputs: dict[str, FileRecord] = Field(description="By what they are: mesh, cameras, labels and others.")
-    mm_per_unit: Number = Field(gt=0, description="Of the mesh's file.")
+    mm_per_unit: Positive = Field(description="Of the mesh's file.")
     world_from_glasses: Matrix = Field(
         description="Row-major 4x4 acting on column vectors: the frame in mm, as it was before it was bent, "
         "into the cameras' world; rigid."
     )
     converged: bool
-    iterations: int = Field(ge=0, description="Evaluations of the objective.")
-    seconds: Number = Field(ge=0)
+    iterations: Count = Field(description="Evaluations of the objective.")
+    seconds: NonNegative
     depth_observed: bool
     unobserved: Texts = Field(description="'depth', and key points that no picture tells.")
     views: tuple[RegisteredViewRecord, ...]
@@ -65,7 +78,7 @@ class RegisteredFrameRecord(RunRecord):
     notes: Texts = Field(
         (), description="What reading decided, repaired and did not find, and the plan's doubts."
     )
-    files: Texts = Field(description="Names of the files beside this one.")
+    files: OwnFileNames
 
 
 _MADE = ("registered.glb", "registered.npz", "keypoints.json", "trace.csv", "error_vs_time.png")

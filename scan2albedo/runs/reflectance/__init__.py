@@ -9,7 +9,7 @@ from pydantic import Field
 
 from scan2albedo.core.arrays import Texts, Values
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.io.records import Figures, Record
+from scan2albedo.io.records import Figures, OwnFileNames, Record
 from scan2albedo.io.run_folder import OwnFiles, RunFolder, Staging
 
 MODEL_FILE, MEAN_FILE, SHAPE_FILE = "reflectance_model.npz", "mean.npz", "shape_model.npz"
@@ -25,7 +25,7 @@ class ReflectanceRecord(Record):
     options: Figures = Field(description="What the command was called with.")
     metrics: Figures
     notes: Texts = ()
-    files: Texts = Field((), description="Names of the files beside this one.")
+    files: OwnFileNames = ()
 
 
 FILES = OwnFiles(

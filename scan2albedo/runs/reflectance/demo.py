@@ -6,17 +6,16 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from scan2albedo import reflectance
 from scan2albedo.albedo import albedo_error
 from scan2albedo.core import OnProgress
-from scan2albedo.core.arrays import EPSILON, FloatArray, IntArray, Texts, Values, norms
+from scan2albedo.core.arrays import EPSILON, FloatArray, IntArray, Values, norms
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.io.atomic import write_text
 from scan2albedo.io.images import write_png
-from scan2albedo.io.records import Record, write_record
+from scan2albedo.io.records import OwnFileNames, Record, write_record
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
 from scan2albedo.lighting.environment import texel_directions
 from scan2albedo.reflectance import OlatOptions, VertexReflectance
@@ -152,7 +151,7 @@ class SyntheticRecord(Record):
     """The content of `synthetic.json`, beside pictures of synthetic people."""
 
     format_version: Literal[1] = 1
-    files: Texts = Field((), description="Names of the files beside this one.")
+    files: OwnFileNames = ()
 
 
 _OWN_FILES = OwnFiles(
