@@ -77,6 +77,11 @@ def checked_mesh(
     return xyz, whole
 
 
+def attributes(owner: object, *names: str) -> Values:
+    """Return attributes of an object by their names."""
+    return {name: getattr(owner, name) for name in names}
+
+
 def all_finite(values: ArrayLike) -> bool:
     """Return whether no number is NaN or infinite."""
     return bool(np.isfinite(values).all())

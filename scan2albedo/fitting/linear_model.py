@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist
 
 from scan2albedo.core import BudgetLike, Meter, OnProgress, PlanStep, RawScan, Trace
-from scan2albedo.core.arrays import EPSILON, BoolArray, FloatArray, IntArray, dots
+from scan2albedo.core.arrays import EPSILON, BoolArray, FloatArray, IntArray, attributes, dots
 from scan2albedo.errors import FitError
 from scan2albedo.fitting.alignment import SIZE_SD
 from scan2albedo.fitting.options import GATE_MM, FitOptions
@@ -107,7 +107,7 @@ class LinearModelFit:
             "mm_per_unit": model.mm_per_unit,
             "scale": self.pose.scale / model.mm_per_unit,
             "residual_mean_mm": np.nanmean(self.residual_mm),
-            **{name: getattr(self, name) for name in ("noise_mm", "observations", "converged")},
+            **attributes(self, "noise_mm", "observations", "converged"),
         }
         return LinearModelRecord(**plain_json(content))
 

@@ -20,7 +20,7 @@ from scan2albedo.core import (
     RawScan,
     Trace,
 )
-from scan2albedo.core.arrays import Texts, Values
+from scan2albedo.core.arrays import Texts, Values, attributes
 from scan2albedo.core.first_run import compiled_beside
 from scan2albedo.core.raw_scan import is_folder_name, lost_texture, scan_name
 from scan2albedo.errors import RegistrationError, Scan2AlbedoError, one_line
@@ -271,9 +271,7 @@ def _assembled(
     near, first = np.full(len(shape.vertices), np.nan), next(spool.fits())
     for fit in spool.fits():
         near = np.fmin(near, fit.residual_mm)
-    found_shape = {
-        name: getattr(shape, name) for name in ("vertices", "faces", "control_points", "landmarks")
-    }
+    found_shape = attributes(shape, "vertices", "faces", "control_points", "landmarks")
     neutral = replace(
         first,
         **found_shape,
@@ -307,7 +305,7 @@ def _assembled(
         rows += common.plan
         maps = {"coverage.png": common.coverage / len(spool.names), "disagreement.png": common.disagreement}
         taken = ("albedo_linear", "expected_error", "plan", "trace", "converged")
-        shared: Values = {name: getattr(common, name) for name in taken}
+        shared: Values = attributes(common, *taken)
         shared |= dict.fromkeys(("uncertainty", "albedo_deviation", "environment"))
         estimate = replace(
             lit,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from scan2albedo.core.arrays import ByteArray, FloatArray, RealArray, Texts, Values
+from scan2albedo.core.arrays import ByteArray, FloatArray, RealArray, Texts, Values, attributes
 from scan2albedo.core.raw_scan import lost_texture
 from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
@@ -140,12 +140,12 @@ class ProcessResult:
         figures: Values = {"seconds": round(sum(self.timings_s.values()), 3)}
         if self.registration is not None:
             names = ("rmse_mm", "confidence", "converged")
-            figures["registration"] = {name: getattr(self.registration, name) for name in names}
+            figures["registration"] = attributes(self.registration, *names)
         if self.fitted is not None:
             figures["fit"] = {**self.fitted.metrics, "converged": self.fitted.converged}
         if (linear := self.linear_model) is not None:
             names = ("noise_mm", "observations", "converged")
-            figures["linear_model"] = {name: getattr(linear, name) for name in names}
+            figures["linear_model"] = attributes(linear, *names)
             figures["linear_model"]["residual_mean_mm"] = float(np.nanmean(linear.residual_mm))
         figures["geometry_image"] = self.geometry_image.figures()
         if self.albedo is not None:

@@ -23,6 +23,7 @@ from scan2albedo.core.arrays import (
     Texts,
     Values,
     all_finite,
+    attributes,
     finite_rows,
 )
 from scan2albedo.errors import RecognitionError, needs_extra
@@ -157,7 +158,7 @@ class Templates:
     @property
     def arrays(self) -> Values:
         """`coefficients`, `mask` and `weight`, by name."""
-        return {name: getattr(self, name) for name in ("coefficients", "mask", "weight")}
+        return attributes(self, "coefficients", "mask", "weight")
 
     def select(self, indices: Sequence[int]) -> Templates:
         """Return the templates of the given indices, in their order."""

@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array, checked_mesh
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, attributes, checked_array, checked_mesh
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.io.records import Count, PositiveCount
@@ -83,7 +83,7 @@ def write_reflectance(path: str | Path, mesh: MeshReflectance, *, fit: Reflectan
     values = mesh.vertices, mesh.faces, one.known, one.diffuse_linear, one.weights
     arrays = dict(zip(_ARRAYS, values, strict=True))
     if fit is not None:
-        arrays |= {name: getattr(fit, name) for name in _OF_A_FIT}
+        arrays |= attributes(fit, *_OF_A_FIT)
     if mesh.seen is not None:
         arrays["seen"] = mesh.seen
     write_npz_record(path, header, arrays, what="reflectance")

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from scan2albedo import eyeglasses
 from scan2albedo.core import Budget, BudgetLike, OnProgress, PlanStep
-from scan2albedo.core.arrays import Texts, Values, norms
+from scan2albedo.core.arrays import Texts, Values, attributes, norms
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import CanonicalizationOptions, skin, write_keypoints
 from scan2albedo.eyeglasses.frame_files import read_keypoints_with_unit, write_frame_glb
@@ -171,8 +171,8 @@ def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, Values]:
                 input=InputRecord.of(frame.scan, Path(mesh.file), mesh.sha256),
                 keypoints_file=keypoints and keypoints.file,
                 keypoints_sha256=keypoints and keypoints.sha256,
-                **{name: getattr(frame, name) for name in ("mm_per_unit", "missing_key_points")},
-                **{name: getattr(canonical, name) for name in ("scale", "converged")},
+                **attributes(frame, "mm_per_unit", "missing_key_points"),
+                **attributes(canonical, "scale", "converged"),
                 canonical_from_frame=plain_json(canonical.canonical_from_frame),
                 mode="unbend" if canonical.unbent else "mean",
                 plan=canonical.plan.steps,
@@ -188,8 +188,8 @@ def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, Values]:
         staging.write_record(
             options=dict(done.options),
             frames=tuple(frame.name for frame in done.frames),
-            **{name: getattr(done, name) for name in ("failures", "notes", "seconds")},
-            **{name: getattr(result, name) for name in ("converged", "iterations")},
+            **attributes(done, "failures", "notes", "seconds"),
+            **attributes(result, "converged", "iterations"),
             plan=result.plan.steps,
         )
     return figures

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from scan2albedo import eyeglasses
 from scan2albedo.core import Budget, BudgetLike, OnProgress, PlanStep
-from scan2albedo.core.arrays import FloatArray, Texts, Values, norms
+from scan2albedo.core.arrays import FloatArray, Texts, Values, attributes, norms
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import write_keypoints, write_labels
 from scan2albedo.eyeglasses.frame_files import write_frame_glb
@@ -219,11 +219,8 @@ def write_registration_files(done: PlacedFrame, out: Path) -> Values:
             inputs=dict(given.files),
             mm_per_unit=given.frame.mm_per_unit,
             world_from_glasses=plain_json(result.world_from_glasses),
-            **{
-                name: getattr(result, name)
-                for name in ("converged", "iterations", "depth_observed", "unobserved")
-            },
-            **{name: getattr(done, name) for name in ("seconds", "views", "notes")},
+            **attributes(result, "converged", "iterations", "depth_observed", "unobserved"),
+            **attributes(done, "seconds", "views", "notes"),
             plan=result.plan.steps,
             metrics=figures,
         )

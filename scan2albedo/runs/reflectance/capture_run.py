@@ -7,7 +7,7 @@ import numpy as np
 
 from scan2albedo import reflectance
 from scan2albedo.core import BudgetLike, OnProgress
-from scan2albedo.core.arrays import SMALLEST, BoolArray, FloatArray, Texts, Values
+from scan2albedo.core.arrays import SMALLEST, BoolArray, FloatArray, Texts, Values, attributes
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.geometry.mesh import vertex_components, vertex_normals
 from scan2albedo.io.color import encode_srgb_bytes
@@ -144,11 +144,11 @@ def write_fit(done: FittedCapture, out: Path, options: Values) -> Values:
         "impossible_vertices": int(fit.impossible.sum()),
         "plan": [vars(step) for step in fit.plan],
     }
-    figures |= {name: getattr(fit, name) for name in ("level", "converged", "iterations", "light_gain")}
+    figures |= attributes(fit, "level", "converged", "iterations", "light_gain")
     title = f"{figures['known_vertices']} of {figures['vertices']} vertices, {figures['pairs']} pairs"
     if done.error is not None:
         names = ("relative_rmse", "noise_part", "psnr_db")
-        error = {name: getattr(done.error, name) for name in names}
+        error = attributes(done.error, *names)
         figures["held_out"] = {"pairs": int(done.held_out.sum()), **error}
         title += f"; pictures left out: relative RMSE {100 * done.error.relative_rmse:.1f} %"
     with publishing(out, "fit", (capture.path,), options, figures, done.notes) as results:

@@ -12,7 +12,7 @@ import numpy as np
 
 from scan2albedo import reflectance
 from scan2albedo.core import BudgetLike, OnProgress, RawScan, Trace
-from scan2albedo.core.arrays import FloatArray, IntArray, Texts, Values
+from scan2albedo.core.arrays import FloatArray, IntArray, Texts, Values, attributes
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.fitting import fit
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
@@ -184,11 +184,11 @@ def write_fitted_photograph(done: FittedPhotograph, models: FaceModels, out: Pat
         "light_harmonics": fit.light,
     }
     names = ("objective", "converged", "iterations", "light_coefficients", "scale_rgb")
-    figures |= {name: getattr(fit, name) for name in names}
+    figures |= attributes(fit, *names)
     if geometry is not None:
         shape = ("scene_from_model", "identity", "expression", "landmark_rmse_px", "converged")
         colors = ("photometric_rmse_before", "photometric_rmse_after")
-        figures["geometry"] = {name: getattr(geometry, name) for name in (*shape, *colors)}
+        figures["geometry"] = attributes(geometry, *shape, *colors)
     mesh = reflectance.MeshReflectance(done.vertices, done.faces, face.reflectance, seen=seen)
     upright = reflectance.MeshReflectance(models.mean.vertices, done.faces, face.reflectance)
     inputs = [path for path in (done.photograph.path, models.folder) if path is not None]
@@ -274,7 +274,7 @@ def tune_model(
         notes.append("budget or rounds ended while changes still helped")
     figures: Values = {"photographs": [*map(str, tuned_with)], "held_out": [*map(str, tested_on)]}
     names = ("accepted_steps", "held_out_before", "held_out_after", "converged")
-    figures |= {name: getattr(tuning, name) for name in names}
+    figures |= attributes(tuning, *names)
     mean = tuning.model.reconstruct(np.zeros(tuning.model.components)).reflectance
     inputs = (models.folder, *tuned_with, *tested_on)
     with publishing(out, "finetune", inputs, options, figures, notes) as results:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from scan2albedo import reflectance
-from scan2albedo.core.arrays import FloatArray, Values
+from scan2albedo.core.arrays import FloatArray, Values, attributes
 from scan2albedo.errors import ReflectanceError, errors_of, one_line
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.io.npz import read_npz
@@ -168,7 +168,7 @@ def write_model_folder(built: FaceModels, out: Path, options: Values) -> Values:
     model = built.model
     figures: Values = {"vertices": len(model.known), "known_vertices": int(model.known.sum())}
     names = ("samples", "components", "explained", "deviation")
-    figures |= {name: getattr(model, name) for name in names}
+    figures |= attributes(model, *names)
     with publishing(out, "build", built.sources, options, figures) as results:
         model.save(results.folder / MODEL_FILE)
         write_reflectance(results.folder / MEAN_FILE, built.mean)
