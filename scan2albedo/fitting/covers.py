@@ -116,7 +116,7 @@ def _covers(scan: ScanSurface, model: AnnotatedSurface, person: FloatArray) -> B
     near &= (y > lowest_mm) & ~nose & ~face.on_boundary(hits)
     part = mesh.vertex_components(len(near), scan.faces[near[scan.faces].all(1)])
     eyes = np.array([landmarks[list(eye)].mean(0) for eye in EYES])
-    aside = np.linalg.norm(scan.vertices[:, None, :2] - eyes[:, :2], axis=2).min(1)
+    aside = norms(scan.vertices[:, None, :2] - eyes[:, :2]).min(1)
     cover = near & np.isin(part, part[near & (aside < EYE_MM)])
     if not cover.any():
         return cover

@@ -27,7 +27,7 @@ def laplacian(
     # Clipped cotangents of the corners: every edge weight is non-negative, L an M-matrix.
     corners = vertices[faces]
     u, v = corners[:, [1, 2, 0]] - corners, corners[:, [2, 0, 1]] - corners
-    sine = np.linalg.norm(np.cross(u, v), axis=2)
+    sine = norms(np.cross(u, v))
     cosine = dots(u, v)
     longest = np.maximum(dots(u, u), dots(v, v))
     weights = np.clip(cosine / np.maximum(sine, 1e-12 * longest + 1e-300), 0.0, MAX_COTANGENT) / 2

@@ -76,7 +76,7 @@ class _PixelShadows(ShadowMap):
         step = self.position[around] - self.position
         rise = np.abs(np.einsum("knc,nc->kn", step, self.normal))
         rise = np.maximum(rise, np.abs(dots(step, self.normal[around])))
-        flat = ((around >= 0) & (rise <= _FLAT * np.linalg.norm(step, axis=2))).all(0)
+        flat = ((around >= 0) & (rise <= _FLAT * norms(step))).all(0)
         alone = ~flat | (around[0] == own)
         stages = [np.flatnonzero(which) for which in (alone, ~alone & (odd == 2), ~alone & (odd != 2))]
         return [(at, around[:, at]) for at in stages]

@@ -169,7 +169,7 @@ def write_synthetic_capture(capture: FlashCapture, folder: Path) -> Path:
         raise ValueError("pictures without bits cannot be written as PNG; take 8 or 16 bits")
     with RunFolder(folder, _OWN_FILES).publishing() as staging:
         _write_mesh(staging.folder / _MESH, capture.vertices, capture.faces)
-        distance = np.linalg.norm(capture.landmarks[:, None] - capture.vertices[None], axis=2)
+        distance = norms(capture.landmarks[:, None] - capture.vertices[None])
         write_text(staging.folder / LANDMARKS_FILE, json.dumps(distance.argmin(1).tolist()) + "\n")
         pairs = []
         for j, (view, light) in enumerate(zip(capture.view, capture.light, strict=True)):

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from scan2albedo import reflectance
-from scan2albedo.core.arrays import FloatArray, Values, attributes
+from scan2albedo.core.arrays import FloatArray, Values, attributes, norms
 from scan2albedo.errors import ReflectanceError, errors_of, one_line
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.io.npz import read_npz
@@ -124,7 +124,7 @@ def synthetic_model(count: int, *, components: int | None = None) -> FaceModels:
     model = reflectance.MorphableReflectanceModel.from_samples(samples, components=components)
     shapes = np.stack([transform_points(procrustes(one.vertices, rest), one.vertices) for one in people])
     assert template.landmarks is not None
-    nearest = np.linalg.norm(rest - template.landmarks[:, None], axis=2).argmin(1)
+    nearest = norms(rest - template.landmarks[:, None]).argmin(1)
     offsets = expression_offsets(template, np.random.default_rng([0, 14]), levels=SURFACE_LEVELS)
     shape = reflectance.MorphableShapeModel.from_samples(shapes, offsets, faces, nearest)
     mean = model.reconstruct(np.zeros(model.components)).reflectance
