@@ -8,8 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from scan2albedo.core.arrays import ArrayLike, ByteArray, Float32Array, FloatArray, NDArray, dots, norms
-from scan2albedo.core.compiled import compiled
+from scan2albedo.core.compiled import compiled, triple
 from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.geometry.rigid import dot
+from scan2albedo.lighting.shading import lamp_from
 
 _OFFSETS = (1.5e-4, 5e-3)
 """Least and largest offset of shadow rays as parts of the caster's size."""
@@ -125,19 +127,13 @@ def _needed_rays(position, normal, origin, toward, inverse, open_above, lit):  #
     ray = np.empty((len(lit) if inverse != 0 else 0, 3), np.float32)
     m = 0
     for i in range(len(lit)):
-        cosine = 0.0
-        square = 0.0
-        for k in range(3):
-            along = toward[k] - inverse * position[i, k]
-            cosine += normal[i, k] * along
-            square += along * along
+        along = lamp_from(triple(position, i), toward, inverse)
+        cosine = dot(triple(normal, i), along)
         lit[i] = cosine > 0
-        if lit[i] and not cosine > open_above[i] * np.sqrt(square):
-            index[m] = i
-            for k in range(3):
-                start[m, k] = origin[i, k]
-                if inverse != 0:
-                    ray[m, k] = toward[k] - inverse * position[i, k]
+        if lit[i] and not cosine > open_above[i] * np.sqrt(dot(along, along)):
+            index[m], start[m] = i, origin[i]
+            if inverse != 0:
+                ray[m] = along
             m += 1
     return index[:m], start[:m], ray[:m]
 
