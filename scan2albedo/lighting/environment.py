@@ -34,8 +34,7 @@ class DistantLights:
         toward, given = _checked_directions(self.directions), np.asarray(self.irradiance_linear, float)
         rgb = np.repeat(given[:, None], 3, 1) if given.ndim == 1 else given
         rgb = checked_array(rgb, (len(toward), 3), "irradiance_linear", finite=ValueError)
-        object.__setattr__(self, "directions", toward)
-        object.__setattr__(self, "irradiance_linear", rgb)
+        vars(self).update(directions=toward, irradiance_linear=rgb)
 
     @classmethod
     def from_environment(

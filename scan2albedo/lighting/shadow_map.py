@@ -43,8 +43,7 @@ class ShadowMap:
             offset = shadow_offset_mm(self.caster.size, self.offset_mm)
             origin, above = self.caster.to_local(self.position + offset * self.normal), math.inf
         known = np.full(len(self.position), above) if self.open_above is None else self.open_above
-        object.__setattr__(self, "_origin", origin)
-        object.__setattr__(self, "_above", known)
+        vars(self).update(_origin=origin, _above=known)
 
     def visible(self, direction: ArrayLike, distance_mm: float = math.inf) -> ByteArray:
         """Return (N,) uint8, 1 where a light reaches the point.

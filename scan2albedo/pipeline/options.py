@@ -142,8 +142,7 @@ class ProcessOptions:
             given["model"] = "default"
         given |= {"budget": Budget.of(self.budget), "skip": tuple(self.skip), "force": tuple(self.force)}
         given["white_balance"] = checked_white_balance(self.white_balance)
-        for name, value in given.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(given)
         checked_seed(self.seed)
         if not isinstance(self.quality, Quality) and self.quality not in PRESETS:
             raise ValueError(f"quality is {self.quality!r}, expected one of {', '.join(PRESETS)}")

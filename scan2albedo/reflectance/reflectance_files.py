@@ -47,8 +47,7 @@ class MeshReflectance:
             checked_array(self.std, (count, 6), "std", ReflectanceError)
         if self.seen is not None:
             checked_array(self.seen, (count,), "seen", ReflectanceError, kind=bool)
-        object.__setattr__(self, "vertices", vertices)
-        object.__setattr__(self, "faces", faces)
+        vars(self).update(vertices=vertices, faces=faces)
 
 
 class MeshReflectanceHeader(BaseModel):

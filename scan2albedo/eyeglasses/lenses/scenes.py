@@ -77,8 +77,7 @@ class Surface:
                 raise ValueError(f"{name} must have shape {shape}, got {fields[name].shape}")
             if not all_finite(fields[name]):
                 raise EyeglassesError(f"a surface's {name} are not finite; repair the input first")
-        for name, value in fields.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(fields)
 
 
 @dataclass(frozen=True)
