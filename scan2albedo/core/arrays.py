@@ -92,6 +92,12 @@ def norms(vectors: ArrayLike) -> FloatArray:
     return np.linalg.norm(vectors, axis=-1)
 
 
+def rms(values: ArrayLike) -> float:
+    """Return the root mean square of values of any shape; NaN of none."""
+    array = np.asarray(values)
+    return float(np.sqrt(np.mean(array**2))) if array.size else np.nan
+
+
 def dots(one: NDArray, other: NDArray) -> NDArray:
     """Return the scalar products (...) of vectors (..., C) and (..., C)."""
     return np.einsum("...c,...c->...", one, other)

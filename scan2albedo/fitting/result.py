@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scan2albedo.core import Plan, PlanStep, Trace
-from scan2albedo.core.arrays import EPSILON, SMALLEST, BoolArray, FloatArray, IntArray, dots, norms
+from scan2albedo.core.arrays import EPSILON, SMALLEST, BoolArray, FloatArray, IntArray, dots, norms, rms
 from scan2albedo.errors import FitError
 from scan2albedo.face_model import default_model
 from scan2albedo.face_model.annotation import FittedSurface
@@ -96,7 +96,7 @@ def fitted_face(
         norms(points[edges[:, 0]] - points[edges[:, 1]]) for points in (deformation.reference, control)
     )
     floor = 1e-6 * float(before.mean())
-    strain = float(np.sqrt(np.mean(np.log(np.maximum(after, floor) / np.maximum(before, floor)) ** 2)))
+    strain = rms(np.log(np.maximum(after, floor) / np.maximum(before, floor)))
     metrics = {
         "residual_mean_mm": float(known.mean()),
         "residual_median_mm": float(np.median(known)),

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scan2albedo.core.arrays import ArrayLike, BoolArray, FloatArray, GridShape, all_finite, norms
+from scan2albedo.core.arrays import ArrayLike, BoolArray, FloatArray, GridShape, all_finite, norms, rms
 from scan2albedo.geometry.mesh import normalized
 
 
@@ -67,7 +67,7 @@ def fit_camera(points: ArrayLike, pixels: ArrayLike) -> FloatArray:
 def _centred(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return homogeneous points (N, d + 1) of mean 0 and unit size, and the matrix that made them so."""
     mean, d = points.mean(0), points.shape[1]
-    size = float(np.sqrt(((points - mean) ** 2).mean())) or 1.0
+    size = rms(points - mean) or 1.0
     matrix = np.eye(d + 1)
     matrix[:d, :d] /= size
     matrix[:d, d] = -mean / size

@@ -139,14 +139,14 @@ class ProcessResult:
         """Return the figures of each stage, for summaries and result.json."""
         figures: Values = {"seconds": round(sum(self.timings_s.values()), 3)}
         if self.registration is not None:
-            names = ("rmse_mm", "confidence", "converged")
-            figures["registration"] = attributes(self.registration, *names)
+            figures["registration"] = attributes(self.registration, "rmse_mm", "confidence", "converged")
         if self.fitted is not None:
             figures["fit"] = {**self.fitted.metrics, "converged": self.fitted.converged}
         if (linear := self.linear_model) is not None:
-            names = ("noise_mm", "observations", "converged")
-            figures["linear_model"] = attributes(linear, *names)
-            figures["linear_model"]["residual_mean_mm"] = float(np.nanmean(linear.residual_mm))
+            figures["linear_model"] = {
+                **attributes(linear, "noise_mm", "observations", "converged"),
+                "residual_mean_mm": float(np.nanmean(linear.residual_mm)),
+            }
         figures["geometry_image"] = self.geometry_image.figures()
         if self.albedo is not None:
             found = self.albedo

@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 
 from scan2albedo.core import BudgetLike, Meter, OnProgress, Plan, PlanStep, Trace
-from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray, checked_array, finite_rows, norms
+from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray, checked_array, finite_rows, norms, rms
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import edges_with_faces, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, pixel_directions, project
@@ -59,7 +59,7 @@ class GeometryFit:
     def landmark_rmse_px(self) -> float | None:
         """Root mean square over the landmarks used; None without any."""
         seen = np.isfinite(self.landmark_error_px)
-        return float(np.sqrt(np.mean(self.landmark_error_px[seen] ** 2))) if seen.any() else None
+        return rms(self.landmark_error_px[seen]) if seen.any() else None
 
 
 def refine_geometry(

@@ -213,6 +213,11 @@ class MorphableReflectanceModel(LinearModel):
         tinted = self.mean * np.append(np.broadcast_to(factors, 3), np.ones(4))
         return replace(self, mean=tinted, basis=self.basis[:0])
 
+    @property
+    def mean_reflectance(self) -> VertexReflectance:
+        """Of V vertices: that of the mean face."""
+        return self.reconstruct(np.zeros(self.components)).reflectance
+
     def reconstruct(self, coefficients: ArrayLike) -> ModelReflectance:
         """Return the reflectance of coefficients (N,), negatives set to 0 and counted.
 

@@ -16,6 +16,7 @@ from scan2albedo.core.arrays import (
     Values,
     checked_array,
     norms,
+    rms,
 )
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import checked_keypoints
@@ -208,7 +209,7 @@ def _lens_notes(lens: inserted.InsertedLens, masked: bool, seen: bool) -> list[s
             f"{int((~rim.measured).sum())} of {len(rim.points)} points of its rim come from {source}"
         )
     if rim.deviation is not None:
-        off = np.sqrt((rim.deviation**2).mean())
+        off = rms(rim.deviation)
         notes.append(f"masks refine its outline, to {off:.2f} mm (standard deviation)")
     elif masked:
         notes.append("no mask shows half of its outline and agrees with the rim, which stays")

@@ -6,12 +6,11 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 from pydantic import Field
 
 from scan2albedo import eyeglasses
 from scan2albedo.core import Budget, BudgetLike, OnProgress, PlanStep
-from scan2albedo.core.arrays import Texts, Values, attributes, norms
+from scan2albedo.core.arrays import Texts, Values, attributes, norms, rms
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import CanonicalizationOptions, skin, write_keypoints
 from scan2albedo.eyeglasses.frame_files import read_keypoints_with_unit, write_frame_glb
@@ -160,7 +159,7 @@ def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, Values]:
             cut = skin(frame.scan.vertices, weights, canonical.handle_transforms) - canonical.vertices
             figures[frame.name] = {
                 "key_point_residual_mm": canonical.residual,
-                "moved_rms_mm": float(np.sqrt(np.mean(moved**2))),
+                "moved_rms_mm": rms(moved),
                 "moved_max_mm": float(moved.max()),
                 "glb_weight_cut": weight_cut,
                 "glb_moved_max_mm": float(norms(cut).max()),

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from scan2albedo import eyeglasses
 from scan2albedo.core import OnProgress
-from scan2albedo.core.arrays import FloatArray, IntArray, Values, dots, norms
+from scan2albedo.core.arrays import FloatArray, IntArray, Values, dots, norms, rms
 from scan2albedo.errors import OutputError
 from scan2albedo.eyeglasses import Camera, LensMaterial, write_keypoints, write_labels
 from scan2albedo.fitting import fit
@@ -77,10 +77,6 @@ class GlassesDemoReport:
 
 def compare_with_wearer(placed: PlacedFrame, person: Wearer, head: Head = "fitted") -> GlassesDemoReport:
     """Return the errors of a registered synthetic frame."""
-
-    def rms(errors: FloatArray) -> float:
-        return float(np.sqrt(np.mean(errors**2))) if errors.size else float("nan")
-
     result, glasses = placed.result, person.glasses
     # Reading a mesh may drop and renumber vertices.
     same = cKDTree(glasses.rest_vertices).query(placed.given.frame.scan.vertices)[1]

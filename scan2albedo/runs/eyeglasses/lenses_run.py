@@ -11,7 +11,7 @@ from pydantic import Field
 
 from scan2albedo import eyeglasses
 from scan2albedo.core import RawScan
-from scan2albedo.core.arrays import ArrayLike, Texts, finite_rows, norms
+from scan2albedo.core.arrays import ArrayLike, Texts, finite_rows, norms, rms
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import Camera, LensPictureOptions, Surface
 from scan2albedo.eyeglasses.keypoints import checked_keypoints
@@ -278,7 +278,7 @@ def run_lenses(
             "mean_radius_mm": float(norms(rim.points - rim.center).mean()),
             "measured": float(rim.measured.mean()),
             "gaps": rim.gaps,
-            "deviation_mm": None if rim.deviation is None else float(np.sqrt((rim.deviation**2).mean())),
+            "deviation_mm": None if rim.deviation is None else rms(rim.deviation),
         }
         records.append(LensRecord.model_validate(material))
     with RunFolder(out, FILES).publishing() as staging:

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from scan2albedo import eyeglasses
 from scan2albedo.core import Budget, BudgetLike, OnProgress, PlanStep
-from scan2albedo.core.arrays import FloatArray, Texts, Values, attributes, norms
+from scan2albedo.core.arrays import FloatArray, Texts, Values, attributes, norms, rms
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import write_keypoints, write_labels
 from scan2albedo.eyeglasses.frame_files import write_frame_glb
@@ -87,7 +87,7 @@ FILES = OwnFiles("result.json", RegisteredFrameRecord, _MADE + _SEEN, "scan2albe
 
 
 def _rms(values: FloatArray) -> float | None:
-    return float(np.sqrt(np.mean(values**2))) if len(values) else None
+    return rms(values) if len(values) else None
 
 
 @dataclass(frozen=True)

@@ -147,8 +147,7 @@ def write_fit(done: FittedCapture, out: Path, options: Values) -> Values:
     figures |= attributes(fit, "level", "converged", "iterations", "light_gain")
     title = f"{figures['known_vertices']} of {figures['vertices']} vertices, {figures['pairs']} pairs"
     if done.error is not None:
-        names = ("relative_rmse", "noise_part", "psnr_db")
-        error = attributes(done.error, *names)
+        error = attributes(done.error, "relative_rmse", "noise_part", "psnr_db")
         figures["held_out"] = {"pairs": int(done.held_out.sum()), **error}
         title += f"; pictures left out: relative RMSE {100 * done.error.relative_rmse:.1f} %"
     with publishing(out, "fit", (capture.path,), options, figures, done.notes) as results:

@@ -175,20 +175,24 @@ def write_fitted_photograph(done: FittedPhotograph, models: FaceModels, out: Pat
     figures: Values = {
         "vertices": len(done.vertices),
         "seen_vertices": int(seen.sum()),
-        "beats_mean": face.beats_mean,
-        "badly_explained": face.badly_explained,
+        **attributes(face, "beats_mean", "badly_explained", "relative_rmse"),
         "details": face.details is not None,
         "plan": [vars(step) for step in face.plan],
-        "relative_rmse": face.relative_rmse,
         "coefficients": fit.face.coefficients,
         "light_harmonics": fit.light,
     }
-    names = ("objective", "converged", "iterations", "light_coefficients", "scale_rgb")
-    figures |= attributes(fit, *names)
+    figures |= attributes(fit, "objective", "converged", "iterations", "light_coefficients", "scale_rgb")
     if geometry is not None:
-        shape = ("scene_from_model", "identity", "expression", "landmark_rmse_px", "converged")
-        colors = ("photometric_rmse_before", "photometric_rmse_after")
-        figures["geometry"] = attributes(geometry, *shape, *colors)
+        figures["geometry"] = attributes(
+            geometry,
+            "scene_from_model",
+            "identity",
+            "expression",
+            "landmark_rmse_px",
+            "converged",
+            "photometric_rmse_before",
+            "photometric_rmse_after",
+        )
     mesh = reflectance.MeshReflectance(done.vertices, done.faces, face.reflectance, seen=seen)
     upright = reflectance.MeshReflectance(models.mean.vertices, done.faces, face.reflectance)
     inputs = [path for path in (done.photograph.path, models.folder) if path is not None]
@@ -273,13 +277,12 @@ def tune_model(
     if not tuning.converged:
         notes.append("budget or rounds ended while changes still helped")
     figures: Values = {"photographs": [*map(str, tuned_with)], "held_out": [*map(str, tested_on)]}
-    names = ("accepted_steps", "held_out_before", "held_out_after", "converged")
-    figures |= attributes(tuning, *names)
-    mean = tuning.model.reconstruct(np.zeros(tuning.model.components)).reflectance
+    figures |= attributes(tuning, "accepted_steps", "held_out_before", "held_out_after", "converged")
     inputs = (models.folder, *tuned_with, *tested_on)
     with publishing(out, "finetune", inputs, options, figures, notes) as results:
         tuning.model.save(results.folder / MODEL_FILE)
-        reflectance.write_reflectance(results.folder / MEAN_FILE, replace(models.mean, reflectance=mean))
+        mean = replace(models.mean, reflectance=tuning.model.mean_reflectance)
+        reflectance.write_reflectance(results.folder / MEAN_FILE, mean)
         if models.shape is not None:
             shutil.copyfile(models.folder / SHAPE_FILE, results.folder / SHAPE_FILE)
         results.trace(tuning.trace)
