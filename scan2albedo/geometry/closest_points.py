@@ -168,8 +168,10 @@ def _closest_around(p, vertex, xyz, faces, ring, ring_start, closest, face, weig
 @compiled
 def nearest_around(point, v, xyz, faces, ring, ring_start):  # type: ignore[no-untyped-def]
     """Return squared distance, triangle, corner weights and offset of the closest point around vertex v."""
-    best, nearest = np.inf, 0
-    weights, offset = (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    best = np.inf
+    nearest = 0
+    weights = (1.0, 0.0, 0.0)
+    offset = (0.0, 0.0, 0.0)
     for r in range(ring_start[v], ring_start[v + 1]):
         i, j, k = triple(faces, ring[r])
         a, b, c = minus(triple(xyz, i), point), minus(triple(xyz, j), point), minus(triple(xyz, k), point)
