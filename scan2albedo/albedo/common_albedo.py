@@ -19,7 +19,15 @@ from scan2albedo.albedo.result import AlbedoEstimate
 from scan2albedo.albedo.shared_light import shared_lights
 from scan2albedo.albedo.texel_light import light_on_texels
 from scan2albedo.albedo.uncertainty import light_uncertainty
-from scan2albedo.core import Budget, GeometryImage, Meter, Plan, PlanStep, ProgressCallback, Trace
+from scan2albedo.core import (
+    BudgetLike,
+    GeometryImage,
+    Meter,
+    OnProgress,
+    Plan,
+    PlanStep,
+    Trace,
+)
 from scan2albedo.core.arrays import Float32Array, FloatArray, NDArray
 from scan2albedo.errors import LightingError
 
@@ -58,11 +66,11 @@ def estimate_common_albedo(
     *,
     lights: str | int = "auto",
     brdf: str = "oren-nayar",
-    budget: Budget | float | None = None,
+    budget: BudgetLike = None,
     seed: int = 0,
     options: EstimateOptions = EstimateOptions(),
     on_estimate: Callable[[int, AlbedoEstimate], None] | None = None,
-    on_progress: ProgressCallback | None = None,
+    on_progress: OnProgress = None,
 ) -> CommonAlbedo:
     """Estimate one albedo, and a light for each of several images of it.
 
@@ -101,7 +109,7 @@ def estimate_common_albedo(
     """
     if brdf == "spherical-harmonics" or options.objective != "residual":
         raise ValueError("a common albedo is found with lamps and the objective 'residual'")
-    meter = Meter("albedo", "perplexity a cell", Budget.of(budget), on_progress)
+    meter = Meter("albedo", "perplexity a cell", budget, on_progress)
 
     def scene_of(image: GeometryImage) -> tuple[LitImage, Plan]:
         return lit_image(image, brdf, (0.0, 0.0, 1.0), options, meter)

@@ -24,7 +24,14 @@ from scan2albedo.albedo.shadows import FEWEST
 from scan2albedo.albedo.soft_terms import DARKEST
 from scan2albedo.albedo.texel_light import TexelLight, light_on_texels
 from scan2albedo.albedo.uncertainty import expected_error
-from scan2albedo.core import Budget, GeometryImage, Meter, Plan, PlanStep, ProgressCallback
+from scan2albedo.core import (
+    BudgetLike,
+    GeometryImage,
+    Meter,
+    OnProgress,
+    Plan,
+    PlanStep,
+)
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import FloatArray, on_grid
 from scan2albedo.core.geometry_image import NO_CAMERA
@@ -42,12 +49,12 @@ def estimate_albedo(
     lights: str | int = "auto",
     brdf: str = "oren-nayar",
     view_direction: Sequence[float] = (0.0, 0.0, 1.0),
-    budget: Budget | float | None = None,
+    budget: BudgetLike = None,
     seed: int = 0,
     *,
     options: EstimateOptions = EstimateOptions(),
     prior: AlbedoPrior | None = None,
-    on_progress: ProgressCallback | None = None,
+    on_progress: OnProgress = None,
 ) -> AlbedoEstimate:
     """Estimate the lights of a textured geometry image and return the texture without them.
 
@@ -120,7 +127,7 @@ def estimate_albedo(
     x, y, z = (toward / length).tolist()
     if brdf == "lambert" and options.choice("albedo.roughness"):
         raise ValueError("albedo.roughness is forced, but a Lambertian surface has none: choose another brdf")
-    meter = Meter("albedo", "perplexity a cell", Budget.of(budget), on_progress)
+    meter = Meter("albedo", "perplexity a cell", budget, on_progress)
     scene, plan = lit_image(image, brdf, (x, y, z), options, meter, prior)
     # The systems are small: further threads of BLAS would wait for work and burn as much time again.
     with threadpool_limits(1, "blas"):

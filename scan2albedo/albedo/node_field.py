@@ -10,7 +10,7 @@ from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 
 from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.prior import NODES, AlbedoPrior
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray, norms
 from scan2albedo.core.compiled import compiled
 
 UNMODELLED = 0.06
@@ -89,7 +89,7 @@ class NodeField:
         count = np.maximum(onto_nodes @ np.ones(len(deviation)), TINY)
         size = np.sqrt((onto_nodes @ deviation**2) / count)
         at = np.stack(np.divmod(self.used, NODES), 1) / NODES
-        apart = np.linalg.norm(at[:, None] - at[None], axis=2)
+        apart = norms(at[:, None] - at[None])
         return np.outer(size, size) * np.exp(-apart / _REACH) + TINY * np.eye(len(at))
 
 

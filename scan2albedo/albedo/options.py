@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from scan2albedo.core.arrays import Texts
+
 OPTIONAL_STEPS = (
     "albedo.shadows",
     "albedo.lamp_size",
@@ -43,9 +45,9 @@ class EstimateOptions:
     "stationary"; or a file that `AlbedoPrior.save` wrote."""
     maximal_lights: int = 3
     """Most lamps that `lights="auto"` tries; it may find none."""
-    skip: tuple[str, ...] = ()
+    skip: Texts = ()
     """Names of `OPTIONAL_STEPS` to leave out."""
-    force: tuple[str, ...] = ()
+    force: Texts = ()
     """Names of `OPTIONAL_STEPS` to do whatever the evidence says."""
 
     def __post_init__(self) -> None:

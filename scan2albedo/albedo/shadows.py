@@ -11,7 +11,7 @@ from scan2albedo.albedo.light_parameters import LightModel
 from scan2albedo.albedo.node_field import TINY
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.core import GeometryImage, Meter, PlanStep
-from scan2albedo.core.arrays import Float32Array, FloatArray, IntArray
+from scan2albedo.core.arrays import Float32Array, FloatArray, IntArray, dots
 from scan2albedo.core.compiled import compiled
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment_light import SKY
@@ -113,7 +113,7 @@ class ShadowLattice:
         self._spread: dict[float, tuple[Visibility, Visibility, Visibility]] = {}
         self._cell = tuple(level.cell.T)
         self._grid = np.zeros(level.cell.max(0) + 1, np.float32)
-        self._height = np.einsum("nc,nc->n", level.normal, level.position)
+        self._height = dots(level.normal, level.position)
 
     def nearest(self, coordinates: FloatArray) -> FloatArray:
         """Return the node's coordinates (..., 2) nearest to those of directions: its rays serve alone."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from scan2albedo.albedo.posterior import NOISE, TEMPER, Point
 from scan2albedo.core import PointLight
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, NDArray
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, NDArray, rms
 
 _NOT_SKIN = 0.2
 """Relative error of what is not skin, whose shape and reflectance are least known: .68 of the texels of
@@ -87,4 +87,4 @@ def light_uncertainty(point: Point, others: Sequence[Alternative] = ()) -> Light
     direction = tuple(float(np.sqrt(variance[3 * k : 3 * k + 2].mean())) for k in order)
     intensity = tuple(float(np.sqrt(variance[3 * k + 2])) for k in order)
     cells = point.light_deviation()
-    return LightUncertainty(direction, intensity, float(np.sqrt(np.mean(cells**2))), tuple(others))
+    return LightUncertainty(direction, intensity, rms(cells), tuple(others))

@@ -42,7 +42,7 @@ def blend_faces(
     """
     if not 0 <= weight <= 1:
         raise ApplicationError(f"weight is {weight}, expected from 0 (all {a.name}) to 1 (all {b.name})")
-    a, b = on_common_chart(a, b)
+    a, b = on_common_chart(a, b, model=model)
     toward_b = face_features.skin_gains(a, b)
     gains = toward_b**weight, toward_b ** (weight - 1)
     nearer, mask = (a if weight < 0.5 else b), a.mask
@@ -59,7 +59,7 @@ def blend_faces(
         specular_scale=_between(scales[0], scales[-1], weight) if scales else None,
         labels=nearer.image.labels if weight in (0, 1) else None,
     )
-    skins, beside = matched_skins(a, b, weight, model=model)
+    skins, beside = matched_skins(a, b, weight)
     if weight in (0, 1):
         albedo = gains[round(weight)] * skins[round(weight)]
     else:
@@ -88,15 +88,12 @@ def blend_faces(
         casts_shadows=a.casts_shadows or b.casts_shadows,
         expected_error=None,
         notes=tuple(
-            face_features.UNLIKE.format(name, nearer.name)
-            for name in face_features.unlike_features(a, b, model)
+            face_features.UNLIKE.format(name, nearer.name) for name in face_features.unlike_features(a, b)
         ),
     )
 
 
-def matched_skins(
-    a: ProcessedFace, b: ProcessedFace, weight: float, *, model: AnnotatedSurface | None = None
-) -> tuple[list[FloatArray], FloatArray]:
+def matched_skins(a: ProcessedFace, b: ProcessedFace, weight: float) -> tuple[list[FloatArray], FloatArray]:
     """Return two faces' albedos (H, W, 3), whole, and by how much (H, W, 2) B's features lie beside A's.
 
     The faces share a chart. Labels say which texels are one feature in either, see `skin_match.displacement`.
@@ -105,12 +102,12 @@ def matched_skins(
     for face, other, part, wins in ((a, b, weight, weight >= 0.5), (b, a, 1 - weight, weight < 0.5)):
         skin, share = face.albedo_linear.astype(float), min(part / _OWN_END, 1.0)
         if share > 0:
-            skin = _between(skin, continued_skin(face, other, model, wins), share)
+            skin = _between(skin, continued_skin(face, other, wins), share)
         skins.append(skin)
         labels.append(
             [face_features.named_texels(face, parts[:1]) for parts in face_features.FEATURES.values()]
         )
-        same |= face_features.taken_features(face, other, model, wins)[0]
+        same |= face_features.taken_features(face, other, wins)[0]
     beside = face_features.displacement(skins[0], skins[1], a.mask & b.mask, list(zip(*labels, strict=True)))
     # What one face gives to both lies where it is.
     reach = face_features.AROUND

@@ -9,7 +9,7 @@ from scan2albedo.albedo import AlbedoEstimate
 from scan2albedo.applications.light_removal import usual_light
 from scan2albedo.applications.template_baking import REACH_MM, Appearance, Fields, TemplateTexture, painted
 from scan2albedo.core import RawScan
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray, dots
 from scan2albedo.errors import ApplicationError
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.closest_points import surface_query
@@ -95,7 +95,7 @@ def engine_maps(
     def look(place: FloatArray, outward: FloatArray, tangents: FloatArray, steps: FloatArray) -> Fields:
         on_face, hits, everywhere = face.query(place), surface.query(place), np.ones(len(place), bool)
         pixels = pixels_from_uv(on_face.interpolated(fitted.uv, fitted.faces), estimate.image.shape)
-        facing = np.einsum("nc,nc->n", hits.interpolated(normals, scan.faces), outward)
+        facing = dots(hits.interpolated(normals, scan.faces), outward)
         known = (hits.distance <= REACH_MM) & (facing > 0)
         found = {
             **appearance(place, outward, tangents, steps),
@@ -107,9 +107,9 @@ def engine_maps(
         if on != "scan":
             # Phong tessellation, the mean of the point on the corners' tangent planes: no edges of faces.
             corners = scan.faces[hits.face]
-            off = np.einsum("nkc,nkc->nk", raw[corners] - hits.points[:, None], normals[corners])
+            off = dots(raw[corners] - hits.points[:, None], normals[corners])
             lift = np.einsum("nk,nk,nkc->nc", hits.barycentric, off, normals[corners])
-            high = np.einsum("nc,nc->n", hits.points + lift - place, outward)
+            high = dots(hits.points + lift - place, outward)
             found["displacement_mm"] = (high[:, None], known)
         return found
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from scan2albedo.applications.processed_face import SAME_PLACE_MM, FaceMesh, ProcessedFace, on_common_chart
 from scan2albedo.core import RawScan
-from scan2albedo.core.arrays import FloatArray, norms
+from scan2albedo.core.arrays import FloatArray, dots, norms
 from scan2albedo.errors import ApplicationError
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.face_model.annotation import MOUTH_REGION
@@ -142,7 +142,7 @@ def laid_on_what_is_still(moved: FloatArray, rest: FloatArray) -> FloatArray:
 def apart_where_still(neutral: FaceMesh, expression: FaceMesh) -> float:
     """Return the lower quartile of distances along the normal, mm, once aligned; see TWO_PEOPLE_MM."""
     placed = laid_on_what_is_still(expression.vertices, neutral.vertices)
-    along = np.abs(np.einsum("nk,nk->n", placed - neutral.vertices, neutral.normals))
+    along = np.abs(dots(placed - neutral.vertices, neutral.normals))
     return float(np.percentile(along, 25))
 
 

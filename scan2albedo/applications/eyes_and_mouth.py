@@ -20,7 +20,7 @@ from scan2albedo.applications.mouth import mouth_parts
 from scan2albedo.applications.processed_face import Eyeball, EyesAndMouth, ProcessedFace
 from scan2albedo.applications.template_baking import REACH_MM, TemplateTexture
 from scan2albedo.core.arguments import require_type
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, dots
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.closest_points import surface_query
 from scan2albedo.geometry.mesh import lengths, vertex_normals
@@ -140,7 +140,7 @@ def on_template(
         own = (np.abs(away) < half).all(1) & (away[:, 2] < 0)
         if part.name.startswith("eye"):
             own = (np.abs(lengths(away) - half[0]) < LID_MM) & (away[:, 2] < -half[2] / 2)
-            own &= np.einsum("nc,nc->n", outward, away) > 0
+            own &= dots(outward, away) > 0
         if not own.any():
             parts.append(replace(part, color_linear=gain * np.asarray(part.color_linear)))
     if len(parts) == len(inside.parts):

@@ -10,7 +10,7 @@ from skimage.morphology import disk
 from scan2albedo.albedo.inpainting import continued_smoothly
 from scan2albedo.applications.processed_face import ProcessedFace
 from scan2albedo.core.arrays import BoolArray, FloatArray, RealArray, norms
-from scan2albedo.face_model import AnnotatedSurface, default_model
+from scan2albedo.face_model import default_model
 from scan2albedo.face_model.appearance import CLASSES
 from scan2albedo.geometry.rasterization import area_mean
 
@@ -34,20 +34,18 @@ FLOOR = 1e-3
 """Part of the level below which albedo has no logarithm."""
 
 
-def feature_texels(face: ProcessedFace, model: AnnotatedSurface | None = None) -> dict[str, BoolArray]:
-    """Return the (H, W) texels of each of `FEATURES` that labels or annotation by `model` know."""
-    found = {name: named_texels(face, parts, model) for name, parts in FEATURES.items()}
+def feature_texels(face: ProcessedFace) -> dict[str, BoolArray]:
+    """Return the (H, W) texels of each of `FEATURES` that labels or annotation know."""
+    found = {name: named_texels(face, parts) for name, parts in FEATURES.items()}
     return {name: texels for name, texels in found.items() if texels.any()}
 
 
-def named_texels(
-    face: ProcessedFace, names: Sequence[str], model: AnnotatedSurface | None = None
-) -> BoolArray:
+def named_texels(face: ProcessedFace, names: Sequence[str]) -> BoolArray:
     """Return (H, W) the texels in the named classes of `face_model.appearance` or regions of the model.
 
     A face without labels has no classes, a face of another model no regions.
     """
-    template, image, found = default_model() if model is None else model, face.image, np.zeros_like(face.mask)
+    template, image, found = face.model or default_model(), face.image, np.zeros_like(face.mask)
     if image.labels is not None:
         found |= np.isin(image.labels, [k for k, name in enumerate(CLASSES) if name in names])
     if image.region is not None and face.model_name == template.name:
@@ -56,14 +54,14 @@ def named_texels(
     return face.mask & found
 
 
-def open_features(face: ProcessedFace, model: AnnotatedSurface | None = None) -> dict[str, bool]:
+def open_features(face: ProcessedFace) -> dict[str, bool]:
     """Return whether the eyes, and the mouth, are open; without a name that the annotation does not know.
 
     Eyes are where more of their region is likelier of any colour than of the face's own skin around it (both
     Gaussian in log albedo), a mouth where more of its surface lies between the lips, than `_OPEN`.
     """
     found: dict[str, bool] = {}
-    eyes = named_texels(face, FEATURES["eyes"][1:], model)
+    eyes = named_texels(face, FEATURES["eyes"][1:])
     inside, around = eyes & face.image.seen, grown(eyes, 2 * AROUND) & ~grown(eyes, 0) & face.bare
     if inside.any() and around.sum() > len(CLASSES):
         floor = FLOOR * face.level()
@@ -73,22 +71,22 @@ def open_features(face: ProcessedFace, model: AnnotatedSurface | None = None) ->
             away = np.linalg.solve(np.linalg.cholesky(spread), (shown - np.median(lids, axis=0)).T)
             odds -= sign * ((away**2).sum(0) + np.linalg.slogdet(spread)[1])
         found["eyes"] = bool(np.mean(odds > 0) > _OPEN)
-    mouth = named_texels(face, FEATURES["mouth"][1:], model)
+    mouth = named_texels(face, FEATURES["mouth"][1:])
     if mouth.any():
         area = norms(np.cross(*np.gradient(face.image.position, axis=(0, 1))))
-        between = grown(named_texels(face, ["between_lips"], model), 0)
+        between = grown(named_texels(face, ["between_lips"]), 0)
         found["mouth"] = bool(area[between].sum() > _OPEN * area[mouth].sum())
     return found
 
 
-def unlike_features(a: ProcessedFace, b: ProcessedFace, model: AnnotatedSurface | None = None) -> list[str]:
+def unlike_features(a: ProcessedFace, b: ProcessedFace) -> list[str]:
     """Return which of eyes and mouth are open in one of two faces and shut in the other."""
-    states = [open_features(face, model) for face in (a, b)]
+    states = [open_features(face) for face in (a, b)]
     return [name for name in states[0] if states[0][name] != states[1].get(name, states[0][name])]
 
 
 def taken_features(
-    face: ProcessedFace, other: ProcessedFace, model: AnnotatedSurface | None = None, wins: bool = True
+    face: ProcessedFace, other: ProcessedFace, wins: bool = True
 ) -> tuple[BoolArray, BoolArray]:
     """Return (H, W) texels of the features that `other` gives as a whole, and those that stay.
 
@@ -97,9 +95,9 @@ def taken_features(
     eyes and mouths stay as they are; brows and nostrils are continued.
     """
     taken, kept = np.zeros((2, *face.mask.shape), bool)
-    unlike, theirs = unlike_features(face, other, model), feature_texels(other, model)
+    unlike, theirs = unlike_features(face, other), feature_texels(other)
     shown = [f.image.seen | (f.image.seen[:, ::-1] & mirrored(f)) for f in (face, other)]
-    for name, texels in feature_texels(face, model).items():
+    for name, texels in feature_texels(face).items():
         missing, others = (float(np.mean(~seen[texels])) for seen in shown)
         if wins if name in unlike else missing > _WHOLE and others < missing / 2:
             taken |= texels | theirs.get(name, texels)
@@ -113,9 +111,9 @@ def mirrored(face: ProcessedFace) -> bool:
     return face.image.region is not None and np.array_equal(face.mask, face.mask[:, ::-1])
 
 
-def without_catchlights(face: ProcessedFace, model: AnnotatedSurface | None = None) -> FloatArray:
+def without_catchlights(face: ProcessedFace) -> FloatArray:
     """Return (H, W, 3) the albedo without reflections of lamps on the eyes: V lowered to its opening."""
-    albedo, eyes = face.albedo_linear.astype(float), named_texels(face, FEATURES["eyes"], model)
+    albedo, eyes = face.albedo_linear.astype(float), named_texels(face, FEATURES["eyes"])
     if not eyes.any():
         return albedo
     side, around = max(eyes.shape), face.mask & grown(eyes, AROUND)
@@ -127,22 +125,22 @@ def without_catchlights(face: ProcessedFace, model: AnnotatedSurface | None = No
     return albedo * factor[..., None]
 
 
-def without_gaps(face: ProcessedFace, model: AnnotatedSurface | None = None) -> ProcessedFace:
+def without_gaps(face: ProcessedFace) -> ProcessedFace:
     """Return the face with Laplace's smooth log albedo where none was seen, and on `dark_sides`."""
-    kept = np.logical_or.reduce([named_texels(face, FEATURES[n], model) for n in ("eyes", "brows", "mouth")])
-    gaps = (face.mask & ~face.image.seen & ~kept) | dark_sides(face, model)
+    kept = np.logical_or.reduce([named_texels(face, FEATURES[n]) for n in ("eyes", "brows", "mouth")])
+    gaps = (face.mask & ~face.image.seen & ~kept) | dark_sides(face)
     if not gaps.any() or not (known := face.mask & ~gaps).any():
         return face
     return replace(face, albedo_linear=continued_smoothly(face.albedo_linear, gaps, known))
 
 
-def dark_sides(face: ProcessedFace, model: AnnotatedSurface | None = None) -> BoolArray:
+def dark_sides(face: ProcessedFace) -> BoolArray:
     """Return (H, W) hair and what else is not skin on temples and cheeks along the chart's rim.
 
     Each connected part is one thing: a beard, which stays, where it covers more of the jaws than of temples
     and cheeks. Faces without labels have no such texels.
     """
-    sides, jaws = (named_texels(face, names, model) for names in (SIDES, JAWS))
+    sides, jaws = (named_texels(face, names) for names in (SIDES, JAWS))
     part, count = label(named_texels(face, ["hair", "cloth", "beard"]), np.ones((3, 3)))
     covered = [np.bincount(part[t], minlength=count + 1) / max(t.sum(), 1) for t in (sides, jaws)]
     at_rim = np.setdiff1d(part[sides & face.image.border], [0])

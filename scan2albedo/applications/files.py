@@ -12,7 +12,7 @@ from scan2albedo.applications.processed_face import NO_MODEL, SAME_PLACE_MM, Fac
 from scan2albedo.applications.relighting import relight
 from scan2albedo.core import GeometryImage, PointLight
 from scan2albedo.core.arguments import described
-from scan2albedo.core.arrays import Values
+from scan2albedo.core.arrays import Values, attributes
 from scan2albedo.core.lights import LAMP_RADIUS_DEG
 from scan2albedo.errors import ApplicationError, OutputError, Scan2AlbedoError
 from scan2albedo.geometry.rasterization import filled_from_nearest
@@ -108,14 +108,14 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
     if (folder / RESULT_FILE).is_file() or not (folder / APPLICATION_FILE).is_file():
         file = _present(folder, RESULT_FILE)
         scan = read_record(file, ResultRecord)
-        found: Values = {name: getattr(scan, name) for name in ("name", "lights", "environment")}
+        found: Values = attributes(scan, "name", "lights", "environment")
         found["model_name"] = str(scan.options.get("model", NO_MODEL))
         found["casts_shadows"] = all(step.ran for step in scan.plan if step.stage == "albedo.shadows")
         parameters, chart_mesh = scan.parameters, found["model_name"] == NO_MODEL
     else:
         file = folder / APPLICATION_FILE
         made = read_record(file, ApplicationRecord)
-        found = {name: getattr(made, name) for name in _AS_STORED} | {"model_name": made.model}
+        found = attributes(made, *_AS_STORED) | {"model_name": made.model}
         parameters, chart_mesh = made.reflectance, made.chart_mesh
         found["landmarks"] = None if made.landmarks is None else np.array(made.landmarks)
     if parameters:
@@ -213,7 +213,7 @@ def write_face(
         write_glb(staging.folder / "fitted.glb", mesh.vertices, mesh.faces, mesh.uv, preview)
         write_png(staging.folder / "picture.png", relight(face, [PORTRAIT_LIGHT]).picture().srgb())
         staging.write_record(
-            **{name: getattr(face, name) for name in _AS_STORED},
+            **attributes(face, *_AS_STORED),
             application=application,
             inputs=tuple(given.name for given in inputs),
             options=plain_json(options or {}),

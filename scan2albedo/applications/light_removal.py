@@ -23,7 +23,7 @@ from scan2albedo.applications.light_beyond_face import (
 )
 from scan2albedo.core import GeometryImage, RawScan
 from scan2albedo.core.arguments import require_type
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, smoothstep
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, GridShape, IntArray, dots, smoothstep
 from scan2albedo.errors import ApplicationError
 from scan2albedo.face_model.appearance import CLASSES
 from scan2albedo.fitting import FittedFace
@@ -245,7 +245,7 @@ def scan_on_chart(scan: RawScan, fitted: FittedFace, image: GeometryImage) -> tu
     hits = surface_query(fitted.vertices, fitted.faces).query(vertices[near])
     uv[near] = hits.interpolated(fitted.uv, fitted.faces)
     across = hits.interpolated(vertex_normals(fitted.vertices, fitted.faces), fitted.faces)
-    cosine = np.einsum("nc,nc->n", across, vertex_normals(vertices, scan.faces)[near])
+    cosine = dots(across, vertex_normals(vertices, scan.faces)[near])
     areas = image.texel_areas_mm2()
     texel_mm = float(np.sqrt(np.median(areas))) if len(areas) else 0.0
     inside = distance_transform_edt(np.pad(image.mask, 1))[1:-1, 1:-1, None]
@@ -305,7 +305,7 @@ def _unlit_texture(scan: RawScan, light: _ScanLight, brightness: float) -> _Unli
     return made
 
 
-def _tiles(shape: tuple[int, int], face: FloatArray) -> list[tuple[int, int]]:
+def _tiles(shape: GridShape, face: FloatArray) -> list[tuple[int, int]]:
     """Return the upper left corners of a texture's tiles; that with most of the `face` (N, 2) comes first.
 
     What is usual there serves for all, so that they join without a seam.

@@ -6,15 +6,15 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
-from pydantic import Field
 
 from scan2albedo.applications.processed_face import ProcessedFace
 from scan2albedo.applications.relighting import RelightOptions, relight
 from scan2albedo.core import PointLight
-from scan2albedo.core.arrays import ArrayLike, ByteArray, all_finite
+from scan2albedo.core.arrays import ArrayLike, ByteArray, GridShape, all_finite
 from scan2albedo.core.lights import LAMP_RADIUS_DEG
 from scan2albedo.io.atomic import write_bytes
 from scan2albedo.io.images import write_png
+from scan2albedo.io.records import OwnFileNames
 from scan2albedo.io.result_records import RunRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
 from scan2albedo.rendering.pictures import Picture
@@ -23,7 +23,7 @@ from scan2albedo.rendering.pictures import Picture
 class SweepRecord(RunRecord):
     """The content of a sweep's `sweep.json`."""
 
-    files: tuple[str, ...] = Field(description="Names of the files beside this one.")
+    files: OwnFileNames
 
 
 FRAMES = OwnFiles("sweep.json", SweepRecord, ("frame_*.png",), command="scan2albedo relight --sweep")
@@ -69,7 +69,7 @@ def sweep(
     others: Sequence[PointLight] = (),
     ambient: float | None = None,
     camera: ArrayLike | None = None,
-    shape: tuple[int, int] = (512, 512),
+    shape: GridShape = (512, 512),
     samples: int = 2,
     options: RelightOptions = RelightOptions(),
 ) -> Iterator[Picture]:

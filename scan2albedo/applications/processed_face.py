@@ -15,10 +15,12 @@ from scan2albedo.core.arrays import (
     Float32Array,
     FloatArray,
     IntArray,
+    Texts,
     all_finite,
     on_grid,
 )
 from scan2albedo.errors import ApplicationError
+from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.io.glb import GlbPart
@@ -138,7 +140,9 @@ class ProcessedFace:
     """(68, 3): iBUG-68 order; None where they are not known."""
     inside: EyesAndMouth | None = field(default=None, init=False)
     """What lies behind its openings, where `relight` looked for it; a copy with changes has it no more."""
-    notes: tuple[str, ...] = ()
+    model: AnnotatedSurface | None = field(default=None, repr=False, compare=False)
+    """Whose regions the image's are; the default model when None."""
+    notes: Texts = ()
     """What was decided in making it, one sentence each."""
 
     def __post_init__(self) -> None:
@@ -222,8 +226,15 @@ class ProcessedFace:
         return replace(self, name=name, image=image, mesh=mesh, landmarks=landmarks)
 
 
-def on_common_chart(*faces: ProcessedFace) -> tuple[ProcessedFace, ...]:
-    """Return the faces on the texels that all have; ApplicationError names two whose charts differ."""
+def on_common_chart(
+    *faces: ProcessedFace, model: AnnotatedSurface | None = None
+) -> tuple[ProcessedFace, ...]:
+    """Return the faces, of a `model` if given, on the texels that all have.
+
+    ApplicationError names two whose charts differ.
+    """
+    if model is not None:
+        faces = tuple(replace(face, model=model) for face in faces)
     a = faces[0]
     for b in faces[1:]:
         both = f"{a.name} and {b.name}"

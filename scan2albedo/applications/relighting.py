@@ -15,7 +15,16 @@ from scan2albedo.applications.face_features import AROUND, feature_texels, witho
 from scan2albedo.applications.processed_face import NO_MODEL, ProcessedFace
 from scan2albedo.core import EnvironmentLight, PointLight
 from scan2albedo.core.arguments import require_linear, require_type
-from scan2albedo.core.arrays import ArrayLike, Float32Array, FloatArray, norms, on_grid
+from scan2albedo.core.arrays import (
+    ArrayLike,
+    Float32Array,
+    FloatArray,
+    GridShape,
+    Texts,
+    dots,
+    norms,
+    on_grid,
+)
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.mesh import join, lengths, normalized, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, look_at, normalized_cameras
@@ -69,11 +78,11 @@ class RelitFace:
     diffuse: Float32Array
     specular: Float32Array
     """`diffuse`, `specular`: (H, W, 3)."""
-    notes: tuple[str, ...] = ()
+    notes: Texts = ()
     """What was assumed or filled, for people."""
 
     def picture(
-        self, camera: ArrayLike | None = None, *, shape: tuple[int, int] = (512, 512), samples: int = 2
+        self, camera: ArrayLike | None = None, *, shape: GridShape = (512, 512), samples: int = 2
     ) -> Picture:
         """Return what a camera sees, a portrait from the front when omitted.
 
@@ -96,7 +105,7 @@ class RelitFace:
         seen = pictures.seen_samples(mesh.vertices, mesh.faces, projection, shape, samples)
         normal = seen.interpolated(mesh.normals)
         toward = normalized(camera_centers(projection[None])[0] - seen.interpolated(mesh.vertices))
-        outside = np.einsum("nc,nc->n", normal, toward) > 0
+        outside = dots(normal, toward) > 0
         seen, normal, toward = seen.chosen(outside), normalized(normal[outside]), toward[outside]
         # The triangles of a chart lie below the curved surface, and its finer occluder would shade them:
         # Phong tessellation's 3/4 of the way to the tangent planes (Boubekeur and Alexa 2008).
@@ -144,7 +153,7 @@ class RelitFace:
             faces = faces[~gone[faces].any(1)]
         caster = RayCaster(vertices, faces) if self.face.casts_shadows else None
         # Both sides of the bag of a mouth are seen.
-        inward = np.einsum("nc,nc->n", normal, toward) < 0
+        inward = dots(normal, toward) < 0
         outward = normalized(np.where(inward[:, None], -normal, normal))
         shadows = ShadowMap(caster, position, outward, self.face.shadow_offset_mm)
         # The highlight's peak beside a white surface, as of skin above; skin's albedo is a half.
@@ -250,7 +259,7 @@ def relight(
     return RelitFace(face, light, lit[0], lit[1], lit[2], notes)
 
 
-def as_lit(face: ProcessedFace, options: RelightOptions) -> tuple[ProcessedFace, tuple[str, ...]]:
+def as_lit(face: ProcessedFace, options: RelightOptions) -> tuple[ProcessedFace, Texts]:
     """Return the face as `relight` lights it, and what was assumed for it, for people."""
     notes = []
     if options.fill_gaps:
@@ -279,7 +288,7 @@ def as_lit(face: ProcessedFace, options: RelightOptions) -> tuple[ProcessedFace,
 
 def default_camera(
     face: ProcessedFace,
-    shape: tuple[int, int] = (512, 512),
+    shape: GridShape = (512, 512),
     *,
     azimuth_rad: float = 0.0,
     elevation_rad: float = 0.0,

@@ -12,7 +12,7 @@ from scipy.ndimage import maximum_filter
 from scan2albedo.applications.light_removal import GUTTER, UnlitScan
 from scan2albedo.core import RawScan
 from scan2albedo.core.arguments import require_type
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, NDArray, RealArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, NDArray, RealArray, dots
 from scan2albedo.errors import ApplicationError
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry import mesh, rasterization
@@ -289,7 +289,7 @@ class FineShape:
         own, close = vertex_normals(vertices, faces), np.zeros(len(vertices), bool)
         base = np.zeros_like(own)
         base[boxed], close[boxed] = self._fit.normals_at(vertices[boxed])
-        close &= np.einsum("ij,ij->i", own, base) > LEAST_COSINE
+        close &= dots(own, base) > LEAST_COSINE
         kept = faces[close[faces].all(1)]
         if len(kept) == 0:
             return
@@ -340,7 +340,7 @@ class _Surface:
         whether they are within reach of this one."""
         hits = self._query.query(points)
         own, normal = (normalized(hits.interpolated(s._normals, self._faces)) for s in (self, other))
-        before = np.einsum("nc,nc->n", points - hits.points, own)
+        before = dots(points - hits.points, own)
         places = hits.interpolated(other.vertices, self._faces) + before[:, None] * normal
         return places, normal, hits.distance <= REACH_MM
 

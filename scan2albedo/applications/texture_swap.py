@@ -60,14 +60,14 @@ def swap_texture(
     for name, face in (("a", a), ("b", b)):
         require_type(face, ProcessedFace, f"swap_texture: {name}", "load_result(folder) returns one")
     require_type(options, SwapOptions, "swap_texture: options", "make them with SwapOptions()")
-    shape, skin = on_common_chart(a, b)
+    shape, skin = on_common_chart(a, b, model=model)
     levels, gains = (skin.level(), shape.level()), np.ones(3)
     if options.match_level and options.match_color:
         gains = face_features.skin_gains(skin, shape)
     elif options.match_level and min(levels) > 0:
         gains *= levels[1] / levels[0]
-    albedo = gains * continued_skin(skin, shape, model)
-    unlike = face_features.unlike_features(skin, shape, model)
+    albedo = gains * continued_skin(skin, shape)
+    unlike = face_features.unlike_features(skin, shape)
     strength = float(np.exp(np.log(gains).mean())) * skin.reflectance.specular_strength
     valid, scale = shape.mask, skin.image.specular_scale
     image = replace(shape.image, texture_linear=None, texture_valid=valid, specular_scale=scale, labels=None)
@@ -82,20 +82,18 @@ def swap_texture(
     )
 
 
-def continued_skin(
-    face: ProcessedFace, other: ProcessedFace, model: AnnotatedSurface | None = None, wins: bool = True
-) -> FloatArray:
+def continued_skin(face: ProcessedFace, other: ProcessedFace, wins: bool = True) -> FloatArray:
     """Return (H, W, 3) the albedo of a face without catchlights and `without_light_left`; `continued` where
     it was not seen, features from its own other side, or as a whole the other face's, see `taken_features`.
     """
-    taken, kept = face_features.taken_features(face, other, model, wins)
-    own, detail = (face_features.without_catchlights(f, model) for f in (face, other))
+    taken, kept = face_features.taken_features(face, other, wins)
+    own, detail = (face_features.without_catchlights(f) for f in (face, other))
     if np.allclose(own, detail, rtol=1e-6, atol=0):
         return own
     own = face_features.without_light_left(own, face, other)
-    sure, theirs = trusted(face, model), trusted(other, model)
+    sure, theirs = trusted(face), trusted(other)
     # Where either has a feature, the other one's gradients are of another place.
-    both = [texels for f in (face, other) for texels in feature_texels(f, model).values()]
+    both = [texels for f in (face, other) for texels in feature_texels(f).values()]
     featured = grown(np.logical_or.reduce([*both, np.zeros_like(kept)]), AROUND) & ~taken
     beside = featured & sure[:, ::-1] & face_features.mirrored(face)
     source = np.where(taken | (theirs & ~featured), 1, 0) + 2 * beside
@@ -104,10 +102,10 @@ def continued_skin(
     return continued(own, known, replace(other, albedo_linear=detail.astype(np.float32)), source, taken)
 
 
-def trusted(face: ProcessedFace, model: AnnotatedSurface | None = None) -> BoolArray:
+def trusted(face: ProcessedFace) -> BoolArray:
     """Return (H, W) texels that were seen, but for those close to others and for hair at the sides."""
     near = maximum_filter(face.mask & ~face.image.seen, 2 * _MARGIN + 1, mode="constant")
-    return face.mask & ~near & ~face_features.dark_sides(face, model)
+    return face.mask & ~near & ~face_features.dark_sides(face)
 
 
 def continued(

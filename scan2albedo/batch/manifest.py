@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from scan2albedo.batch.records import is_taken
+from scan2albedo.core.arrays import Texts
 from scan2albedo.core.landmarks import AUTO
 from scan2albedo.core.raw_scan import is_folder_name, scan_name
 from scan2albedo.errors import BatchError, errors_of, printable
@@ -58,7 +59,7 @@ class BatchManifest:
 
     path: Path
     scans: tuple[ManifestScan, ...]
-    extra_columns: tuple[str, ...] = ()
+    extra_columns: Texts = ()
     """Of the table, beside those with a meaning here."""
 
     @property
@@ -68,7 +69,7 @@ class BatchManifest:
 
 
 def read_manifest(
-    path: str | Path, *, leave_out: Path | None = None, name_columns: tuple[str, ...] = ()
+    path: str | Path, *, leave_out: Path | None = None, name_columns: Texts = ()
 ) -> BatchManifest:
     """Return the scans of a manifest: of a table, a list of paths, or a folder; one need not exist.
 
@@ -138,7 +139,7 @@ def _scan(source: str, folder: Path, *, where: str, name: str = "", **more: Any)
     return ManifestScan(name or scan_name(path), printable(source), path, where=where, **more)
 
 
-def _of_table(file: Path, text: str, name_columns: tuple[str, ...]) -> BatchManifest:
+def _of_table(file: Path, text: str, name_columns: Texts) -> BatchManifest:
     rows = table_rows(text, file, BatchError)
     known = (SCAN, "name", *OWN_OPTIONS)
     names = [printable(cell.strip()) for cell in (rows[0][1] if rows else [])]

@@ -10,10 +10,21 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AwareDatetime, Field
 
+from scan2albedo.core.arrays import Texts
 from scan2albedo.core.raw_scan import lost_texture
 from scan2albedo.errors import BatchError, Scan2AlbedoError
 from scan2albedo.io.atomic import make_folder, write_text
-from scan2albedo.io.records import Figures, Number, OptionalNumber, Record, read_record, write_record
+from scan2albedo.io.records import (
+    Count,
+    Figures,
+    Name,
+    Number,
+    OptionalNumber,
+    PositiveCount,
+    Record,
+    read_record,
+    write_record,
+)
 from scan2albedo.io.result_records import SHA256, RunRecord
 
 BatchOutcome = Literal["done", "failed"]
@@ -28,7 +39,7 @@ class BatchScanRecord(Record):
 
     format_version: Literal[1] = 1
     run: str = Field(description="Of the batch's run that wrote it.")
-    name: str = Field(min_length=1, description="Of the result's folder.")
+    name: Name = Field(description="Of the result's folder.")
     source: str = Field(description="Path as the manifest has it.")
     status: BatchOutcome
     reason: str = Field("", description="Why it failed, one line.")
@@ -42,9 +53,9 @@ class BatchScanRecord(Record):
     finished_at: AwareDatetime
     metrics: Figures = Field(default={}, description="As in result.json.")
     timings_s: dict[str, Number] = Field(default={}, description="Wall-clock seconds of each stage.")
-    plan_ran: tuple[str, ...] = ()
-    plan_skipped: tuple[str, ...] = ()
-    notes: tuple[str, ...] = Field(default=(), description="Repairs and warnings, as in result.json.")
+    plan_ran: Texts = ()
+    plan_skipped: Texts = ()
+    notes: Texts = Field(default=(), description="Repairs and warnings, as in result.json.")
     files: dict[str, Sha256] = Field(default={}, description="SHA-256 of every file of the result.")
 
 
@@ -63,21 +74,21 @@ class BatchRecord(RunRecord):
     status: BatchStatus = Field(description="A run that was killed is still called running.")
     manifest: str = Field(description="Path as given.")
     options: Figures = Field(description="Of the batch; lines of the manifest may set others.")
-    jobs: int = Field(ge=1, description="Processes that worked.")
-    jobs_asked: int = Field(ge=1)
+    jobs: PositiveCount = Field(description="Processes that worked.")
+    jobs_asked: PositiveCount
     scheduler: str | None = None
     started_at: AwareDatetime
     finished_at: AwareDatetime | None = None
     seconds: Number = Field(description="Of the last run.")
-    scans: int = Field(ge=0)
-    done: int = Field(ge=0)
-    failed: int = Field(ge=0)
-    not_run: int = Field(ge=0)
-    kept: int = Field(ge=0, description="Done in an earlier run, files verified.")
-    files_verified: int = Field(ge=0)
+    scans: Count
+    done: Count
+    failed: Count
+    not_run: Count
+    kept: Count = Field(description="Done in an earlier run, files verified.")
+    files_verified: Count
     scans_per_hour: OptionalNumber = Field(None, description="Of the last run, failed ones included.")
     failures: tuple[BatchFailure, ...] = ()
-    notes: tuple[str, ...] = ()
+    notes: Texts = ()
 
 
 @dataclass(frozen=True)
@@ -125,7 +136,7 @@ class BatchReport:
     failures: Mapping[str, str] = field(default_factory=dict)
     jobs: int = 1
     files_verified: int = 0
-    notes: tuple[str, ...] = ()
+    notes: Texts = ()
 
     def figures(self) -> dict[str, Any]:
         """Return the summary for JSON."""

@@ -28,6 +28,7 @@ from scan2albedo.batch.records import (
     Layout,
 )
 from scan2albedo.batch.worker import ScanTask
+from scan2albedo.core.arrays import attributes
 from scan2albedo.core.landmarks import AUTO
 from scan2albedo.core.raw_scan import lost_texture
 from scan2albedo.core.version import VERSION
@@ -318,7 +319,7 @@ class _Run:
         record = BatchRecord(
             scan2albedo_version=VERSION,
             versions=installed_versions(),
-            **{name: getattr(self, name) for name in ("run", "scheduler", "started_at")},
+            **attributes(self, "run", "scheduler", "started_at"),
             status=status,
             manifest=str(self.manifest.path),
             options=asdict(self.options),

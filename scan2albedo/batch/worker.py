@@ -16,7 +16,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from scan2albedo.batch.records import BatchOutcome, BatchScanRecord, Layout
-from scan2albedo.core.arrays import Values
+from scan2albedo.core.arrays import Texts, Values
 from scan2albedo.errors import BatchError, Scan2AlbedoError, one_line
 from scan2albedo.io.load_scan import file_sha256, input_sha256
 from scan2albedo.io.run_folder import RunFolder
@@ -48,7 +48,7 @@ class ScanTask:
     members: tuple[tuple[str, str], ...] = ()
 
     @property
-    def paths(self) -> tuple[str, ...]:
+    def paths(self) -> Texts:
         """Of all its scans."""
         return tuple(path for _, path in self.members) or (self.path,)
 

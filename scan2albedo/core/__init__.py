@@ -1,6 +1,15 @@
 """What every stage speaks: scans, geometry images, lamps, budgets, plans and traces."""
 
-from scan2albedo.core.budget import Budget, Meter, ProgressCallback, Trace, TraceRow, checked_seed
+from scan2albedo.core.budget import (
+    Budget,
+    BudgetLike,
+    Meter,
+    OnProgress,
+    ProgressCallback,
+    Trace,
+    TraceRow,
+    checked_seed,
+)
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.core.plan import Plan, PlanStep
@@ -8,9 +17,11 @@ from scan2albedo.core.raw_scan import RawScan
 
 __all__ = [
     "Budget",
+    "BudgetLike",
     "EnvironmentLight",
     "GeometryImage",
     "Meter",
+    "OnProgress",
     "Plan",
     "PlanStep",
     "PointLight",

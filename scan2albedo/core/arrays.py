@@ -15,6 +15,11 @@ IntArray = NDArray[np.int64]
 Values = dict[str, Any]
 """By name: figures, options, arrays, what becomes an object of JSON."""
 
+Texts = tuple[str, ...]
+"""Names, notes and the like, in an order that does not change."""
+GridShape = tuple[int, int]
+"""Of a picture or chart: height and width."""
+
 EPSILON = np.finfo(float).eps
 """Relative rounding error of float64."""
 SMALLEST = np.finfo(float).tiny
@@ -72,6 +77,11 @@ def checked_mesh(
     return xyz, whole
 
 
+def attributes(owner: object, *names: str) -> Values:
+    """Return attributes of an object by their names."""
+    return {name: getattr(owner, name) for name in names}
+
+
 def all_finite(values: ArrayLike) -> bool:
     """Return whether no number is NaN or infinite."""
     return bool(np.isfinite(values).all())
@@ -80,6 +90,17 @@ def all_finite(values: ArrayLike) -> bool:
 def norms(vectors: ArrayLike) -> FloatArray:
     """Return the Euclidean norms (...) of vectors (..., C)."""
     return np.linalg.norm(vectors, axis=-1)
+
+
+def rms(values: ArrayLike) -> float:
+    """Return the root mean square of values of any shape; NaN of none."""
+    array = np.asarray(values)
+    return float(np.sqrt(np.mean(array**2))) if array.size else np.nan
+
+
+def dots(one: NDArray, other: NDArray) -> NDArray:
+    """Return the scalar products (...) of vectors (..., C) and (..., C)."""
+    return np.einsum("...c,...c->...", one, other)
 
 
 def triangle_sides(corners: NDArray) -> tuple[NDArray, NDArray]:

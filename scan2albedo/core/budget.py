@@ -6,10 +6,12 @@ import csv
 import io
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import astuple, dataclass, field, fields
+from dataclasses import astuple, dataclass, fields
 from numbers import Integral, Real
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from scan2albedo.core.arrays import Texts
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -44,7 +46,7 @@ class Trace:
         return Trace(self.rows + other.rows)
 
     @property
-    def stages(self) -> tuple[str, ...]:
+    def stages(self) -> Texts:
         """Stage names in order of first appearance."""
         return tuple(dict.fromkeys(row.stage for row in self.rows))
 
@@ -126,7 +128,7 @@ class Budget:
             raise ValueError(f"Budget.evaluations must be a whole number >= 1, got {self.evaluations!r}")
 
     @classmethod
-    def of(cls, value: Budget | float | None) -> Budget:
+    def of(cls, value: BudgetLike) -> Budget:
         """Return `value` as a Budget: a number means seconds, None means no limit."""
         return value if isinstance(value, Budget) else cls(seconds=value)
 
@@ -140,24 +142,27 @@ def checked_seed(seed: int) -> int:
 
 ProgressCallback = Callable[[TraceRow], None]
 
+BudgetLike = Budget | float | None
+"""A budget as callers give it: a number means seconds, None means no limit."""
+OnProgress = ProgressCallback | None
+"""What is called with every row of a trace as it is recorded, if anything."""
 
-@dataclass
+
 class Meter:
-    """Clock, evaluation count and trace of one running stage."""
+    """Clock, evaluation count and trace of one running stage.
 
-    stage: str
-    """Name written into the trace rows."""
-    unit: str
-    """Unit of the errors recorded, for example "mm"."""
-    budget: Budget = field(default_factory=Budget)
-    """Limits that `exhausted` checks."""
-    on_progress: ProgressCallback | None = None
-    """Called with every recorded `TraceRow`."""
-    evaluations: int = 0
-    rows: list[TraceRow] = field(default_factory=list)
-    """`evaluations` spent and `rows` recorded so far."""
-    _wall_start: float = field(default_factory=time.perf_counter)
-    _cpu_start: float = field(default_factory=time.process_time)
+    `stage` is the name in the rows of the trace, `unit` that of the errors recorded, for example "mm". The
+    `evaluations` spent and the `rows` recorded so far begin at none.
+    """
+
+    def __init__(
+        self, stage: str, unit: str, budget: BudgetLike = None, on_progress: OnProgress = None
+    ) -> None:
+        self.stage, self.unit, self.on_progress = stage, unit, on_progress
+        self.budget = Budget.of(budget)
+        self.evaluations = 0
+        self.rows = list[TraceRow]()
+        self._wall_start, self._cpu_start = time.perf_counter(), time.process_time()
 
     @property
     def elapsed_s(self) -> float:

@@ -16,6 +16,7 @@ from scan2albedo.core.arrays import (
     all_finite,
     checked_array,
     checked_mesh,
+    dots,
     grid_faces,
     norms,
     triangle_sides,
@@ -168,7 +169,7 @@ class GeometryImage:
         camera = self.camera[self.mask]
         known = camera != NO_CAMERA
         away = self.camera_positions[camera[known]] - position[known]
-        toward[known] = away / np.maximum(np.sqrt(np.einsum("nc,nc->n", away, away)), _LENGTH)[:, None]
+        toward[known] = away / np.maximum(np.sqrt(dots(away, away)), _LENGTH)[:, None]
         return toward
 
     def check_normals(self) -> None:
@@ -224,7 +225,7 @@ def wound_like(vertices: FloatArray, faces: IntArray, normals: FloatArray) -> In
     """Return the triangles (F, 3), each wound to agree with the normals (V, 3) at its corners."""
     corners = vertices[faces]
     outward = np.cross(*triangle_sides(corners))
-    against = np.einsum("ij,ij->i", outward, normals[faces].sum(1)) < 0
+    against = dots(outward, normals[faces].sum(1)) < 0
     return np.where(against[:, None], faces[:, ::-1], faces)
 
 

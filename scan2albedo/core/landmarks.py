@@ -57,8 +57,7 @@ class PlacedLandmarks:
             raise ScanError("no landmark among the 68 is given; give at least one, or leave them out")
         if not (sigma_mm > 0).all() or not all_finite(sigma_mm):
             raise ScanError("a landmark's standard deviation must be finite and above 0 mm")
-        object.__setattr__(self, "points", points)
-        object.__setattr__(self, "sigma_mm", sigma_mm)
+        vars(self).update(points=points, sigma_mm=sigma_mm)
 
     @classmethod
     def of(cls, given: Any, mm_per_unit: float = 1.0) -> PlacedLandmarks:

@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 
 from scan2albedo.core.arguments import linear_doubt, require_linear
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, GridShape, IntArray, Texts
 from scan2albedo.core.landmarks import LARGEST_COORDINATE, PlacedLandmarks
 from scan2albedo.errors import ScanError, one_line, printable
 
@@ -70,12 +70,12 @@ class TextureTile:
     width: int
     height: int
 
-    def holds(self, uv: FloatArray, shape: tuple[int, int]) -> BoolArray:
+    def holds(self, uv: FloatArray, shape: GridShape) -> BoolArray:
         """Return (F,) which faces, by their corners' coordinates (F, 3, 2), lie on it in a texture (H, W)."""
         across, down = self.own_uv(uv.mean(1), shape).T
         return (across >= 0) & (across <= 1) & (down >= 0) & (down <= 1)
 
-    def own_uv(self, uv: FloatArray, shape: tuple[int, int]) -> FloatArray:
+    def own_uv(self, uv: FloatArray, shape: GridShape) -> FloatArray:
         """Return coordinates of the texture (H, W) as those of this picture alone."""
         across = (uv[..., 0] * shape[1] - self.left) / self.width
         down = ((1 - uv[..., 1]) * shape[0] - self.top) / self.height
@@ -106,7 +106,7 @@ class RawScan:
     others are transparent, or were filled in: nothing is concluded from them."""
     name: str = "scan"
     """Used in messages and output folders."""
-    notes: tuple[str, ...] = ()
+    notes: Texts = ()
     """What loading decided and repaired (unit, dropped faces, missing texture), one sentence each."""
     mm_per_unit: float = 1.0
     """Millimetres per unit of the file that it was read from."""

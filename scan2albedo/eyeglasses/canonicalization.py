@@ -6,7 +6,7 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
-from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
+from scan2albedo.core import Budget, BudgetLike, Meter, OnProgress, Plan, PlanStep, Trace
 from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray, checked_array, finite_rows
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import mean_keypoints as means
@@ -101,9 +101,9 @@ def canonicalize(
     weights: Sequence[ArrayLike] | None = None,
     mean_keypoints: ArrayLike | None = None,
     spacing: str | float = "auto",
-    budget: Budget | float | None = None,
+    budget: BudgetLike = None,
     options: CanonicalizationOptions = CanonicalizationOptions(),
-    on_progress: ProgressCallback | None = None,
+    on_progress: OnProgress = None,
 ) -> CanonicalSet:
     """Return frames without pose and bend, in their own shape or in the proportions of their mean.
 
@@ -148,7 +148,7 @@ def canonicalize(
     """
     if options.mode == "unbend" and options.handles != "turned":
         raise ValueError('handles="translated" is for mode="mean": shifts alone would bend the rims')
-    meter = Meter("eyeglasses.canonicalize", "", Budget.of(budget), on_progress)
+    meter = Meter("eyeglasses.canonicalize", "", budget, on_progress)
     if len(meshes) == 0:
         raise EyeglassesError("there is no frame to canonicalise; give one mesh or more")
     for name, each in (("keypoints", keypoints), ("weights", weights)):

@@ -8,7 +8,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import breadth_first_order
 
 from scan2albedo.core import arrays
-from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray
+from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray, Texts
 from scan2albedo.errors import EyeglassesError
 
 
@@ -52,7 +52,7 @@ KEY_POINT_PLACES = tuple(
 )
 """Where the key points go, those of a side once."""
 _SIDE = tuple(place.name for place in KEY_POINT_PLACES[2:])
-KEY_POINT_NAMES: tuple[str, ...] = (
+KEY_POINT_NAMES: Texts = (
     *(place.name for place in KEY_POINT_PLACES[:2]),
     *(f"{side}_{name}" for side in ("left", "right") for name in _SIDE),
 )

@@ -145,7 +145,7 @@ def surface_cells(triangles: FloatArray, limit: int) -> IntArray | None:
         # Large ones are halved across their longest side, from a to b: they cost their area, not their box.
         large = np.ptp(left, axis=1).max(1) > 1.5
         small, left = [*small, left[~large]], left[large]
-        longest = np.linalg.norm(np.roll(left, -1, 1) - left, axis=2).argmax(1)[:, None]
+        longest = norms(np.roll(left, -1, 1) - left).argmax(1)[:, None]
         a, b, c = np.take_along_axis(left, (longest + np.arange(3))[..., None] % 3, 1).transpose(1, 0, 2)
         middle = (a + b) / 2
         left = np.concatenate([np.stack([a, middle, c], 1), np.stack([middle, b, c], 1)])

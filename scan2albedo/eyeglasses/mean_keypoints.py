@@ -181,7 +181,7 @@ def outliers(keypoints: Sequence[FloatArray], widths: FloatArray) -> dict[int, s
         known = np.isfinite(aligned).any((0, 2))
         center = np.full_like(aligned[0], np.nan)
         center[known] = np.nanmedian(aligned[:, known], axis=0)
-    off = np.linalg.norm(aligned - center, axis=2)
+    off = norms(aligned - center)
     shapes = np.sqrt(np.nanmean(off**2, axis=1))
     found: dict[int, str] = {}
     least = 0.0

@@ -6,7 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core.arrays import SMALLEST, FloatArray, IntArray, all_finite, finite_rows, identities, norms
+from scan2albedo.core.arrays import (
+    SMALLEST,
+    FloatArray,
+    IntArray,
+    all_finite,
+    finite_rows,
+    identities,
+    norms,
+    rms,
+)
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, MIRROR
 from scan2albedo.eyeglasses.mean_keypoints import FRONT, RIMS, SIDES, align_key_points, is_posable
 from scan2albedo.eyeglasses.skinning import turned_translations
@@ -102,7 +111,7 @@ def front_halves(
     if moved.max() > _FARTHEST * size:
         return FrontHalves(reflection, start, np.nan)
     distance = query.query(transform_points(pose, moving)).distance
-    return FrontHalves(reflection, pose, float(np.sqrt((distance**2).mean())))
+    return FrontHalves(reflection, pose, rms(distance))
 
 
 def unbent_transforms(points: FloatArray, halves: FrontHalves | None) -> FloatArray:

@@ -12,7 +12,9 @@ from scan2albedo.core.arrays import (
     ArrayLike,
     BoolArray,
     FloatArray,
+    GridShape,
     NDArray,
+    Texts,
     all_finite,
     checked_array,
     norms,
@@ -22,7 +24,7 @@ from scan2albedo.eyeglasses.frame_files import KeyPointName, LengthUnit, named_k
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
 from scan2albedo.io.atomic import make_folder
 from scan2albedo.io.images import read_image_linear, write_png
-from scan2albedo.io.records import Record, Row, write_record
+from scan2albedo.io.records import PositiveCount, Record, Row, write_record
 from scan2albedo.io.units import MM_PER_UNIT
 
 
@@ -36,7 +38,7 @@ class Camera:
     name: str
     matrix: FloatArray
     """(3, 4): pixels (column, row), centres at integers, from points in mm; any scale and sign."""
-    shape: tuple[int, int]
+    shape: GridShape
 
     def __post_init__(self) -> None:
         checked_name(self.name)
@@ -78,8 +80,8 @@ class CameraEntry(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: CameraName = Field(min_length=1)
-    width: int = Field(ge=1, description="Of the picture in pixels.")
-    height: int = Field(ge=1, description="Of the picture in pixels.")
+    width: PositiveCount = Field(description="Of the picture in pixels.")
+    height: PositiveCount = Field(description="Of the picture in pixels.")
     matrix: tuple[Row, Row, Row] = Field(
         description="Row-major 3x4: pixels (column, row), centres of pixels at integers, from points."
     )
@@ -182,7 +184,7 @@ def read_masks(folder: str | Path, cameras: Sequence[Camera]) -> tuple[BoolArray
 class ViewLabels:
     """Labels: `pixels` (C, 20, 2), column and row in the views of `camera_names`, NaN for missing ones."""
 
-    camera_names: tuple[str, ...]
+    camera_names: Texts
     pixels: FloatArray
 
     def of_cameras(self, names: Sequence[str]) -> FloatArray:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
-from scan2albedo.core import Budget, Meter, Plan, ProgressCallback, Trace
+from scan2albedo.core import BudgetLike, Meter, OnProgress, Plan, Trace
 from scan2albedo.core.arrays import EPSILON, ArrayLike, FloatArray, IntArray
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.embedding import MAX_NODES, embed
@@ -52,7 +52,7 @@ def bounded_biharmonic_weights(
     faces: ArrayLike,
     handles: ArrayLike,
     spacing: str | float = "auto",
-    budget: Budget | float | None = None,
+    budget: BudgetLike = None,
 ) -> FloatArray:
     """Return the weights (V, K) of `solve_weights` alone.
 
@@ -78,13 +78,13 @@ def solve_weights(
     faces: ArrayLike,
     handles: ArrayLike,
     spacing: str | float = "auto",
-    budget: Budget | float | None = None,
+    budget: BudgetLike = None,
     *,
     max_nodes: int = MAX_NODES,
     tolerance: float = TOLERANCE,
     names: Sequence[str] | None = None,
     meter: Meter | None = None,
-    on_progress: ProgressCallback | None = None,
+    on_progress: OnProgress = None,
 ) -> BoundedBiharmonicWeights:
     """Return smooth weights of key points over a mesh of any kind.
 
@@ -126,7 +126,7 @@ def solve_weights(
     the lattice's matrix a step, 5 to 10 steps a handle.
     """
     if meter is None:
-        meter = Meter("eyeglasses.weights", "scaled KKT residual", Budget.of(budget), on_progress)
+        meter = Meter("eyeglasses.weights", "scaled KKT residual", budget, on_progress)
     xyz, index = checked_mesh(vertices, faces)
     marks = checked_points("handles", handles)
     embedding = embed(xyz, index, marks, spacing, max_nodes=max_nodes, names=names)

@@ -13,13 +13,13 @@ from typing import Literal, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, IntArray, Values, triangle_sides
+from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, IntArray, Texts, Values, triangle_sides
 from scan2albedo.errors import ModelError
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.operators import linear_refinement
 from scan2albedo.io.npz import Arrays, read_npz, write_npz
-from scan2albedo.io.records import read_record, write_record
+from scan2albedo.io.records import Count, PositiveCount, read_record, write_record
 
 LANDMARK_LEVELS = 3
 """Refinements at which landmarks and template vertices are evaluated (linear inside refined faces)."""
@@ -91,7 +91,7 @@ class AnnotatedSurface:
     template_uv: FloatArray | None = None
     template_from_model: FloatArray | None = None
     face_uv: FloatArray | None = None
-    notes: tuple[str, ...] = ()
+    notes: Texts = ()
     name: str = "annotated face model"
     _subdivisions: dict[int, LoopSubdivision] = field(default_factory=dict, repr=False, compare=False)
 
@@ -326,9 +326,9 @@ class FaceModelFile(BaseModel):
     )
     arrays: str = Field(description="file name of the .npz, in the same folder", pattern=r"^[^/\\]+\.npz$")
     control_vertices: int = Field(ge=3, description="C")
-    control_faces: int = Field(ge=1, description="F")
+    control_faces: PositiveCount = Field(description="F")
     landmarks: Literal[0, 68] = Field(description="0, or 68 in iBUG order")
-    template_vertices: int = Field(ge=0, description="T, 0 when the model carries no dense template")
-    template_faces: int = Field(ge=0, description="T_F")
+    template_vertices: Count = Field(description="T, 0 when the model carries no dense template")
+    template_faces: Count = Field(description="T_F")
     notes: list[str] = Field(default=[], description="what was decided and mended when the model was made")
     regions: dict[str, RegionEntry] = Field(description="by name, for example left_cheek")

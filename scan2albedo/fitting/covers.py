@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import norm
 
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import BoolArray, FloatArray, norms
+from scan2albedo.core.arrays import BoolArray, FloatArray, dots, norms
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.variation import shape_modes
 from scan2albedo.fitting.forces import ForceGates, scan_forces
@@ -83,8 +83,8 @@ def persons_face(scan: ScanSurface, model: AnnotatedSurface, reference: FloatArr
         forces = scan_forces(scan, points, normals, gates)
         if not forces.weight.any():
             return None
-        gap = np.einsum("ni,ni->n", forces.offset, forces.normal)
-        before = np.einsum("ni,ni->n", forces.offset, normals) > 0
+        gap = dots(forces.offset, forces.normal)
+        before = dots(forces.offset, normals) > 0
         # Of Geman and McClure's weights: 12 mm at first, 2 mm at last for scan before the face, 6 mm behind.
         scale = np.where(before, *(between((12.0, last), now.steps / (STEPS - 1)) for last in (2.0, 6.0)))
         trust = (forces.weight > 0) / (1 + (gap / scale) ** 2) ** 2
@@ -105,7 +105,7 @@ def _covers(scan: ScanSurface, model: AnnotatedSurface, person: FloatArray) -> B
     rim = mesh.boundary_vertex_mask(len(points), faces)
     face = ScanSurface(points, faces, surface_normals(points, faces)[0], rim)
     hits = face.nearest.query(scan.vertices)
-    before_mm = np.einsum("ij,ij->i", scan.vertices - hits.points, mesh.normalized(face.normals_at(hits)))
+    before_mm = dots(scan.vertices - hits.points, mesh.normalized(face.normals_at(hits)))
     # How far off the nose is, which no lens covers, shows how well the person's face is known.
     x, y, _ = (hits.points - landmarks[28]).T
     nose = (np.abs(x) < (landmarks[35, 0] - landmarks[31, 0]) / 2) & (y < 0)
@@ -116,7 +116,7 @@ def _covers(scan: ScanSurface, model: AnnotatedSurface, person: FloatArray) -> B
     near &= (y > lowest_mm) & ~nose & ~face.on_boundary(hits)
     part = mesh.vertex_components(len(near), scan.faces[near[scan.faces].all(1)])
     eyes = np.array([landmarks[list(eye)].mean(0) for eye in EYES])
-    aside = np.linalg.norm(scan.vertices[:, None, :2] - eyes[:, :2], axis=2).min(1)
+    aside = norms(scan.vertices[:, None, :2] - eyes[:, :2]).min(1)
     cover = near & np.isin(part, part[near & (aside < EYE_MM)])
     if not cover.any():
         return cover

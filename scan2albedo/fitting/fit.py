@@ -5,7 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
-from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, RawScan
+from scan2albedo.core import BudgetLike, Meter, OnProgress, Plan, PlanStep, RawScan
 from scan2albedo.core.arguments import described, require_type
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import FitError
@@ -41,10 +41,10 @@ def fit(
     scan: RawScan,
     model: AnnotatedSurface,
     reg: Posed | FloatArray,
-    budget: Budget | float | None = None,
+    budget: BudgetLike = None,
     *,
     options: FitOptions | None = None,
-    on_progress: ProgressCallback | None = None,
+    on_progress: OnProgress = None,
 ) -> FittedFace:
     """Return the model's limit surface deformed onto a scan, with the refined pose.
 
@@ -92,7 +92,7 @@ def fit(
         raise ValueError(f"model_from_scan has shape {pose.shape}, expected (4, 4)")
     if not is_rigid(pose, 1e-3):
         raise ValueError("model_from_scan must be a rigid transform (rotation and translation, no scale)")
-    meter = Meter("fit", "mm", Budget.of(budget), on_progress)
+    meter = Meter("fit", "mm", budget, on_progress)
     samples = SurfaceSamples.of(model, model.control_vertices, 0)
     surface = scan_beside(scan, samples, model.control_vertices, pose, chosen)
     placed, seen = LandmarkPull.of(model, scan.landmarks, pose), openings(surface, model)

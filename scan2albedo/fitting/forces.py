@@ -6,11 +6,12 @@ from typing import Self
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, norms
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, dots, norms
 from scan2albedo.core.compiled import compiled, triple
 from scan2albedo.fitting.options import GATE_MM, FitOptions, between
 from scan2albedo.fitting.scan_surface import ScanSurface
-from scan2albedo.geometry.closest_points import nearest_around, walk_downhill
+from scan2albedo.geometry.closest_points import mixed, nearest_around, walk_downhill
+from scan2albedo.geometry.rigid import dot
 
 MIN_NORMAL_COSINE = 0.6
 """Least cosine between the normals of model and scan where a force acts."""
@@ -103,9 +104,9 @@ def scan_forces(
     offset, normal, distance, border = pulled(
         samples, vertex, *scan.nearest.arrays, scan.normals, scan.boundary
     )
-    agreement = np.einsum("ij,ij->i", normal, sample_normals)
+    agreement = dots(normal, sample_normals)
     open_gate = ~border & (distance < gates.distance_mm) & (agreement > MIN_NORMAL_COSINE)
-    across = np.einsum("ij,ij->i", normal, offset)
+    across = dots(normal, offset)
     weight = np.where(open_gate, robust_weights(across, open_gate, gates, rim), 0.0)
     near = np.where(border, np.nan, np.minimum(distance, gates.distance_mm))
     return ScanForces(weight, gates.tangential, offset, normal, near, vertex)
@@ -142,19 +143,15 @@ def pulled(points, vertex, xyz, faces, ring, ring_start, near, near_start, norma
     offset, normal = np.empty((count, 3)), np.empty((count, 3))
     distance, border = np.empty(count), np.empty(count, np.bool_)
     for i in range(count):
-        x, y, z = triple(points, i)
-        v = walk_downhill(x, y, z, vertex[i], xyz, near, near_start)
-        vertex[i] = v
-        best, nearest, k0, k1, k2, px, py, pz = nearest_around(x, y, z, v, xyz, faces, ring, ring_start)
-        offset[i, 0], offset[i, 1], offset[i, 2] = px, py, pz
+        point = triple(points, i)
+        vertex[i] = walk_downhill(point, vertex[i], xyz, near, near_start)
+        best, nearest, weights, offset[i] = nearest_around(point, vertex[i], xyz, faces, ring, ring_start)
         distance[i] = np.sqrt(best)
         a, b, c = triple(faces, nearest)
-        nx = k0 * normals[a, 0] + k1 * normals[b, 0] + k2 * normals[c, 0]
-        ny = k0 * normals[a, 1] + k1 * normals[b, 1] + k2 * normals[c, 1]
-        nz = k0 * normals[a, 2] + k1 * normals[b, 2] + k2 * normals[c, 2]
-        size = max(np.sqrt(nx * nx + ny * ny + nz * nz), 1e-300)
-        normal[i, 0], normal[i, 1], normal[i, 2] = nx / size, ny / size, nz / size
-        border[i] = k0 * boundary[a] + k1 * boundary[b] + k2 * boundary[c] > 0.999
+        n = mixed(weights, triple(normals, a), triple(normals, b), triple(normals, c))
+        size = max(np.sqrt(dot(n, n)), 1e-300)
+        normal[i] = n[0] / size, n[1] / size, n[2] / size
+        border[i] = dot(weights, (boundary[a], boundary[b], boundary[c])) > 0.999
     return offset, normal, distance, border
 
 
@@ -166,15 +163,12 @@ def springs(offset, normal, across, along):  # type: ignore[no-untyped-def]
     """
     force, stiffness = np.empty((len(offset), 3)), np.empty((len(offset), 6))
     for i in range(len(offset)):
-        x, y, z = triple(normal, i)
-        pull = across[i] * (x * offset[i, 0] + y * offset[i, 1] + z * offset[i, 2])
-        force[i, 0] = pull * x + along[i] * offset[i, 0]
-        force[i, 1] = pull * y + along[i] * offset[i, 1]
-        force[i, 2] = pull * z + along[i] * offset[i, 2]
-        stiffness[i, 0] = across[i] * x * x + along[i]
-        stiffness[i, 1] = across[i] * y * y + along[i]
-        stiffness[i, 2] = across[i] * z * z + along[i]
-        stiffness[i, 3] = across[i] * x * y
-        stiffness[i, 4] = across[i] * x * z
-        stiffness[i, 5] = across[i] * y * z
+        n = triple(normal, i)
+        pull = across[i] * dot(n, triple(offset, i))
+        for k in range(3):
+            force[i, k] = pull * n[k] + along[i] * offset[i, k]
+            stiffness[i, k] = across[i] * n[k] * n[k] + along[i]
+        stiffness[i, 3] = across[i] * n[0] * n[1]
+        stiffness[i, 4] = across[i] * n[0] * n[2]
+        stiffness[i, 5] = across[i] * n[1] * n[2]
     return force, stiffness

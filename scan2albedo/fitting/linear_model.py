@@ -9,8 +9,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import pdist
 
-from scan2albedo.core import Budget, Meter, PlanStep, ProgressCallback, RawScan, Trace
-from scan2albedo.core.arrays import EPSILON, BoolArray, FloatArray, IntArray
+from scan2albedo.core import BudgetLike, Meter, OnProgress, PlanStep, RawScan, Trace
+from scan2albedo.core.arrays import EPSILON, BoolArray, FloatArray, IntArray, attributes, dots
 from scan2albedo.errors import FitError
 from scan2albedo.fitting.alignment import SIZE_SD
 from scan2albedo.fitting.options import GATE_MM, FitOptions
@@ -107,7 +107,7 @@ class LinearModelFit:
             "mm_per_unit": model.mm_per_unit,
             "scale": self.pose.scale / model.mm_per_unit,
             "residual_mean_mm": np.nanmean(self.residual_mm),
-            **{name: getattr(self, name) for name in ("noise_mm", "observations", "converged")},
+            **attributes(self, "noise_mm", "observations", "converged"),
         }
         return LinearModelRecord(**plain_json(content))
 
@@ -149,7 +149,7 @@ class _Term:
         first, second = np.triu_indices(len(near), 1)
         spacing = np.median(cKDTree(where).query(where, k=2)[0][:, 1])
         bins = (pdist(where) / spacing).astype(int)
-        product = np.bincount(bins, np.einsum("nd,nd->n", pull[first], pull[second]))
+        product = np.bincount(bins, dots(pull[first], pull[second]))
         ends = np.flatnonzero((product <= 0) & (np.bincount(bins) > 0))
         within = product[: ends[0] if len(ends) else None].sum()
         crowd = 1 + 2 * within / np.sum(pull**2) * len(there) / len(near)
@@ -252,8 +252,8 @@ def fit_linear_model(
     model: LinearFaceModel,
     places: SurfacePoints,
     weight: FloatArray,
-    budget: Budget | float | None = None,
-    on_progress: ProgressCallback | None = None,
+    budget: BudgetLike = None,
+    on_progress: OnProgress = None,
 ) -> LinearModelFit:
     """Return the most probable pose, shape, expression and joints' rotations of a linear model on a scan.
 
@@ -279,7 +279,7 @@ def fit_linear_model(
     budget, on_progress
         See `fit`; the best answer so far is returned with ``converged=False``.
     """
-    meter = Meter("linear_model", "mm", Budget.of(budget), on_progress)
+    meter = Meter("linear_model", "mm", budget, on_progress)
     task = _Task.of(scan, fitted, model, places, weight)
     state, along = task.placed(meter)
     surface = task.scan_around(scan, fitted, state)
@@ -306,7 +306,7 @@ def fit_linear_model(
     normals = vertex_normals(vertices, model.faces)
     hits = surface.nearest.query(vertices)
     shown = ~surface.on_boundary(hits) & (hits.distance < RESIDUAL_GATE_MM)
-    shown &= np.einsum("ij,ij->i", surface.normals_at(hits), normals) > 0
+    shown &= dots(surface.normals_at(hits), normals) > 0
     residual = np.where(shown, hits.distance, np.nan)
     observations = across.share * float(across.weight.sum())
     evidence = f"{np.nanmean(residual):.3f} mm mean, {observations:.0f} independent observations"
@@ -322,7 +322,7 @@ def fit_linear_model(
         deviation=state.deviation,
         vertices=vertices,
         residual_mm=residual,
-        displacement_mm=np.where(shown, np.einsum("ij,ij->i", hits.points - vertices, normals), np.nan),
+        displacement_mm=np.where(shown, dots(hits.points - vertices, normals), np.nan),
         noise_mm=across.scale,
         observations=observations,
         converged=converged,
@@ -362,7 +362,7 @@ class _Task:
         corners, shares = fitted.faces[places.face[index]], places.barycentric[index]
         known = shares.any(1)
         area = vertex_areas(model.mm_per_unit * model.mean, model.faces)[index]
-        skin = np.where(known, np.einsum("nk,nk->n", shares, weight[corners]), 1.0)
+        skin = np.where(known, dots(shares, weight[corners]), 1.0)
         counts = skin * area / area.mean()
         if not (known & (counts > 0)).any():
             raise FitError(
@@ -423,7 +423,7 @@ class _Task:
         outward = vertex_normals(state.of(self.model), self.model.faces)[self.index]
         hits = surface.nearest.query(state.points)
         normal = normalized(surface.normals_at(hits))
-        facing = np.einsum("ij,ij->i", normal, outward) > 0
+        facing = dots(normal, outward) > 0
         there = ~surface.on_boundary(hits) & facing & (self.counts > 0)
         if not (there & self.known).any():
             return None

@@ -14,7 +14,7 @@ from typing import Self
 import numpy as np
 from scipy import sparse
 
-from scan2albedo.core.arrays import FloatArray, norms
+from scan2albedo.core.arrays import FloatArray, dots, norms
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.fitting.dynamics import factorized
@@ -221,7 +221,7 @@ class MouthSearch:
         points, jaw = samples.matrix @ control_points, weight > 0
         hits = scan.nearest.query(points[jaw])
         normals = surface_normals(points, samples.faces)[0][jaw]
-        agreement = np.einsum("ij,ij->i", scan.normals_at(hits), normals)
+        agreement = dots(scan.normals_at(hits), normals)
         distance = np.where(agreement > 0, np.minimum(hits.distance, REACH_MM), REACH_MM)
         return float(weight[jaw] @ distance / max(weight.sum(), 1e-300))
 
@@ -235,7 +235,7 @@ class MouthSearch:
         points, faces = subdivision.matrix @ control_points, subdivision.faces[film]
         across = face_cross_products(points, faces)
         hits = scan.nearest.query(points[faces].mean(axis=1))
-        agreement = np.einsum("ij,ij->i", normalized(scan.normals_at(hits)), normalized(across))
+        agreement = dots(normalized(scan.normals_at(hits)), normalized(across))
         missing = (hits.distance > BEHIND_MM) | scan.on_boundary(hits) | (agreement < 0.5)
         area = lengths(across)
         return float(area @ missing / max(area.sum(), 1e-300))
@@ -294,7 +294,7 @@ def mouth_distances(
     surface, faces = samples.matrix @ control_points, samples.faces
     hits = NearestSurface(surface, faces).query(scan.vertices[near])
     across = normalized(hits.interpolated(surface_normals(surface, faces)[0], faces))
-    facing = np.einsum("ij,ij->i", across, scan.normals[near]) > MIN_COSINE
+    facing = dots(across, scan.normals[near]) > MIN_COSINE
     distance, left = np.minimum(hits.distance, REACH_MM), scan.vertices[near, 0] > middle[0]
     sides = [distance[facing & (left == side)] for side in (False, True)]
     return np.array([side.mean() if len(side) else np.nan for side in sides])

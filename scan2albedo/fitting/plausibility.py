@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scan2albedo.core import PlanStep
-from scan2albedo.core.arrays import SMALLEST, BoolArray, norms
+from scan2albedo.core.arrays import SMALLEST, BoolArray, Texts, dots, norms
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.fitting.result import FittedFace
@@ -70,7 +70,7 @@ def face_coverage(fitted: FittedFace) -> float:
     return float(area @ (~np.isnan(fitted.residual_mm))[fitted.faces].mean(1) / max(area.sum(), SMALLEST))
 
 
-def missing_parts(fitted: FittedFace) -> tuple[str, ...]:
+def missing_parts(fitted: FittedFace) -> Texts:
     """Return the names of the face's parts (`PARTS`) that have no scan near; none without landmarks."""
     landmarks = fitted.model.landmarks
     if landmarks is None:
@@ -114,7 +114,7 @@ def asymmetry(fitted: FittedFace) -> tuple[float, str] | None:
     weight, robust = area * (seen & upper), np.ones(len(points))
     for _ in range(6):
         laid = transform_points(procrustes(image, points, weights=weight * robust), image)
-        distance = np.einsum("ij,ij->i", laid - points, normals)
+        distance = dots(laid - points, normals)
         robust = 1 / (1 + distance**2)
 
     def unlike_mm(where: BoolArray, patch_mm: float) -> float:

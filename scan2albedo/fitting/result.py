@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scan2albedo.core import Plan, PlanStep, Trace
-from scan2albedo.core.arrays import EPSILON, SMALLEST, BoolArray, FloatArray, IntArray, norms
+from scan2albedo.core.arrays import EPSILON, SMALLEST, BoolArray, FloatArray, IntArray, dots, norms, rms
 from scan2albedo.errors import FitError
 from scan2albedo.face_model import default_model
 from scan2albedo.face_model.annotation import FittedSurface
@@ -99,7 +99,7 @@ def fitted_face(
         norms(points[edges[:, 0]] - points[edges[:, 1]]) for points in (deformation.reference, control)
     )
     floor = 1e-6 * float(before.mean())
-    strain = float(np.sqrt(np.mean(np.log(np.maximum(after, floor) / np.maximum(before, floor)) ** 2)))
+    strain = rms(np.log(np.maximum(after, floor) / np.maximum(before, floor)))
     metrics = {
         "residual_mean_mm": float(known.mean()),
         "residual_median_mm": float(np.median(known)),
@@ -189,7 +189,7 @@ def mirror_distance_mm(scan: ScanSurface, points: FloatArray) -> float:
     def pairs(now: Alignment, image: FloatArray) -> Pairs:
         hits = scan.nearest.query(image)
         offset, normal = hits.points - image, normalized(scan.normals_at(hits))
-        plane_mm = np.einsum("ij,ij->i", offset, normal)
+        plane_mm = dots(offset, normal)
         spread = np.median(plane_mm**2) + EPSILON
         return Pairs(offset, normal, (spread / (spread + plane_mm**2)) ** 2)
 
@@ -204,7 +204,7 @@ def residuals_mm(
     """Return (V,) distances to the scan; NaN on its border, beyond the gate, or where it faces away."""
     exact = exact and len(scan.faces) <= MAX_EXACT_FACES
     hits = (ClosestPointQuery(scan.vertices, scan.faces) if exact else scan.nearest).query(vertices)
-    facing = np.einsum("ij,ij->i", scan.normals_at(hits), vertex_normals(vertices, faces)) > 0
+    facing = dots(scan.normals_at(hits), vertex_normals(vertices, faces)) > 0
     return np.where(~scan.on_boundary(hits) & (hits.distance < gate_mm) & facing, hits.distance, np.nan)
 
 

@@ -8,12 +8,13 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray, dots
 from scan2albedo.core.compiled import compiled, triple
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import MOUTH_REGION
 from scan2albedo.geometry.mesh import boundary_vertex_mask, normalized, vertex_areas
 from scan2albedo.geometry.operators import vertex_average
+from scan2albedo.geometry.rigid import cross, dot, minus
 
 RIM_MM = 30.0
 _LEAST_RELIEF = 0.1
@@ -69,7 +70,7 @@ class SurfaceSamples:
         # The matrix leaves out distances of zero: each sample itself.
         around = sparse.coo_matrix((self.area[near.col], (near.row, near.col)), shape).tocsr()
         mean = normalized(around @ normals + self.area[:, None] * normals)
-        return _LEAST_RELIEF + np.minimum(1 - np.einsum("ij,ij->i", normals, mean), _MOST_RELIEF)
+        return _LEAST_RELIEF + np.minimum(1 - dots(normals, mean), _MOST_RELIEF)
 
     def product(self, stiffness: FloatArray) -> Callable[[FloatArray], FloatArray]:
         """Return x -> S^T H S x for displacements x (C, 3), H the stiffness (N, 6) at the samples."""
@@ -83,18 +84,17 @@ def surface_normals(points, faces):  # type: ignore[no-untyped-def]
     vertex, face = np.zeros((len(points), 3)), np.zeros((len(faces), 3))
     for f in range(len(faces)):
         i, j, k = triple(faces, f)
-        ax, ay, az = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], points[j, 2] - points[i, 2]
-        bx, by, bz = points[k, 0] - points[i, 0], points[k, 1] - points[i, 1], points[k, 2] - points[i, 2]
-        x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        first = triple(points, i)
+        n = cross(minus(triple(points, j), first), minus(triple(points, k), first))
         for v in (i, j, k):
-            vertex[v, 0] += x
-            vertex[v, 1] += y
-            vertex[v, 2] += z
-        length = np.sqrt(x * x + y * y + z * z)
+            for c in range(3):
+                vertex[v, c] += n[c]
+        length = np.sqrt(dot(n, n))
         if length > 0:
-            face[f, 0], face[f, 1], face[f, 2] = x / length, y / length, z / length
+            face[f] = n[0] / length, n[1] / length, n[2] / length
     for v in range(len(vertex)):
-        length = np.sqrt(vertex[v, 0] ** 2 + vertex[v, 1] ** 2 + vertex[v, 2] ** 2)
+        n = triple(vertex, v)
+        length = np.sqrt(dot(n, n))
         if length > 0:
             for k in range(3):
                 vertex[v, k] /= length

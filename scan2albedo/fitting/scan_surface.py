@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, dots
 from scan2albedo.geometry import mesh
 from scan2albedo.geometry.closest_points import ClosestHits, NearestSurface
 from scan2albedo.geometry.oriented_points import above_neighbours
@@ -67,7 +67,7 @@ class ScanSurface:
         """Return the surface, reversed when most normals disagree with the model's `normals` at `points`."""
         hits = self.nearest.query(points)
         near = hits.distance < reach_mm
-        agreement = np.einsum("ij,ij->i", self.normals_at(hits)[near], normals[near])
+        agreement = dots(self.normals_at(hits)[near], normals[near])
         if np.sum(agreement > 0) >= np.sum(agreement < 0):
             return self
         return ScanSurface(self.vertices, self.faces[:, ::-1].copy(), -self.normals, self.boundary)

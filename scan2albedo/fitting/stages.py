@@ -7,7 +7,7 @@ import numpy as np
 from scipy import sparse
 
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, norms
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, dots, norms
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.fitting.dynamics import ImplicitSystem
 from scan2albedo.fitting.forces import ForceGates, ScanForces, scan_forces
@@ -61,7 +61,7 @@ class FoldFinder:
 
     def _cosine(self, vertices: FloatArray) -> FloatArray:
         normals = surface_normals(vertices, self._faces)[1]
-        return np.einsum("ij,ij->i", normals[self._pairs[:, 0]], normals[self._pairs[:, 1]])
+        return dots(normals[self._pairs[:, 0]], normals[self._pairs[:, 1]])
 
 
 @dataclass(frozen=True)
@@ -266,5 +266,5 @@ def guarded(
 def turned_faces(normals: FloatArray, points: FloatArray, faces: IntArray, min_cosine: float) -> IntArray:
     """Return the faces whose normal, with vertices at `points`, turned too far from unit `normals` (F, 3)."""
     turned = surface_normals(points, faces)[1]
-    cosine = np.einsum("ij,ij->i", normals, turned)
+    cosine = dots(normals, turned)
     return np.flatnonzero((cosine < min_cosine) & normals.any(1) & turned.any(1))

@@ -6,7 +6,7 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from scan2albedo.core import Budget, Meter, ProgressCallback, RawScan
+from scan2albedo.core import Budget, Meter, OnProgress, RawScan
 from scan2albedo.core.arrays import SMALLEST, BoolArray, FloatArray
 from scan2albedo.errors import FitError
 from scan2albedo.fitting.alignment import aligned
@@ -48,9 +48,7 @@ class FaceTracker:
     frame's shape with jaw and corners moved, in every frame, so that errors do not add up.
     """
 
-    def __init__(
-        self, first: FittedFace, options: FitOptions, on_progress: ProgressCallback | None = None
-    ) -> None:
+    def __init__(self, first: FittedFace, options: FitOptions, on_progress: OnProgress = None) -> None:
         self._model, self._options, self._rest = first.model, options, first.control_points
         self._samples = samples = SurfaceSamples.of(first.model, self._rest, 0)
         hinge, corners = JawHinge.of(first.model, self._rest), corner_moves(first.model, self._rest)

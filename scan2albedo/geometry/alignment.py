@@ -7,10 +7,10 @@ from typing import Self
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from scan2albedo.core.arrays import FloatArray, NDArray
-from scan2albedo.core.compiled import compiled
+from scan2albedo.core.arrays import FloatArray, NDArray, dots
+from scan2albedo.core.compiled import compiled, triple
 from scan2albedo.geometry.oriented_points import OrientedPoints
-from scan2albedo.geometry.rigid import Similarity, dot, rotation_from_vector
+from scan2albedo.geometry.rigid import Similarity, cross, dot, rotation_from_vector
 from scan2albedo.optimization.least_squares import SMALLEST_DIAGONAL, NormalEquations, damped_step
 
 
@@ -87,12 +87,12 @@ def align(
         turned = (moved - pose.translation)[index]
         rows = np.empty((len(index), 7 + count))
         rows[:, :3], rows[:, 3:6] = np.cross(turned, normal), normal
-        rows[:, 6] = np.einsum("ij,ij->i", turned, normal)
+        rows[:, 6] = dots(turned, normal)
         if by is not None:
             rows[:, 7:] = ((pose.scale * normal @ pose.rotation)[:, None, :] @ by)[:, 0]
         weighted = weight[:, None] * rows
         matrix = weighted.T @ rows
-        gradient = -(weighted.T @ np.einsum("ij,ij->i", found.offset[index], normal))
+        gradient = -(weighted.T @ dots(found.offset[index], normal))
         size = np.log(pose.scale)
         # Neighbouring pairs err together: all of them count as 300 against the prior.
         prior = found.noise**2 * weights.sum() / 300 * known
@@ -194,21 +194,11 @@ def _align_all(grid, model, rotations, translations, sigmas, scores):  # type: i
             # Rodrigues' formula, column by column.
             for column in range(3):
                 v = rotation[0, column], rotation[1, column], rotation[2, column]
-                across = _cross(axis, v)
+                across = cross(axis, v)
                 along = dot(axis, v) * (1 - cos)
                 rotation[0, column] = v[0] * cos + across[0] * sin + axis[0] * along
                 rotation[1, column] = v[1] * cos + across[1] * sin + axis[1] * along
                 rotation[2, column] = v[2] * cos + across[2] * sin + axis[2] * along
-
-
-@compiled
-def _cross(a, b):  # type: ignore[no-untyped-def]
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-@compiled
-def _row(array, i):  # type: ignore[no-untyped-def]
-    return array[i, 0], array[i, 1], array[i, 2]
 
 
 @compiled
@@ -220,10 +210,10 @@ def _linearize(grid, model, rotation, translation, sigma, matrix, gradient):  # 
     gradient[:] = 0.0
     score = 0.0
     row = np.zeros(6)
-    first, second, third = _row(rotation, 0), _row(rotation, 1), _row(rotation, 2)
+    first, second, third = triple(rotation, 0), triple(rotation, 1), triple(rotation, 2)
     nx, ny, nz = nearest.shape
     for m in range(len(p)):
-        point, normal = _row(p, m), _row(pn, m)
+        point, normal = triple(p, m), triple(pn, m)
         # The rotated point, about whose translation the small rotation is taken.
         x = dot(first, point), dot(second, point), dot(third, point)
         i = int(np.floor((x[0] + translation[0] - origin[0]) / cell))
@@ -232,7 +222,7 @@ def _linearize(grid, model, rotation, translation, sigma, matrix, gradient):  # 
         if i < 0 or j < 0 or k < 0 or i >= nx or j >= ny or k >= nz:
             continue
         s = nearest[i, j, k]
-        other = _row(qn, s)
+        other = triple(qn, s)
         turned = dot(first, normal), dot(second, normal), dot(third, normal)
         agreement = dot(turned, other)
         if agreement <= 0.0:
@@ -248,7 +238,7 @@ def _linearize(grid, model, rotation, translation, sigma, matrix, gradient):  # 
         both = turned[0] + other[0], turned[1] + other[1], turned[2] + other[2]
         length = np.sqrt(dot(both, both))
         n = both[0] / length, both[1] / length, both[2] / length
-        row[0], row[1], row[2] = _cross(x, n)
+        row[0], row[1], row[2] = cross(x, n)
         row[3], row[4], row[5] = n
         _add_plane(matrix, gradient, row, rho, dot(n, e))
         _add_axes(matrix, gradient, x, e, 0.1 * rho)

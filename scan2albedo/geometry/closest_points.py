@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray, NDArray, norms, triangle_sides
+from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray, NDArray, dots, norms, triangle_sides
 from scan2albedo.core.compiled import compiled, triple
 from scan2albedo.geometry.mesh import RayHits, face_lists, face_normals, neighbour_lists, vertex_mask
+from scan2albedo.geometry.rigid import dot, minus
 
 _FARTHEST = 1e100
 MAX_EXACT_FACES = 100_000
@@ -54,7 +55,7 @@ class ClosestPointQuery:
         min_cosine = 0.3
         targets, facing = np.asarray(points, float), np.asarray(normals, float)
         hits, across = self.query(targets), face_normals(self._vertices, self._faces)
-        agreement = np.einsum("ij,ij->i", across[hits.face], facing)
+        agreement = dots(across[hits.face], facing)
         wrong = np.flatnonzero((agreement < min_cosine) & (np.abs(facing).sum(1) > 0))
         if len(wrong) == 0:
             return hits
@@ -98,8 +99,8 @@ def barycentric_coordinates(points: FloatArray, triangles: FloatArray) -> FloatA
     """
     e0, e1 = triangle_sides(triangles)
     d = points - triangles[:, 0]
-    a, b, c = (np.einsum("ij,ij->i", p, q) for p, q in ((e0, e0), (e0, e1), (e1, e1)))
-    p, q = np.einsum("ij,ij->i", d, e0), np.einsum("ij,ij->i", d, e1)
+    a, b, c = (dots(p, q) for p, q in ((e0, e0), (e0, e1), (e1, e1)))
+    p, q = dots(d, e0), dots(d, e1)
     determinant = a * c - b * b
     good = determinant > 1e-14 * np.maximum(a, c) ** 2
     safe = np.where(good, determinant, 1.0)
@@ -157,70 +158,66 @@ class NearestSurface:
 def _closest_around(p, vertex, xyz, faces, ring, ring_start, closest, face, weights, gap):  # type: ignore[no-untyped-def]
     """Take for each point p the best of the triangles around its nearest `vertex`."""
     for i in range(len(p)):
-        x, y, z = triple(p, i)
-        best, f, w0, w1, w2, px, py, pz = nearest_around(x, y, z, vertex[i], xyz, faces, ring, ring_start)
-        face[i] = f
-        weights[i, 0], weights[i, 1], weights[i, 2] = w0, w1, w2
-        closest[i, 0], closest[i, 1], closest[i, 2] = x + px, y + py, z + pz
+        point = triple(p, i)
+        best, face[i], weights[i], offset = nearest_around(point, vertex[i], xyz, faces, ring, ring_start)
+        for k in range(3):
+            closest[i, k] = point[k] + offset[k]
         gap[i] = np.sqrt(best)
 
 
 @compiled
-def nearest_around(x, y, z, v, xyz, faces, ring, ring_start):  # type: ignore[no-untyped-def]
+def nearest_around(point, v, xyz, faces, ring, ring_start):  # type: ignore[no-untyped-def]
     """Return squared distance, triangle, corner weights and offset of the closest point around vertex v."""
     best = np.inf
     nearest = 0
-    k0 = 1.0
-    k1 = 0.0
-    k2 = 0.0
-    ox = 0.0
-    oy = 0.0
-    oz = 0.0
+    weights = (1.0, 0.0, 0.0)
+    offset = (0.0, 0.0, 0.0)
     for r in range(ring_start[v], ring_start[v + 1]):
-        f = ring[r]
-        a, b, c = triple(faces, f)
-        ax, ay, az = xyz[a, 0] - x, xyz[a, 1] - y, xyz[a, 2] - z
-        bx, by, bz = xyz[b, 0] - x, xyz[b, 1] - y, xyz[b, 2] - z
-        cx, cy, cz = xyz[c, 0] - x, xyz[c, 1] - y, xyz[c, 2] - z
-        w0, w1, w2 = weights_nearest_origin(ax, ay, az, bx, by, bz, cx, cy, cz)
-        px = w0 * ax + w1 * bx + w2 * cx
-        py = w0 * ay + w1 * by + w2 * cy
-        pz = w0 * az + w1 * bz + w2 * cz
-        d = px * px + py * py + pz * pz
+        i, j, k = triple(faces, ring[r])
+        a, b, c = minus(triple(xyz, i), point), minus(triple(xyz, j), point), minus(triple(xyz, k), point)
+        w = weights_nearest_origin(a, b, c)
+        at = mixed(w, a, b, c)
+        d = dot(at, at)
         if d < best:
-            best, nearest = d, f
-            k0, k1, k2 = w0, w1, w2
-            ox, oy, oz = px, py, pz
-    return best, nearest, k0, k1, k2, ox, oy, oz
+            best, nearest, weights, offset = d, ring[r], w, at
+    return best, nearest, weights, offset
 
 
 @compiled
-def walk_downhill(x, y, z, v, xyz, near, near_start):  # type: ignore[no-untyped-def]
-    """Return the vertex from which no neighbour is nearer to (x, y, z), starting at v."""
-    here = (xyz[v, 0] - x) ** 2 + (xyz[v, 1] - y) ** 2 + (xyz[v, 2] - z) ** 2
+def mixed(w, a, b, c):  # type: ignore[no-untyped-def]
+    """Return the sum of three vectors by weights (3,), inside other compiled functions."""
+    return (
+        w[0] * a[0] + w[1] * b[0] + w[2] * c[0],
+        w[0] * a[1] + w[1] * b[1] + w[2] * c[1],
+        w[0] * a[2] + w[1] * b[2] + w[2] * c[2],
+    )
+
+
+@compiled
+def walk_downhill(point, v, xyz, near, near_start):  # type: ignore[no-untyped-def]
+    """Return the vertex from which no neighbour is nearer to a point (3,), starting at v."""
+    away = minus(triple(xyz, v), point)
     moved = True
     while moved:
         moved, centre = False, v
         for r in range(near_start[centre], near_start[centre + 1]):
-            u = near[r]
-            there = (xyz[u, 0] - x) ** 2 + (xyz[u, 1] - y) ** 2 + (xyz[u, 2] - z) ** 2
-            if there < here:
-                here, v, moved = there, u, True
+            tried = minus(triple(xyz, near[r]), point)
+            if dot(tried, tried) < dot(away, away):
+                away, v, moved = tried, near[r], True
     return v
 
 
 @compiled
-def weights_nearest_origin(ax, ay, az, bx, by, bz, cx, cy, cz):  # type: ignore[no-untyped-def]
+def weights_nearest_origin(a, b, c):  # type: ignore[no-untyped-def]
     """Weights of the point of triangle abc nearest to the origin (Ericson, Real-Time Collision Detection)."""
-    ux, uy, uz = bx - ax, by - ay, bz - az
-    vx, vy, vz = cx - ax, cy - ay, cz - az
-    d1, d2 = -(ux * ax + uy * ay + uz * az), -(vx * ax + vy * ay + vz * az)
+    u, v = minus(b, a), minus(c, a)
+    d1, d2 = -dot(u, a), -dot(v, a)
     if d1 <= 0 and d2 <= 0:
         return 1.0, 0.0, 0.0
-    d3, d4 = -(ux * bx + uy * by + uz * bz), -(vx * bx + vy * by + vz * bz)
+    d3, d4 = -dot(u, b), -dot(v, b)
     if d3 >= 0 and d4 <= d3:
         return 0.0, 1.0, 0.0
-    d5, d6 = -(ux * cx + uy * cy + uz * cz), -(vx * cx + vy * cy + vz * cz)
+    d5, d6 = -dot(u, c), -dot(v, c)
     if d6 >= 0 and d5 <= d6:
         return 0.0, 0.0, 1.0
     vc = d1 * d4 - d3 * d2

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, row_sums
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, dots, row_sums
 
 _OBJECT_SHARE = 0.05
 
@@ -35,7 +35,7 @@ def face_areas(vertices: FloatArray, faces: IntArray) -> FloatArray:
 
 def lengths(vectors: FloatArray) -> FloatArray:
     """Return (...) lengths of vectors (..., 3), without the slow reduction over so short an axis."""
-    return np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
+    return np.sqrt(dots(vectors, vectors))
 
 
 def usual_edge(vertices: FloatArray, faces: IntArray) -> float:

@@ -6,7 +6,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu, spsolve
 
-from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray, all_finite, norms, row_sums
+from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray, all_finite, dots, norms, row_sums
 from scan2albedo.geometry import mesh
 from scan2albedo.geometry.loop_subdivision import refine
 
@@ -27,9 +27,9 @@ def laplacian(
     # Clipped cotangents of the corners: every edge weight is non-negative, L an M-matrix.
     corners = vertices[faces]
     u, v = corners[:, [1, 2, 0]] - corners, corners[:, [2, 0, 1]] - corners
-    sine = np.linalg.norm(np.cross(u, v), axis=2)
-    cosine = np.einsum("fij,fij->fi", u, v)
-    longest = np.maximum(np.einsum("fij,fij->fi", u, u), np.einsum("fij,fij->fi", v, v))
+    sine = norms(np.cross(u, v))
+    cosine = dots(u, v)
+    longest = np.maximum(dots(u, u), dots(v, v))
     weights = np.clip(cosine / np.maximum(sine, 1e-12 * longest + 1e-300), 0.0, MAX_COTANGENT) / 2
     if face_weight is not None:
         weights = weights * face_weight[:, None]

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, NDArray, norms
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, NDArray, dots, norms
 from scan2albedo.geometry import mesh
 from scan2albedo.geometry.mesh import neighbour_lists, normalized, vertex_normals
 
@@ -124,7 +124,7 @@ class SurfaceNoise:
         """Measure a mesh (V, 3), (F, 3)."""
         begins, neighbours = neighbour_lists(len(vertices), faces)
         above, normals = above_neighbours(vertices, begins, neighbours), vertex_normals(vertices, faces)
-        height = np.einsum("ij,ij->i", above, normals)
+        height = dots(above, normals)
         degree = np.diff(begins)
         gap = np.where(degree >= 4, height / np.sqrt(1 + 1 / np.maximum(degree, 1)), np.nan)
         return cls(gap, mesh.vertex_areas(vertices, faces))

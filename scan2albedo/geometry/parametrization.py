@@ -23,7 +23,7 @@ def parametrize_disc(vertices: FloatArray, faces: IntArray, *, mirror: IntArray 
     .. [2] M. Rabinovich et al., "Scalable Locally Injective Mappings", ACM TOG 36(2), 2017.
     """
     index = np.asarray(faces, int)
-    uv = flatten_disc(vertices, index, mirror=mirror)
+    uv = flatten_disc(vertices, index, mirror)
     # Fill the unit square but for the margin that xatlas leaves around a chart of 512 texels.
     low, high = uv.min(0), uv.max(0)
     uv = 0.5 + ((uv - low) / (high - low) - 0.5) * (516 / 517)
@@ -34,13 +34,8 @@ def parametrize_disc(vertices: FloatArray, faces: IntArray, *, mirror: IntArray 
     return uv
 
 
-def flatten_disc(
-    vertices: FloatArray, faces: IntArray, *, mirror: IntArray | None = None, boundary_weight: float = 100.0
-) -> FloatArray:
-    """Return the (V, 2) chart of `parametrize_disc` before packing: about unit area, centred.
-
-    A small `boundary_weight` lets SLIM choose the boundary: the chart is then as isometric as it gets.
-    """
+def flatten_disc(vertices: FloatArray, faces: IntArray, mirror: IntArray | None) -> FloatArray:
+    """Return the (V, 2) chart of `parametrize_disc` before packing: about unit area, centred."""
     import igl
 
     xyz, index = np.asarray(vertices, float), np.asarray(faces, int)
@@ -55,7 +50,7 @@ def flatten_disc(
         igl.MappingEnergyType.SYMMETRIC_DIRICHLET,
         loop.astype(np.int32),
         np.asfortranarray(target),
-        boundary_weight,
+        100.0,  # a small weight would let SLIM choose the boundary
     )
     uv = np.ascontiguousarray(igl.slim_solve(data, 30)[:, :2])
     if mirror is None:

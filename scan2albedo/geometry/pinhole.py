@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scan2albedo.core.arrays import ArrayLike, BoolArray, FloatArray, all_finite, norms
+from scan2albedo.core.arrays import ArrayLike, BoolArray, FloatArray, GridShape, all_finite, norms, rms
 from scan2albedo.geometry.mesh import normalized
 
 
@@ -67,7 +67,7 @@ def fit_camera(points: ArrayLike, pixels: ArrayLike) -> FloatArray:
 def _centred(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return homogeneous points (N, d + 1) of mean 0 and unit size, and the matrix that made them so."""
     mean, d = points.mean(0), points.shape[1]
-    size = float(np.sqrt(((points - mean) ** 2).mean())) or 1.0
+    size = rms(points - mean) or 1.0
     matrix = np.eye(d + 1)
     matrix[:d, :d] /= size
     matrix[:d, d] = -mean / size
@@ -81,14 +81,14 @@ def pixel_directions(camera: FloatArray, pixels: ArrayLike) -> FloatArray:
     return normalized(np.asarray(np.linalg.solve(camera[:, :3], homogeneous.T).T, float))
 
 
-def pixel_grid(shape: tuple[int, int]) -> FloatArray:
+def pixel_grid(shape: GridShape) -> FloatArray:
     """Return (H W, 2) pixels (column, row) of an image (H, W), row by row."""
     row, column = np.divmod(np.arange(shape[0] * shape[1]), shape[1])
     return np.stack([column, row], 1).astype(float)
 
 
 def look_at(
-    position: ArrayLike, target: ArrayLike, *, focal_px: float, shape: tuple[int, int], roll_rad: float = 0.0
+    position: ArrayLike, target: ArrayLike, *, focal_px: float, shape: GridShape, roll_rad: float = 0.0
 ) -> FloatArray:
     """Return the (3, 4) camera at `position` that sees `target` in the middle of its picture (H, W), +y up.
 

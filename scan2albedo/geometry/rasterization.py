@@ -10,9 +10,11 @@ from scan2albedo.core.arrays import (
     ArrayLike,
     BoolArray,
     FloatArray,
+    GridShape,
     IntArray,
     NDArray,
     RealArray,
+    dots,
     norms,
     triangle_sides,
 )
@@ -44,13 +46,13 @@ def rasterize_uv(uv: ArrayLike, faces: ArrayLike, size: int | tuple[int, int]) -
     return rasterize(pixels, np.zeros(len(pixels)), faces, (height, width))
 
 
-def pixels_from_uv(uv: ArrayLike, shape: tuple[int, int]) -> FloatArray:
+def pixels_from_uv(uv: ArrayLike, shape: GridShape) -> FloatArray:
     """Return (N, 2) pixel coordinates (column, row), pixel centres at integers, of texture coordinates."""
     coordinates = np.asarray(uv, float)
     return np.stack([coordinates[:, 0] * shape[1] - 0.5, (1 - coordinates[:, 1]) * shape[0] - 0.5], 1)
 
 
-def rasterize(pixels: ArrayLike, depth: ArrayLike, faces: ArrayLike, shape: tuple[int, int]) -> Raster:
+def rasterize(pixels: ArrayLike, depth: ArrayLike, faces: ArrayLike, shape: GridShape) -> Raster:
     """Rasterise triangles with a z-buffer; the largest depth (V,) wins, whatever the winding.
 
     `pixels` (V, 2) are column and row of each vertex; pixel centres lie at integers.
@@ -64,7 +66,7 @@ def nearest_depths(
     pixels: ArrayLike,
     depth: ArrayLike,
     faces: ArrayLike,
-    shape: tuple[int, int],
+    shape: GridShape,
     raster: Raster = Raster(np.zeros((0, 0), int), np.zeros((0, 0, 3))),
 ) -> FloatArray:
     """Return the largest depth (H, W) at each pixel centre, -inf where nothing covers it; fill a `raster`."""
@@ -169,7 +171,7 @@ def filled_from_nearest(image: NDArray, mask: BoolArray) -> FloatArray:
     return image[row, column].astype(float)
 
 
-def area_mean(values: ArrayLike, shape: tuple[int, int]) -> FloatArray:
+def area_mean(values: ArrayLike, shape: GridShape) -> FloatArray:
     """Return an image (H, W) or (H, W, C) with `shape` pixels, at most as many as it has on either side.
 
     Pixels that an area covers in part count by that part, as `cv2.INTER_AREA` and scikit-image's
@@ -271,7 +273,7 @@ def front_picture(
     looked, shown = np.zeros((*shape, 4)), covered.copy()
     colors, shown[covered] = scan_colors(scan, face, barycentric)
     looked[covered, :3] = colors * shown[covered, None]
-    looked[covered, 3] = np.einsum("nk,nk->n", barycentric, vertices[scan.faces[face], 2])
+    looked[covered, 3] = dots(barycentric, vertices[scan.faces[face], 2])
     blocks = rows, 2, columns, 2
     count, seen = (looks.reshape(blocks).sum((1, 3)) for looks in (covered, shown))
     total = looked.reshape(*blocks, 4).sum((1, 3))

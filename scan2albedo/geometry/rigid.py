@@ -177,3 +177,15 @@ def in_principal_frame(vertices: Matrix, faces: IntArray) -> tuple[Matrix, Matri
 def dot(a, b):  # type: ignore[no-untyped-def]
     """Return the inner product of two vectors of three numbers, inside other compiled functions."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@compiled
+def minus(a, b):  # type: ignore[no-untyped-def]
+    """Return the difference of two vectors of three numbers, inside other compiled functions."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@compiled
+def cross(a, b):  # type: ignore[no-untyped-def]
+    """Return the cross product of two vectors of three numbers, inside other compiled functions."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]

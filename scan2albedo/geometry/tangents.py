@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core.arrays import FloatArray, IntArray, triangle_sides
+from scan2albedo.core.arrays import FloatArray, IntArray, dots, triangle_sides
 from scan2albedo.geometry.mesh import lengths, normalized
 
 
@@ -80,7 +80,7 @@ def tangent_mesh(vertices: FloatArray, faces: IntArray, uv: FloatArray, normals:
         plane = normal[at]
         ahead = _in_plane(corners[:, (corner + 1) % 3] - corners[:, corner], plane)
         behind = _in_plane(corners[:, (corner + 2) % 3] - corners[:, corner], plane)
-        angle = np.arccos(np.clip(np.einsum("ij,ij->i", ahead, behind), -1, 1))
+        angle = np.arccos(np.clip(dots(ahead, behind), -1, 1))
         np.add.at(sums, at, angle[:, None] * _in_plane(right, plane))
     # Where no face has a place of its own on the texture, any direction in the plane will do.
     spare = np.eye(3)[np.abs(normal).argmin(1)]
@@ -100,10 +100,10 @@ def in_tangent_space(directions: FloatArray, normals: FloatArray, tangents: Floa
     [[0.0, 0.6, 0.8]]
     """
     normal, tangent = normalized(normals), normalized(tangents[:, :3])
-    third = np.sign(tangents[:, 3]) * np.einsum("ij,ij->i", directions, np.cross(normal, tangent))
-    ahead, up = np.einsum("ij,ij->i", directions, tangent), np.einsum("ij,ij->i", directions, normal)
+    third = np.sign(tangents[:, 3]) * dots(directions, np.cross(normal, tangent))
+    ahead, up = dots(directions, tangent), dots(directions, normal)
     # Interpolated frames are a little oblique: the parts are those that add up, not projections.
-    slant = np.einsum("ij,ij->i", normal, tangent)
+    slant = dots(normal, tangent)
     square = np.maximum(1 - slant**2, 1e-9)
     parts = [(ahead - slant * up) / square, third / square, (up - slant * ahead) / square]
     return normalized(np.stack(parts, axis=1))
@@ -111,4 +111,4 @@ def in_tangent_space(directions: FloatArray, normals: FloatArray, tangents: Floa
 
 def _in_plane(vectors: FloatArray, normals: FloatArray) -> FloatArray:
     """Return unit vectors (N, 3): the vectors without what they have along unit normals (N, 3)."""
-    return normalized(vectors - np.einsum("ij,ij->i", vectors, normals)[:, None] * normals)
+    return normalized(vectors - dots(vectors, normals)[:, None] * normals)

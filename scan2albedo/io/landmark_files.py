@@ -14,7 +14,7 @@ from scan2albedo.core.landmarks import COUNT, PLACED_SIGMA_MM, PlacedLandmarks
 from scan2albedo.errors import ScanError, errors_of
 from scan2albedo.io.csv_tables import cells_by_column, read_text, table_rows
 from scan2albedo.io.limits import NAME_BYTES, parse_json
-from scan2albedo.io.records import Number, Record
+from scan2albedo.io.records import NonNegative, Number, Positive, Record
 
 PARTS = {
     "jaw": range(17),
@@ -45,14 +45,14 @@ class LandmarkRecord(Record):
     part: str = Field(description="Of the face; right and left are the subject's.")
     model_mm: Point = Field(description="In the frame of fitted.glb.")
     scan: Point = Field(description="In the frame and unit of the scan's file.")
-    deviation_mm: Number = Field(ge=0, description="Standard deviation along each axis.")
+    deviation_mm: NonNegative = Field(description="Standard deviation along each axis.")
 
 
 class LandmarksRecord(Record):
     """The content of `landmarks.json`."""
 
     format_version: Literal[1] = 1
-    mm_per_unit: Number = Field(gt=0, description="Of the scan's file.")
+    mm_per_unit: Positive = Field(description="Of the scan's file.")
     landmarks: tuple[LandmarkRecord, ...] = Field(min_length=68, max_length=68)
 
     @classmethod

@@ -18,6 +18,7 @@ from scan2albedo.core.arrays import (
     FloatArray,
     IntArray,
     RealArray,
+    Texts,
     Values,
     all_finite,
     identities,
@@ -66,13 +67,13 @@ class LinearFaceModel:
     shapes: int
     faces: IntArray
     uv: FloatArray | None = None
-    joints: tuple[str, ...] = ()
+    joints: Texts = ()
     parents: IntArray = field(default_factory=lambda: np.zeros(0, int))
     weights: FloatArray = None  # type: ignore[assignment]
     joint_mean: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     joint_basis: FloatArray = None  # type: ignore[assignment]
     pose_basis: FloatArray | None = None
-    names: tuple[str, ...] = ()
+    names: Texts = ()
     mm_per_unit: float = 1.0
     """Found where the mean is placed on a face."""
 
@@ -224,7 +225,7 @@ def model_fields(values: Values) -> Values:
     return fields
 
 
-def _texts(names: Iterable[Any]) -> tuple[str, ...]:
+def _texts(names: Iterable[Any]) -> Texts:
     return tuple(name.decode() if isinstance(name, bytes) else str(name) for name in names)
 
 

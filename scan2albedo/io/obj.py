@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scan2albedo.core.arrays import FloatArray, IntArray, all_finite
+from scan2albedo.core.arrays import FloatArray, IntArray, Texts, all_finite
 from scan2albedo.errors import ScanError
 from scan2albedo.io import limits, parsed_mesh
 from scan2albedo.io import text_tables as tables
@@ -162,7 +162,7 @@ def write_obj(path: str | Path, vertices: FloatArray, faces: IntArray) -> None:
 
 def _materials(
     lines: ObjLines, pictures: ScanPictures
-) -> tuple[IntArray | None, tuple[Material, ...], tuple[str, ...]]:
+) -> tuple[IntArray | None, tuple[Material, ...], Texts]:
     """Return (material index of each polygon or None, materials used, notes)."""
     notes: list[str] = []
     # The materials of all libraries that the file names.

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scan2albedo.core.arrays import Float32Array, FloatArray, IntArray
+from scan2albedo.core.arrays import Float32Array, FloatArray, IntArray, Texts
 from scan2albedo.errors import ScanError, TooLargeError
 from scan2albedo.io import limits
 from scan2albedo.io.color import srgb_to_linear
@@ -125,7 +125,7 @@ class ParsedMesh:
     material: IntArray | None = None
     materials: tuple[Material, ...] = ()
     vertex_color_linear: Float32Array | None = None
-    notes: tuple[str, ...] = ()
+    notes: Texts = ()
 
 
 def fan_triangles(counts: IntArray, name: str) -> tuple[IntArray, IntArray]:
@@ -162,7 +162,7 @@ def strip_triangles(items: IntArray) -> IntArray:
     return rows[(rows >= 0).all(axis=1)]
 
 
-def cut_note(counts: IntArray) -> tuple[str, ...]:
+def cut_note(counts: IntArray) -> Texts:
     """Return a note on how many polygons were cut, if any."""
     cut = int((counts > 3).sum())
     return (f"polygons cut into triangles: {cut}",) if cut else ()
@@ -236,7 +236,7 @@ class ScanPictures:
     pixels: int = 0
     read: dict[Path, Float32Array | str] = field(default_factory=dict)
 
-    def materials(self, named: Iterable[Material]) -> tuple[tuple[Material, ...], tuple[str, ...]]:
+    def materials(self, named: Iterable[Material]) -> tuple[tuple[Material, ...], Texts]:
         """Return materials with textures, and notes on missing or damaged ones; may raise TooLargeError."""
         materials, notes = [], []
         for one in named:
@@ -273,8 +273,8 @@ class ScanPictures:
         return self.read[file]
 
     def or_named_like(
-        self, scan: Path, uv: FloatArray | None, materials: tuple[Material, ...], notes: tuple[str, ...]
-    ) -> tuple[tuple[Material, ...], tuple[str, ...]]:
+        self, scan: Path, uv: FloatArray | None, materials: tuple[Material, ...], notes: Texts
+    ) -> tuple[tuple[Material, ...], Texts]:
         """Return materials and notes; where all textures are missing, the image with the scan's own name."""
         lost = not materials or any(note.startswith("texture ") for note in notes)
         if uv is None or not lost or any(m.texture_linear is not None for m in materials):

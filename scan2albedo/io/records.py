@@ -11,8 +11,17 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, JsonValue, ValidationError, field_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    JsonValue,
+    ValidationError,
+    field_validator,
+)
 
+from scan2albedo.core.arrays import Texts
 from scan2albedo.errors import Scan2AlbedoError, one_line, printable
 from scan2albedo.io.atomic import write_text
 from scan2albedo.io.csv_tables import read_text
@@ -43,11 +52,21 @@ def plain_json(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-Figures = Annotated[dict[str, JsonValue], BeforeValidator(plain_json)]
-Number = Annotated[float, BeforeValidator(plain_json)]
-OptionalNumber = Annotated[float | None, BeforeValidator(plain_json)]
+_PLAIN = BeforeValidator(plain_json)
+"""Stands last: limits before it are those of the number itself, which the schema tells."""
+Figures = Annotated[dict[str, JsonValue], _PLAIN]
+Number = Annotated[float, _PLAIN]
+OptionalNumber = Annotated[float | None, _PLAIN]
+NonNegative = Annotated[float, Field(ge=0), _PLAIN]
+Positive = Annotated[float, Field(gt=0), _PLAIN]
+Share = Annotated[float, Field(ge=0, le=1), _PLAIN]
+Count = Annotated[int, Field(ge=0)]
+PositiveCount = Annotated[int, Field(ge=1)]
+Name = Annotated[str, Field(min_length=1)]
+OwnFileNames = Annotated[Texts, Field(description="Names of the files beside this one.")]
+CalledWith = Annotated[Figures, Field(description="What the run was called with.")]
 Row = tuple[float, float, float, float]
-Matrix = Annotated[tuple[Row, Row, Row, Row], BeforeValidator(plain_json)]
+Matrix = Annotated[tuple[Row, Row, Row, Row], _PLAIN]
 
 
 def _printable_texts(value: Any) -> Any:

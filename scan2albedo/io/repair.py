@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from scan2albedo.core.arrays import IntArray, NDArray, triangle_sides
+from scan2albedo.core.arrays import IntArray, NDArray, dots, triangle_sides
 from scan2albedo.core.raw_scan import LARGEST_COORDINATE, require_valid_indices
 from scan2albedo.errors import ScanError
 from scan2albedo.geometry.mesh import turned_against_neighbours, vertex_mask
@@ -69,9 +69,9 @@ def repair(mesh: ParsedMesh) -> ParsedMesh:
     for start in range(0, len(flat), 1 << 20):
         corner = mesh.vertices[mesh.faces[start : start + (1 << 20)]]
         one, two = triangle_sides(corner)
-        longest = np.max([np.einsum("fi,fi->f", edge, edge) for edge in (one, two, two - one)], axis=0)
+        longest = np.max([dots(edge, edge) for edge in (one, two, two - one)], axis=0)
         cross = np.cross(one, two)
-        doubled = np.sqrt(np.einsum("fi,fi->f", cross, cross))
+        doubled = np.sqrt(dots(cross, cross))
         flat[start : start + len(corner)] = doubled <= _AREA_FLOOR * longest
     keep = ~flat
     repeats = first_equal_row(np.sort(mesh.faces[keep], axis=1)) != np.arange(int(keep.sum()))

@@ -9,9 +9,23 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, PlainSerializer, PlainValidator
 
 from scan2albedo.core import EnvironmentLight, PlanStep, PointLight, RawScan
-from scan2albedo.core.arrays import Values
+from scan2albedo.core.arrays import Texts, Values
 from scan2albedo.io.load_scan import input_sha256
-from scan2albedo.io.records import Figures, Matrix, Number, OptionalNumber, Record
+from scan2albedo.io.records import (
+    CalledWith,
+    Count,
+    Figures,
+    Matrix,
+    Name,
+    NonNegative,
+    Number,
+    OptionalNumber,
+    OwnFileNames,
+    Positive,
+    PositiveCount,
+    Record,
+    Share,
+)
 
 APPLICATION_FILE = "application.json"
 SHA256 = "^[0-9a-f]{64}$"
@@ -22,8 +36,8 @@ class InputRecord(Record):
 
     file: str | None = Field(None, description="Path as given; null when the scan came from memory.")
     sha256: str = Field(pattern=SHA256, description="Of the scan and what it refers to; see input_sha256.")
-    vertices: int = Field(ge=1, description="After repairs.")
-    faces: int = Field(ge=1, description="After repairs.")
+    vertices: PositiveCount = Field(description="After repairs.")
+    faces: PositiveCount = Field(description="After repairs.")
     texture_size: tuple[int, int] | None = Field(None, description="Width and height in texels.")
 
     @classmethod
@@ -45,7 +59,7 @@ class LightRecord(Record):
     azimuth_deg: Number = Field(description="From +z toward +x.")
     elevation_deg: Number = Field(description="From the xz-plane toward +y.")
     distance_mm: OptionalNumber = Field(None, description="From the model's origin; null is a distant light.")
-    intensity: Number = Field(ge=0, description="Irradiance relative to ambient = 1, mean of the channels.")
+    intensity: NonNegative = Field(description="Irradiance relative to ambient = 1, mean of the channels.")
     color_linear: tuple[Number, Number, Number] = Field(
         (1.0, 1.0, 1.0), description="Red, green, blue of its light, of mean 1."
     )
@@ -62,8 +76,8 @@ class EnvironmentRecord(Record):
         "white light of 1 is 1, 1, 1 and then zeros.",
     )
     occluded: bool = Field(description="Whether the surface hides part of it from itself.")
-    fill: Number = Field(0.0, ge=0, le=1, description="Part of the hidden constant light that comes back.")
-    bounce: Number = Field(0.0, ge=0, description="Albedo of the surface that throws light onto itself.")
+    fill: Share = Field(0.0, description="Part of the hidden constant light that comes back.")
+    bounce: NonNegative = Field(0.0, description="Albedo of the surface that throws light onto itself.")
 
 
 def _read_light(given: Any) -> PointLight:
@@ -115,9 +129,9 @@ class RunRecord(Record):
 class ResultRecord(RunRecord):
     """The content of `result.json`."""
 
-    name: str = Field(min_length=1, description="Name of the scan.")
+    name: Name = Field(description="Name of the scan.")
     seed: int
-    options: Figures = Field(description="What the run was called with.")
+    options: CalledWith
     input: InputRecord
     plan: tuple[PlanStep, ...]
     metrics: Figures = Field(description="Figures of each stage; null is not finite or not measured.")
@@ -127,13 +141,13 @@ class ResultRecord(RunRecord):
     )
     parameters: Figures = Field(description="Of the reflectance model; null is infinite, as a distance.")
     timings_s: dict[str, Number] = Field(description="Wall-clock seconds of each stage.")
-    notes: tuple[str, ...] = Field((), description="What loading repaired, and warnings of the stages.")
+    notes: Texts = Field((), description="What loading repaired, and warnings of the stages.")
     template_from_model: Matrix | None = Field(
         None,
         description="Row-major 4x4 acting on column vectors: points of template.obj into the axes, origin "
         "and unit of the template's own file.",
     )
-    files: tuple[str, ...] = Field((), description="Names of the files beside this one.")
+    files: OwnFileNames = ()
 
 
 class RegistrationRecord(Record):
@@ -154,8 +168,8 @@ class RegistrationRecord(Record):
         None, description="Depth-derivative objective at the pose of the search; null when not measured."
     )
     converged: bool
-    confidence: Number = Field(ge=0, le=1)
-    iterations: int = Field(ge=0)
+    confidence: Share
+    iterations: Count
 
 
 Vector = tuple[Number, Number, Number]
@@ -181,8 +195,8 @@ class LinearModelRecord(Record):
         description="Row-major 4x4 with the scale acting on column vectors: points in the model's own frame "
         "and unit, posed by its joints, into the frame and unit of the scan's file."
     )
-    mm_per_unit: Number = Field(gt=0, description="Of the model's unit, decided from its size.")
-    scale: Number = Field(gt=0, description="Of the posed model in mm to the scan.")
+    mm_per_unit: Positive = Field(description="Of the model's unit, decided from its size.")
+    scale: Positive = Field(description="Of the posed model in mm to the scan.")
     pose_deviation: tuple[Number, ...] = Field(description="Of a turn [rad], a shift [mm], the log scale.")
     noise_mm: Number = Field(description="Scale of the distances between scan and model.")
     observations: Number = Field(description="Independent observations that these count as.")
@@ -195,9 +209,9 @@ class ApplicationRecord(Record):
 
     format_version: Literal[1] = 1
     scan2albedo_version: str
-    name: str = Field(min_length=1, description="Name of the face that came of it.")
+    name: Name = Field(description="Name of the face that came of it.")
     application: str = Field(description="swap, blend or transfer-expression.")
-    inputs: tuple[str, ...] = Field(description="Names of the faces it was made from, in order.")
+    inputs: Texts = Field(description="Names of the faces it was made from, in order.")
     options: Figures = Field(description="What the application was called with.")
     model: str = Field(description="Name of the face model whose chart this is.")
     chart_mesh: bool = Field(description="The surface is the geometry image's texels: there is no mesh.")
@@ -212,8 +226,8 @@ class ApplicationRecord(Record):
     landmarks: tuple[tuple[Number, Number, Number], ...] | None = Field(
         None, description="68 in iBUG order, in mm, where they are known."
     )
-    notes: tuple[str, ...] = Field((), description="What was decided in making it, one sentence each.")
-    files: tuple[str, ...] = Field((), description="Names of the files beside this one.")
+    notes: Texts = Field((), description="What was decided in making it, one sentence each.")
+    files: OwnFileNames = ()
 
 
 def flat_figures(figures: Mapping[str, Any], prefix: str) -> Values:

@@ -10,6 +10,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from scan2albedo.core.arrays import Texts
 from scan2albedo.core.budget import Trace
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import OutputError, Scan2AlbedoError
@@ -32,7 +33,7 @@ class OwnFiles(Generic[Kind]):
     """Name of the record's file."""
     kind: type[Kind]
     """Of the record; it has a field `files`."""
-    names: tuple[str, ...]
+    names: Texts
     """Names of the other files; * and ? stand for any characters."""
     command: str = "scan2albedo"
     """Who writes them, for messages."""
@@ -104,7 +105,7 @@ class RunFolder(Generic[Kind]):
     >>> import tempfile
     >>> from scan2albedo.io.result_records import RunRecord
     >>> class Greeting(RunRecord):
-    ...     files: tuple[str, ...] = ()
+    ...     files: Texts = ()
     >>> folder = RunFolder(Path(tempfile.mkdtemp()), OwnFiles("greeting.json", Greeting, ("hello_*.txt",)))
     >>> _ = folder.check()  # before the work
     >>> with folder.publishing() as staging:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, Texts
 from scan2albedo.core.raw_scan import TextureTile
 from scan2albedo.io import limits
 from scan2albedo.io.parsed_mesh import Material, ParsedMesh
@@ -23,7 +23,7 @@ class PackedTexture:
     uv: FloatArray | None
     texture_linear: Image | None
     """(H, W, 3), or with alpha (H, W, 4): 0 where no picture showed the surface."""
-    notes: tuple[str, ...]
+    notes: Texts
     tiles: tuple[TextureTile, ...] = ()
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, NDArray, Values
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, NDArray, Texts, Values
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.tangents import split_at_seams, tangent_mesh
 from scan2albedo.io.atomic import write_bytes, write_text
@@ -55,7 +55,7 @@ class TexturedMesh:
     """(68,): the vertices that `parts` follow."""
 
 
-def write_textured_obj(path: str | Path, mesh: TexturedMesh, *, mm_per_unit: float = 1.0) -> tuple[str, ...]:
+def write_textured_obj(path: str | Path, mesh: TexturedMesh, *, mm_per_unit: float = 1.0) -> Texts:
     """Write a mesh as OBJ, with its MTL and pictures beside it; return the names of these.
 
     Vertices keep their order and are written in a unit of `mm_per_unit`. Raises OutputError.

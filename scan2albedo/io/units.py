@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scan2albedo.core.arrays import FloatArray, IntArray, finite_rows
+from scan2albedo.core.arrays import FloatArray, IntArray, finite_rows, norms
 from scan2albedo.errors import ScanError, UnitError
 from scan2albedo.geometry.mesh import far_vertices
 
@@ -84,7 +84,7 @@ def glasses_millimetres_per_unit(
     for the size of no glasses in the unit given, or for "auto" in mm, cm or m; ValueError for another unit.
     """
     known = keypoints[finite_rows(keypoints)]
-    extent = float(np.linalg.norm(known[:, None] - known, axis=2).max(initial=0.0))
+    extent = float(norms(known[:, None] - known).max(initial=0.0))
     low, high = sizes_mm
     if unit in MM_PER_UNIT and not low <= extent * MM_PER_UNIT[unit] < high:
         raise ScanError(

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import ArrayLike, FloatArray, checked_array, norms
+from scan2albedo.core.arrays import ArrayLike, FloatArray, GridShape, checked_array, norms
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rasterization import area_mean
 
@@ -34,8 +34,7 @@ class DistantLights:
         toward, given = _checked_directions(self.directions), np.asarray(self.irradiance_linear, float)
         rgb = np.repeat(given[:, None], 3, 1) if given.ndim == 1 else given
         rgb = checked_array(rgb, (len(toward), 3), "irradiance_linear", finite=ValueError)
-        object.__setattr__(self, "directions", toward)
-        object.__setattr__(self, "irradiance_linear", rgb)
+        vars(self).update(directions=toward, irradiance_linear=rgb)
 
     @classmethod
     def from_environment(
@@ -130,7 +129,7 @@ def important_directions(environment_linear: ArrayLike, count: int) -> FloatArra
     return toward
 
 
-def texel_directions(shape: tuple[int, int]) -> FloatArray:
+def texel_directions(shape: GridShape) -> FloatArray:
     """Return (H, W, 3) unit vectors to the middles of a map's texels."""
     height, width = shape
     polar = (np.arange(height)[:, None] + 0.5) / height * np.pi

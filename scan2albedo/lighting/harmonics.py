@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray, checked_array
+from scan2albedo.core.arrays import ArrayLike, FloatArray, GridShape, IntArray, checked_array
 from scan2albedo.lighting.environment import checked_map, map_directions
 
 _NODES = 160
@@ -115,7 +115,7 @@ def project_environment(environment_linear: ArrayLike, order: int = 8) -> FloatA
     return coefficients
 
 
-def row_projection(row: int, shape: tuple[int, int], order: int = 8) -> FloatArray:
+def row_projection(row: int, shape: GridShape, order: int = 8) -> FloatArray:
     """Return (W, (order + 1)^2) integrals of the harmonics over the texels of a row of maps (H, W)."""
     height, width = shape
     down, down_weight = _nodes(max(2, -(-_NODES // height)))

@@ -10,7 +10,7 @@ import numpy as np
 from scan2albedo.core import PointLight
 from scan2albedo.core.arrays import ArrayLike, Float32Array, FloatArray, NDArray, all_finite, checked_array
 from scan2albedo.core.compiled import compiled, triple
-from scan2albedo.geometry.rigid import dot
+from scan2albedo.geometry.rigid import dot, minus
 
 _BRDFS = "lambert", "minnaert", "oren-nayar"
 
@@ -171,6 +171,12 @@ def oren_nayar_coefficients(sigma):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def lamp_from(place, direction, nearness):  # type: ignore[no-untyped-def]
+    """Return the vector from a place (3,) to a lamp in its distances, inside other compiled functions."""
+    return minus(direction, (nearness * place[0], nearness * place[1], nearness * place[2]))
+
+
+@compiled
 def factors_of_lamp(  # type: ignore[no-untyped-def]
     position, normal, visible, direction, nearness, view, minnaert, roughness, exponent
 ):
@@ -191,20 +197,12 @@ def factors_of_lamp(  # type: ignore[no-untyped-def]
     for i in range(position.shape[0]):
         if visible[i] == 0:
             continue
-        v = i if view.shape[0] > 1 else 0
-        n_l = 0.0
-        n_v = 0.0
-        l_v = 0.0
-        square = 0.0
-        for c in range(3):
-            toward = direction[c] - nearness * position[i, c]
-            n_l += normal[i, c] * toward
-            n_v += normal[i, c] * view[v, c]
-            l_v += toward * view[v, c]
-            square += toward * toward
+        n, v = triple(normal, i), triple(view, i if view.shape[0] > 1 else 0)
+        toward = lamp_from(triple(position, i), direction, nearness)
+        n_l, n_v, l_v = dot(n, toward), dot(n, v), dot(toward, v)
         if n_l <= 0.0:
             continue
-        square = max(square, 1e-12)
+        square = max(dot(toward, toward), 1e-12)
         length = np.sqrt(square)
         n_l /= length
         l_v /= length
@@ -291,11 +289,7 @@ def _shaded(points, lamps, skin, size):  # type: ignore[no-untyped-def]
             if seen == 0.0 and visible_slope[k, 0, i] == 0.0 and visible_slope[k, 1, i] == 0.0:
                 continue
             nearness = rows[k, 3]
-            toward = (
-                rows[k, 0] - nearness * position[i, 0],
-                rows[k, 1] - nearness * position[i, 1],
-                rows[k, 2] - nearness * position[i, 2],
-            )
+            toward = lamp_from(triple(position, i), triple(rows, k), nearness)
             length = np.sqrt(max(dot(toward, toward), 1e-12))
             n_l = dot(n, toward) / length
             if n_l <= 0.0:

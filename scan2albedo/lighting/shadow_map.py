@@ -7,9 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from scan2albedo.core.arrays import ArrayLike, ByteArray, Float32Array, FloatArray, NDArray, norms
-from scan2albedo.core.compiled import compiled
+from scan2albedo.core.arrays import ArrayLike, ByteArray, Float32Array, FloatArray, NDArray, dots, norms
+from scan2albedo.core.compiled import compiled, triple
 from scan2albedo.geometry.rays import RayCaster
+from scan2albedo.geometry.rigid import dot
+from scan2albedo.lighting.shading import lamp_from
 
 _OFFSETS = (1.5e-4, 5e-3)
 """Least and largest offset of shadow rays as parts of the caster's size."""
@@ -41,8 +43,7 @@ class ShadowMap:
             offset = shadow_offset_mm(self.caster.size, self.offset_mm)
             origin, above = self.caster.to_local(self.position + offset * self.normal), math.inf
         known = np.full(len(self.position), above) if self.open_above is None else self.open_above
-        object.__setattr__(self, "_origin", origin)
-        object.__setattr__(self, "_above", known)
+        vars(self).update(_origin=origin, _above=known)
 
     def visible(self, direction: ArrayLike, distance_mm: float = math.inf) -> ByteArray:
         """Return (N,) uint8, 1 where a light reaches the point.
@@ -71,7 +72,7 @@ class ShadowMap:
             return self.visible(direction, distance_mm)
         to_lamp, radius = np.asarray(direction) - self.position / distance_mm, math.radians(radius_deg)
         length = norms(to_lamp)
-        cosine = np.einsum("nc,nc->n", self.normal, to_lamp) / np.maximum(length, 1e-9)
+        cosine = dots(self.normal, to_lamp) / np.maximum(length, 1e-9)
         # The most by which the cosines to points of the disc differ from that to its centre.
         spread = radius / np.maximum(length - radius / 2, 1e-9)
         result = (cosine > self._above + spread).astype(np.float32)
@@ -96,7 +97,7 @@ class ShadowMap:
         seen, facing = np.zeros((2, len(self.position)))
         for toward in directions:
             to_lamp = toward - self.position / distance_mm
-            cosine = np.maximum(np.einsum("nc,nc->n", self.normal, to_lamp), 0.0)
+            cosine = np.maximum(dots(self.normal, to_lamp), 0.0)
             facing += cosine
             seen += cosine * self.visible(toward, distance_mm)
         return seen, facing
@@ -125,19 +126,13 @@ def _needed_rays(position, normal, origin, toward, inverse, open_above, lit):  #
     ray = np.empty((len(lit) if inverse != 0 else 0, 3), np.float32)
     m = 0
     for i in range(len(lit)):
-        cosine = 0.0
-        square = 0.0
-        for k in range(3):
-            along = toward[k] - inverse * position[i, k]
-            cosine += normal[i, k] * along
-            square += along * along
+        along = lamp_from(triple(position, i), toward, inverse)
+        cosine = dot(triple(normal, i), along)
         lit[i] = cosine > 0
-        if lit[i] and not cosine > open_above[i] * np.sqrt(square):
-            index[m] = i
-            for k in range(3):
-                start[m, k] = origin[i, k]
-                if inverse != 0:
-                    ray[m, k] = toward[k] - inverse * position[i, k]
+        if lit[i] and not cosine > open_above[i] * np.sqrt(dot(along, along)):
+            index[m], start[m] = i, origin[i]
+            if inverse != 0:
+                ray[m] = along
             m += 1
     return index[:m], start[:m], ray[:m]
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from scan2albedo.albedo import AlbedoError, albedo_error
-from scan2albedo.core import ProgressCallback
+from scan2albedo.core import OnProgress
 from scan2albedo.core.arrays import Values, norms
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import invert_rigid, rotation_angle_rad, transform_points
@@ -67,7 +67,7 @@ def run_demo(
     seed: int = 0,
     size: int | None = None,
     quality: Quality | str = "standard",
-    on_progress: ProgressCallback | None = None,
+    on_progress: OnProgress = None,
 ) -> DemoReport:
     """Scan a synthetic person, process the scan, compare with the truth.
 

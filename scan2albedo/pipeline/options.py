@@ -13,7 +13,7 @@ from scan2albedo.albedo.estimate import BRDFS
 from scan2albedo.applications.engine_maps import CARRIERS
 from scan2albedo.applications.light_removal import REACHES
 from scan2albedo.applications.template_baking import LARGEST_TEXTURE
-from scan2albedo.core import Budget, checked_seed
+from scan2albedo.core import Budget, BudgetLike, checked_seed
 from scan2albedo.core.arrays import Values
 from scan2albedo.core.geometry_image import LARGEST_SIZE, SMALLEST_SIZE, check_size
 from scan2albedo.core.landmarks import AUTO, landmarks_option
@@ -95,7 +95,7 @@ class ProcessOptions:
     """Of the scan's file: "auto", "mm", "cm" or "m"."""
     quality: Quality | str = "standard"
     """The options of every stage, or the name of a preset: "draft", "standard", "best", "paper"."""
-    budget: Budget | float | None = None
+    budget: BudgetLike = None
     """Seconds for the whole run, or a Budget whose evaluations hold for each stage."""
     seed: int = 0
     """Same seed, input and budget in evaluations: same result, bit by bit."""
@@ -142,8 +142,7 @@ class ProcessOptions:
             given["model"] = "default"
         given |= {"budget": Budget.of(self.budget), "skip": tuple(self.skip), "force": tuple(self.force)}
         given["white_balance"] = checked_white_balance(self.white_balance)
-        for name, value in given.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(given)
         checked_seed(self.seed)
         if not isinstance(self.quality, Quality) and self.quality not in PRESETS:
             raise ValueError(f"quality is {self.quality!r}, expected one of {', '.join(PRESETS)}")

@@ -11,8 +11,16 @@ from typing import Any
 import numpy as np
 
 from scan2albedo.albedo import AlbedoEstimate, CommonAlbedo, estimate_common_albedo
-from scan2albedo.core import Budget, GeometryImage, Plan, PlanStep, ProgressCallback, RawScan, Trace
-from scan2albedo.core.arrays import Values
+from scan2albedo.core import (
+    Budget,
+    GeometryImage,
+    OnProgress,
+    Plan,
+    PlanStep,
+    RawScan,
+    Trace,
+)
+from scan2albedo.core.arrays import Texts, Values, attributes
 from scan2albedo.core.first_run import compiled_beside
 from scan2albedo.core.raw_scan import is_folder_name, lost_texture, scan_name
 from scan2albedo.errors import RegistrationError, Scan2AlbedoError, one_line
@@ -42,7 +50,7 @@ class PersonResult(ProcessResult):
     """The neutral face and each scan's expression."""
     common: CommonAlbedo | None = None
     """The albedo of all scans, its error and where they disagree; None when no scan has colour."""
-    members: tuple[str, ...] = ()
+    members: Texts = ()
     """Names of the scans of this person."""
     left_out: tuple[tuple[str, str], ...] = ()
     """Names of scans that were left out, and why."""
@@ -94,7 +102,7 @@ def process_person(
     out: str | Path | None = None,
     *,
     name: str = "person",
-    on_progress: ProgressCallback | None = None,
+    on_progress: OnProgress = None,
     **options: Any,
 ) -> PersonResult:
     """Return one neutral shape and one albedo of a person from any number of scans.
@@ -203,9 +211,7 @@ def process_person(
         return replace(person, out=place)
 
 
-def _common_albedo(
-    spool: _Spool, chosen: ProcessOptions, on_progress: ProgressCallback | None
-) -> CommonAlbedo:
+def _common_albedo(spool: _Spool, chosen: ProcessOptions, on_progress: OnProgress) -> CommonAlbedo:
     """Return the albedo of all scans; each is kept with its own light."""
 
     def keep(k: int, estimate: AlbedoEstimate) -> None:
@@ -265,9 +271,7 @@ def _assembled(
     near, first = np.full(len(shape.vertices), np.nan), next(spool.fits())
     for fit in spool.fits():
         near = np.fmin(near, fit.residual_mm)
-    found_shape = {
-        name: getattr(shape, name) for name in ("vertices", "faces", "control_points", "landmarks")
-    }
+    found_shape = attributes(shape, "vertices", "faces", "control_points", "landmarks")
     neutral = replace(
         first,
         **found_shape,
@@ -301,7 +305,7 @@ def _assembled(
         rows += common.plan
         maps = {"coverage.png": common.coverage / len(spool.names), "disagreement.png": common.disagreement}
         taken = ("albedo_linear", "expected_error", "plan", "trace", "converged")
-        shared: Values = {name: getattr(common, name) for name in taken}
+        shared: Values = attributes(common, *taken)
         shared |= dict.fromkeys(("uncertainty", "albedo_deviation", "environment"))
         estimate = replace(
             lit,

@@ -12,7 +12,7 @@ from typing import Any, Never
 import numpy as np
 
 from scan2albedo.albedo import AlbedoEstimate, estimate_albedo
-from scan2albedo.core import Budget, Plan, PlanStep, ProgressCallback, RawScan, Trace
+from scan2albedo.core import Budget, BudgetLike, OnProgress, Plan, PlanStep, RawScan, Trace
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import Values
 from scan2albedo.core.first_run import compiled_beside
@@ -63,7 +63,7 @@ def process(
     brdf: str = "oren-nayar",
     unit: str = "auto",
     quality: Quality | str = "standard",
-    budget: Budget | float | None = None,
+    budget: BudgetLike = None,
     seed: int = 0,
     skip: Sequence[str] = (),
     force: Sequence[str] = (),
@@ -76,7 +76,7 @@ def process(
     texture_size: int = 1024,
     white_balance: str | Sequence[float] = "none",
     linear_model: LinearFaceModel | str | Path | None = None,
-    on_progress: ProgressCallback | None = None,
+    on_progress: OnProgress = None,
     **unknown: Never,
 ) -> ProcessResult:
     """Return the result of one raw scan, taken through every stage it needs.
@@ -161,7 +161,7 @@ class _Run:
     source: str | Path | RawScan
     name: str | None
     options: ProcessOptions
-    on_progress: ProgressCallback | None
+    on_progress: OnProgress
     plan: dict[str, list[PlanStep]]
     registration: Registration | None = None
     fitted: FittedFace | None = None

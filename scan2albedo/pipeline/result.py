@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from scan2albedo.core.arrays import ByteArray, FloatArray, RealArray, Values
+from scan2albedo.core.arrays import ByteArray, FloatArray, RealArray, Texts, Values, attributes
 from scan2albedo.core.raw_scan import lost_texture
 from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
@@ -113,7 +113,7 @@ class ProcessResult:
     """Of the file and those it refers to, before they were read (`io.input_sha256`); None without a file."""
 
     @property
-    def notes(self) -> tuple[str, ...]:
+    def notes(self) -> Texts:
         """What loading decided and repaired, and what is doubtful or wrong, one sentence each."""
         return (*self.scan.notes, *(step.text for step in self.plan.doubts()))
 
@@ -139,14 +139,14 @@ class ProcessResult:
         """Return the figures of each stage, for summaries and result.json."""
         figures: Values = {"seconds": round(sum(self.timings_s.values()), 3)}
         if self.registration is not None:
-            names = ("rmse_mm", "confidence", "converged")
-            figures["registration"] = {name: getattr(self.registration, name) for name in names}
+            figures["registration"] = attributes(self.registration, "rmse_mm", "confidence", "converged")
         if self.fitted is not None:
             figures["fit"] = {**self.fitted.metrics, "converged": self.fitted.converged}
         if (linear := self.linear_model) is not None:
-            names = ("noise_mm", "observations", "converged")
-            figures["linear_model"] = {name: getattr(linear, name) for name in names}
-            figures["linear_model"]["residual_mean_mm"] = float(np.nanmean(linear.residual_mm))
+            figures["linear_model"] = {
+                **attributes(linear, "noise_mm", "observations", "converged"),
+                "residual_mean_mm": float(np.nanmean(linear.residual_mm)),
+            }
         figures["geometry_image"] = self.geometry_image.figures()
         if self.albedo is not None:
             found = self.albedo

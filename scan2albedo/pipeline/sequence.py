@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core import Plan, PlanStep, ProgressCallback, RawScan
-from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, Values, identities
+from scan2albedo.core import OnProgress, Plan, PlanStep, RawScan
+from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, Values, identities, norms
 from scan2albedo.core.first_run import compiled_beside
 from scan2albedo.core.raw_scan import is_folder_name
 from scan2albedo.errors import FitError, RegistrationError, Scan2AlbedoError, one_line
@@ -75,7 +75,7 @@ class SequenceResult(ProcessResult):
         # weight of 1 is the farthest that a target goes.
         for count in range(len(size) + 1):
             left = moved - (scores[:, :count] * size[:count]) @ targets[:count]
-            if np.linalg.norm(left.reshape(control.shape), axis=2).max() < 0.05:
+            if norms(left.reshape(control.shape)).max() < 0.05:
                 break
         most = np.abs(scores).max(0)
         shapes = ((most * size)[:, None] * targets)[:count].reshape(count, *control.shape[1:])
@@ -103,7 +103,7 @@ def process_sequence(
     *,
     name: str,
     fps: float = 30.0,
-    on_progress: ProgressCallback | None = None,
+    on_progress: OnProgress = None,
     **options: Any,
 ) -> SequenceResult:
     """Return the frames of one take of one face, in order, as one mesh that moves.

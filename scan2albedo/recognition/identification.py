@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from scan2albedo.core.arrays import ArrayLike, BoolArray, FloatArray, IntArray, all_finite
+from scan2albedo.core.arrays import ArrayLike, BoolArray, FloatArray, IntArray, Texts, all_finite
 from scan2albedo.errors import RecognitionError
 from scan2albedo.recognition.similarity import WINDOW, similarity_matrix
 from scan2albedo.recognition.templates import Templates
@@ -18,7 +18,7 @@ Combine = Literal["best", "mean"]
 class Identification:
     """Persons of a gallery by their similarity to each probe."""
 
-    persons: tuple[str, ...]
+    persons: Texts
     """(G,): of the gallery, in alphabetical order."""
     probe_names: tuple[str | None, ...]
     """(P,): who the probes show; None where that is unknown."""
@@ -41,7 +41,7 @@ class Identification:
         return np.argsort(-self.similarities, axis=1, kind="stable")
 
     @property
-    def predicted(self) -> tuple[str, ...]:
+    def predicted(self) -> Texts:
         """(P,): the most similar person, the first in the alphabet of several."""
         return tuple(self.persons[k] for k in self.similarities.argmax(axis=1))
 
@@ -142,7 +142,7 @@ def identify_by_similarity(
 
 def similarities_by_person(
     scores: FloatArray, gallery_names: Sequence[str], combine: Combine
-) -> tuple[tuple[str, ...], FloatArray]:
+) -> tuple[Texts, FloatArray]:
     """Return the persons of a gallery, in alphabetical order, and the similarities (P, persons) to them.
 
     NaN in scores (P, images) is not a similarity: a person's best is that of the others, the mean is NaN.

@@ -8,7 +8,7 @@ from typing import Any, Literal, Self, get_args
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from scan2albedo.core.arrays import ArrayLike, IntArray
+from scan2albedo.core.arrays import ArrayLike, IntArray, Texts
 from scan2albedo.errors import RecognitionError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.recognition import templates as tpl
@@ -28,11 +28,11 @@ class LabelledTemplates:
     """Of each kind that at least one of them has."""
     rows: Mapping[tpl.Kind, IntArray]
     """(M,): which of the N results the templates of a kind belong to; some results may lack a kind."""
-    labels: tuple[str, ...]
+    labels: Texts
     """(N,): the results as the manifest names them, or the persons with a number."""
     persons: tuple[str | None, ...]
     """(N,): who is shown; None where that is unknown."""
-    notes: tuple[str, ...] = ()
+    notes: Texts = ()
     """What is odd about them, one sentence each."""
 
     def __len__(self) -> int:
@@ -231,7 +231,7 @@ class TemplatesHeader(BaseModel):
 
     format: Literal["scan2albedo templates"] = "scan2albedo templates"
     format_version: Literal[2] = 2
-    names: tuple[str, ...] = Field(min_length=1, description="Of the templates' persons, in order.")
+    names: Texts = Field(min_length=1, description="Of the templates' persons, in order.")
     options: TemplateOptionsRecord
     kind: tpl.Kind = Field("albedo", description="What the templates are of.")
     chart: tpl.Chart | None = Field(None, description="Of the images; null where unknown.")

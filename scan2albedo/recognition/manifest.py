@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scan2albedo.core.arrays import FloatArray, RealArray
+from scan2albedo.core.arrays import FloatArray, RealArray, Texts
 from scan2albedo.errors import RecognitionError, Scan2AlbedoError, needs_extra, one_line
 from scan2albedo.io.csv_tables import cells_by_column, read_text, table_rows
 from scan2albedo.io.geometry_image_files import read_geometry_image, read_image_and_albedo
@@ -40,7 +40,7 @@ class Manifest:
     file: Path
     entries: tuple[ManifestEntry, ...]
     """`file`, `entries`: the file or folder, and its results in order."""
-    notes: tuple[str, ...] = ()
+    notes: Texts = ()
     """What is odd about them, one sentence each."""
 
     def where(self, entry: ManifestEntry) -> str:

@@ -7,7 +7,7 @@ from typing import get_args
 
 import numpy as np
 
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, Texts
 from scan2albedo.errors import RecognitionError
 from scan2albedo.recognition import identification as matching
 from scan2albedo.recognition.labelled_templates import (
@@ -167,7 +167,7 @@ class ResultIdentification:
     decided_by: tuple[Kind, ...]
     """(P,): the kind that adds most to the lead of the predicted person over the next, the shading's part
     being the texture's."""
-    notes: tuple[str, ...]
+    notes: Texts
     """What is odd about the input, one sentence each."""
 
 

@@ -17,10 +17,13 @@ from scan2albedo.core.arrays import (
     BoolArray,
     Float32Array,
     FloatArray,
+    GridShape,
     NDArray,
     RealArray,
+    Texts,
     Values,
     all_finite,
+    attributes,
     finite_rows,
 )
 from scan2albedo.errors import RecognitionError, needs_extra
@@ -70,7 +73,7 @@ class Chart:
 
     model: str | None
     """Name of the face model; None where unknown."""
-    shape: tuple[int, int]
+    shape: GridShape
     """Height and width in texels."""
 
     def __str__(self) -> str:
@@ -111,7 +114,7 @@ class Templates:
     the luminance of the albedo, or x, y and z of the normals."""
     mask: BoolArray
     """(N, h, w)."""
-    names: tuple[str, ...]
+    names: Texts
     """(N,): of the persons; several templates may bear one name."""
     options: TemplateOptions = TemplateOptions()
     """How they were made."""
@@ -155,7 +158,7 @@ class Templates:
     @property
     def arrays(self) -> Values:
         """`coefficients`, `mask` and `weight`, by name."""
-        return {name: getattr(self, name) for name in ("coefficients", "mask", "weight")}
+        return attributes(self, "coefficients", "mask", "weight")
 
     def select(self, indices: Sequence[int]) -> Templates:
         """Return the templates of the given indices, in their order."""
@@ -385,7 +388,7 @@ def coarsest_bands(image: FloatArray) -> NDArray[np.complex128]:
 
 
 @lru_cache(maxsize=8)
-def _coarsest_filters(shape: tuple[int, int]) -> NDArray[np.complex128]:
+def _coarsest_filters(shape: GridShape) -> NDArray[np.complex128]:
     with needs_extra("recognition"):
         from pyrtools.pyramids import SteerablePyramidFreq
     point = np.zeros(shape)

@@ -9,11 +9,11 @@ from typing import Literal, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, NDArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, NDArray, Texts
 from scan2albedo.errors import ReflectanceError, ScanError, errors_of
 from scan2albedo.io.images import read_image_values
 from scan2albedo.io.load_scan import read_mesh_file
-from scan2albedo.io.records import read_record, write_record
+from scan2albedo.io.records import Name, read_record, write_record
 from scan2albedo.io.units import MM_PER_UNIT
 from scan2albedo.reflectance.olat import OlatImages, OlatOptions, extract_olat
 from scan2albedo.reflectance.shape_model import LANDMARKS
@@ -138,7 +138,7 @@ def read_skin_mask(path: Path, shape: tuple[int, ...], whose: str) -> BoolArray:
 class PoseEntry(_Part):
     """Pose of the head before one camera: x_cam = R x + t. The flash of the same name is at that camera."""
 
-    name: str = Field(min_length=1)
+    name: Name
     rotation: Matrix = Field(description="R, row-major, proper.")
     translation: Row = Field(description="t, in `unit`.")
     intrinsics: Matrix | None = Field(None, description="Of this camera, instead of the common ones.")
@@ -234,7 +234,7 @@ class CaptureFiles:
         """Whether the file gives the strength of the flashes, so that albedos have their true scale."""
         return self.content.flash_strength != FlashCaptureFile.model_fields["flash_strength"].default
 
-    def pair_names(self) -> tuple[str, ...]:
+    def pair_names(self) -> Texts:
         """Camera and flash of each pair."""
         return tuple(f"{pair.camera} lit by {pair.flash}" for pair in self.content.pictures)
 

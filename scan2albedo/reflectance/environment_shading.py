@@ -8,7 +8,7 @@ import numpy as np
 from numpy.polynomial.legendre import Legendre, leggauss, legvander
 from scipy.interpolate import CubicSpline
 
-from scan2albedo.core.arrays import EPSILON, ArrayLike, FloatArray, all_finite, checked_array, norms
+from scan2albedo.core.arrays import EPSILON, ArrayLike, FloatArray, all_finite, checked_array, dots, norms
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.lighting.harmonics import harmonic_degrees, harmonics, harmonics_gradient
@@ -132,7 +132,7 @@ def light_response(normals: ArrayLike, toward_camera: ArrayLike, *, lobe: Lobe =
     v = unit_vectors(checked_array(toward_camera, n.shape, "toward_camera"), "toward_camera")
     if lobe not in ("tilted", "full"):
         raise ValueError(f"lobe must be 'tilted' or 'full', got {lobe!r}")
-    cosine = np.einsum("vi,vi->v", n, v)
+    cosine = dots(n, v)
     mirror = 2 * cosine[:, None] * n - v
     along = mirror - cosine[:, None] * n
     angle, outward = np.arctan2(norms(along), cosine), normalized(along)
@@ -217,7 +217,7 @@ def shading_gradient(
     diffuse = np.einsum("vhi,hj->vji", harmonics_gradient(n, ORDER), attenuated, optimize=True)
     by_normal = reflectance.diffuse_linear[:, :, None] * diffuse
     by_view = np.zeros_like(by_normal)
-    cosine = np.einsum("vi,vi->v", n, v)
+    cosine = dots(n, v)
     along = cosine[:, None] * n - v
     sine = norms(along)
     angle = np.arctan2(sine, cosine)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 from scipy.special import softmax
 
-from scan2albedo.core import Budget, Plan, PlanStep, ProgressCallback
+from scan2albedo.core import BudgetLike, OnProgress, Plan, PlanStep
 from scan2albedo.core.arrays import EPSILON, ArrayLike, BoolArray, FloatArray, IntArray, checked_mesh
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import edges_with_faces
@@ -71,8 +71,8 @@ def fit_face(
     lighting: LightingModel | None = None,
     *,
     normal_error: float = 0.0,
-    budget: Budget | float | None = None,
-    on_progress: ProgressCallback | None = None,
+    budget: BudgetLike = None,
+    on_progress: OnProgress = None,
 ) -> FaceFit:
     """Return an unknown face's reflectance as far as its photograph proves it, the mean face otherwise.
 
@@ -189,7 +189,7 @@ def errors_left_out(
     faces: IntArray,
     lighting: LightingModel,
     normal_error: float,
-    budget: Budget | float | None,
+    budget: BudgetLike,
 ) -> dict[str, FloatArray]:
     """Return errors (B,) of descriptions of the face, by blocks left out of fits; NaN where not judged.
 

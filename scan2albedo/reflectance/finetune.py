@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
+from scan2albedo.core import Budget, BudgetLike, Meter, OnProgress, Trace
 from scan2albedo.core.arrays import FloatArray, checked_mesh
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.operators import surface_diffusion
@@ -61,8 +61,8 @@ def finetune(
     vertices: ArrayLike,
     *,
     lighting: LightingModel | None = None,
-    budget: Budget | float | None = None,
-    on_progress: ProgressCallback | None = None,
+    budget: BudgetLike = None,
+    on_progress: OnProgress = None,
 ) -> FineTuning:
     """Return a model with c and s moved to explain images of faces better that it was not learned from.
 
@@ -98,7 +98,7 @@ def finetune(
         raise ReflectanceError(f"{counts}; give one or more of each")
     smooth = surface_diffusion(positions, triangles, SMOOTHING_MM)
     lighting = LightingModel.default() if lighting is None else lighting
-    meter = Meter("reflectance.finetune", "held-out objective", Budget.of(budget), on_progress)
+    meter = Meter("reflectance.finetune", "held-out objective", budget, on_progress)
 
     def fit(observation: ImageObservation, tried: MorphableReflectanceModel, late: bool = False) -> ImageFit:
         # Raises `TimeoutError` when the deadline cut the fit short, unless that is allowed (`late`).

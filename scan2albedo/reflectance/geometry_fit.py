@@ -8,8 +8,8 @@ from typing import Self
 
 import numpy as np
 
-from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
-from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray, checked_array, finite_rows, norms
+from scan2albedo.core import BudgetLike, Meter, OnProgress, Plan, PlanStep, Trace
+from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray, checked_array, finite_rows, norms, rms
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import edges_with_faces, vertex_normals
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, pixel_directions, project
@@ -59,7 +59,7 @@ class GeometryFit:
     def landmark_rmse_px(self) -> float | None:
         """Root mean square over the landmarks used; None without any."""
         seen = np.isfinite(self.landmark_error_px)
-        return float(np.sqrt(np.mean(self.landmark_error_px[seen] ** 2))) if seen.any() else None
+        return rms(self.landmark_error_px[seen]) if seen.any() else None
 
 
 def refine_geometry(
@@ -74,8 +74,8 @@ def refine_geometry(
     initial_scene_from_model: ArrayLike | None = None,
     initial_identity: ArrayLike | None = None,
     initial_expression: ArrayLike | None = None,
-    budget: Budget | float | None = None,
-    on_progress: ProgressCallback | None = None,
+    budget: BudgetLike = None,
+    on_progress: OnProgress = None,
 ) -> GeometryFit:
     """Return pose and shape fitted to landmarks, then to landmarks and the colours of the image together.
 
@@ -126,7 +126,7 @@ def refine_geometry(
     coefficients = np.concatenate([identity, expression])
     seen = np.flatnonzero(finite_rows(landmarks))
     pose = _initial_pose(initial_scene_from_model, matrix, landmarks[seen], seen, shape_model, coefficients)
-    meter = Meter("reflectance.geometry", "objective", Budget.of(budget), on_progress)
+    meter = Meter("reflectance.geometry", "objective", budget, on_progress)
     state = GeometryPoint(shape_model, pose, coefficients, meter)
     if (reflectance is None) != (light is None):
         raise ValueError("reflectance and light go together; give both or none")

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from scan2albedo.core import Budget, Meter, ProgressCallback, Trace
+from scan2albedo.core import BudgetLike, Meter, OnProgress, Trace
 from scan2albedo.core.arrays import FloatArray, IntArray, checked_array
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.optimization.least_squares import LocalTerm, NormalEquations, map_equations, minimize
@@ -62,8 +62,8 @@ def fit_image(
     lighting: LightingModel | None = None,
     *,
     perceptual: PerceptualDistance | None = None,
-    budget: Budget | float | None = None,
-    on_progress: ProgressCallback | None = None,
+    budget: BudgetLike = None,
+    on_progress: OnProgress = None,
 ) -> ImageFit:
     """Return the reflectance and light that fit one image best, its geometry and pose being known.
 
@@ -99,7 +99,7 @@ def fit_image(
     is 0.079 and the nearest one of the model 0.052 off (`python tools/bench photographs/shadows`).
     """
     lighting = LightingModel.default() if lighting is None else lighting
-    meter = Meter("reflectance.image", "objective", Budget.of(budget), on_progress)
+    meter = Meter("reflectance.image", "objective", budget, on_progress)
     terms = ImageTerms(observation, model, lighting, meter, perceptual)
     # The mean face in mean light, as bright as the image.
     start = np.zeros(len(terms.prior))

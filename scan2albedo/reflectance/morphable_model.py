@@ -19,6 +19,7 @@ from scan2albedo.core.arrays import (
 )
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
+from scan2albedo.io.records import Count, PositiveCount
 from scan2albedo.reflectance.linear_model import LinearModel, principal_directions, require_one_topology
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance, check_exponents
 
@@ -43,9 +44,9 @@ class ReflectanceModelHeader(BaseModel):
     format: Literal["scan2albedo reflectance model"] = "scan2albedo reflectance model"
     format_version: Literal[1] = 1
     exponents: tuple[float, float, float] = Field(description="Of the Blinn-Phong lobes, in their order.")
-    samples: int = Field(ge=1, description="K, reflectances the model was learned from.")
-    vertices: int = Field(ge=1, description="V.")
-    components: int = Field(ge=0, description="N, directions of change.")
+    samples: PositiveCount = Field(description="K, reflectances the model was learned from.")
+    vertices: PositiveCount = Field(description="V.")
+    components: Count = Field(description="N, directions of change.")
     total_variance: float = Field(ge=0, description="Of the samples' albedo, all vertices together.")
 
 
@@ -211,6 +212,11 @@ class MorphableReflectanceModel(LinearModel):
         """Return the model without its directions, with factors (3,) on the channels of the mean albedo."""
         tinted = self.mean * np.append(np.broadcast_to(factors, 3), np.ones(4))
         return replace(self, mean=tinted, basis=self.basis[:0])
+
+    @property
+    def mean_reflectance(self) -> VertexReflectance:
+        """Of V vertices: that of the mean face."""
+        return self.reconstruct(np.zeros(self.components)).reflectance
 
     def reconstruct(self, coefficients: ArrayLike) -> ModelReflectance:
         """Return the reflectance of coefficients (N,), negatives set to 0 and counted.

@@ -4,7 +4,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core.arrays import ArrayLike, BoolArray, FloatArray, NDArray, checked_array, finite_rows
+from scan2albedo.core.arrays import (
+    ArrayLike,
+    BoolArray,
+    FloatArray,
+    NDArray,
+    checked_array,
+    dots,
+    finite_rows,
+)
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, project
@@ -82,7 +90,7 @@ def light_transfer(
         part = np.where(lit[some], facing, 0.0) @ weighted / np.pi
         rows = block.start + some
         diffuse[rows] = part + part[:, :1] / whole[:, :1] * (diffuse[rows] - whole)
-        n_v = np.einsum("vi,vi->v", n[block], v[block])[:, None]
+        n_v = dots(n[block], v[block])[:, None]
         half = np.sqrt(np.maximum(2 + 2 * (v[block] @ toward.T), 1e-12))
         # A surface that faces away from the camera sends it no highlights.
         n_h = np.where(lit & (cosine > 0) & (n_v > 0), (cosine + n_v) / half, 0.0)

@@ -3,8 +3,9 @@
 import numpy as np
 
 from scan2albedo.core.arrays import ArrayLike, FloatArray, checked_array
-from scan2albedo.core.compiled import compiled
+from scan2albedo.core.compiled import compiled, triple
 from scan2albedo.geometry.mesh import normalized
+from scan2albedo.geometry.rigid import dot, minus
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance
 
 PEAKS = tuple((s + 2) / (8 * np.pi) for s in EXPONENTS)
@@ -106,22 +107,16 @@ def _fill(vertices, frames, cameras, lights, reference, lobes, slopes):  # type:
 
     8 twice is 64: constant whole exponents cost a tenth of other powers.
     """
-    light, view, on_light, on_half = np.empty((4, 3))
     for j in range(len(cameras)):
         for i in range(len(vertices)):
-            n_l = n_v = light_square = view_square = cross = 0.0
-            for k in range(3):
-                light[k], view[k] = lights[j, k] - vertices[i, k], cameras[j, k] - vertices[i, k]
-                n_l += frames[i, 0, k] * light[k]
-                n_v += frames[i, 0, k] * view[k]
-                light_square += light[k] * light[k]
-                view_square += view[k] * view[k]
-                cross += light[k] * view[k]
-            if n_l <= 0.0 or view_square == 0.0:
+            point, normal = triple(vertices, i), triple(frames[i], 0)
+            light, view = minus(triple(lights, j), point), minus(triple(cameras, j), point)
+            along, light_square, view_square = dot(normal, light), dot(light, light), dot(view, view)
+            if along <= 0.0 or view_square == 0.0:
                 continue
             light_length, view_length = np.sqrt(light_square), np.sqrt(view_square)
-            n_l, n_v = n_l / light_length, n_v / view_length
-            half = 2.0 + 2.0 * cross / (light_length * view_length)
+            n_l, n_v = along / light_length, dot(normal, view) / view_length
+            half = 2.0 + 2.0 * dot(light, view) / (light_length * view_length)
             falloff = reference * reference / light_square if reference > 0.0 else 1.0
             lobes[j, i, 0] = falloff * n_l / np.pi
             n_h = min((n_l + n_v) / np.sqrt(half), 1.0) if half > 1e-12 else 0.0
@@ -131,15 +126,12 @@ def _fill(vertices, frames, cameras, lights, reference, lobes, slopes):  # type:
                 lobes[j, i, 2] = falloff * 10.0 / (8.0 * np.pi) * power8
                 lobes[j, i, 3] = falloff * 66.0 / (8.0 * np.pi) * power8**8
             ratio = np.sqrt(light_square / view_square)
-            for a in range(3):
-                on_light[a] = on_half[a] = 0.0
-                for k in range(3):
-                    on_light[a] += frames[i, a, k] * light[k]
-                    on_half[a] += frames[i, a, k] * (light[k] + ratio * view[k])
+            both = light[0] + ratio * view[0], light[1] + ratio * view[1], light[2] + ratio * view[2]
             for t in range(2):
-                slopes[j, i, t] = on_light[1 + t] / on_light[0]
-                if on_half[0] > 0.0:
-                    slopes[j, i, 2 + t] = on_half[1 + t] / on_half[0]
+                tangent = triple(frames[i], 1 + t)
+                slopes[j, i, t] = dot(tangent, light) / along
+                if dot(normal, both) > 0.0:
+                    slopes[j, i, 2 + t] = dot(tangent, both) / dot(normal, both)
 
 
 @compiled(error_model="numpy")

@@ -6,9 +6,10 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_array, checked_mesh
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, attributes, checked_array, checked_mesh
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
+from scan2albedo.io.records import Count, PositiveCount
 from scan2albedo.reflectance.linear_model import require_one_topology
 from scan2albedo.reflectance.vertex_fit import ReflectanceFit
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance, check_exponents
@@ -46,8 +47,7 @@ class MeshReflectance:
             checked_array(self.std, (count, 6), "std", ReflectanceError)
         if self.seen is not None:
             checked_array(self.seen, (count,), "seen", ReflectanceError, kind=bool)
-        object.__setattr__(self, "vertices", vertices)
-        object.__setattr__(self, "faces", faces)
+        vars(self).update(vertices=vertices, faces=faces)
 
 
 class MeshReflectanceHeader(BaseModel):
@@ -64,8 +64,8 @@ class MeshReflectanceHeader(BaseModel):
     format: Literal["scan2albedo mesh reflectance"] = "scan2albedo mesh reflectance"
     format_version: Literal[1] = 1
     exponents: tuple[float, float, float] = Field(description="Of the Blinn-Phong lobes, in their order.")
-    vertices: int = Field(ge=1, description="V.")
-    faces: int = Field(ge=0, description="F.")
+    vertices: PositiveCount = Field(description="V.")
+    faces: Count = Field(description="F.")
 
 
 def write_reflectance(path: str | Path, mesh: MeshReflectance, *, fit: ReflectanceFit | None = None) -> None:
@@ -82,7 +82,7 @@ def write_reflectance(path: str | Path, mesh: MeshReflectance, *, fit: Reflectan
     values = mesh.vertices, mesh.faces, one.known, one.diffuse_linear, one.weights
     arrays = dict(zip(_ARRAYS, values, strict=True))
     if fit is not None:
-        arrays |= {name: getattr(fit, name) for name in _OF_A_FIT}
+        arrays |= attributes(fit, *_OF_A_FIT)
     if mesh.seen is not None:
         arrays["seen"] = mesh.seen
     write_npz_record(path, header, arrays, what="reflectance")

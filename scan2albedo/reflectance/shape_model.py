@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray, checked_array, checked_mesh
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
+from scan2albedo.io.records import Count, PositiveCount
 from scan2albedo.reflectance.linear_model import LinearModel, principal_directions, require_one_topology
 
 LANDMARKS = 68
@@ -31,9 +32,9 @@ class ShapeModelHeader(BaseModel):
 
     format: Literal["scan2albedo shape model"] = "scan2albedo shape model"
     format_version: Literal[1] = 1
-    vertices: int = Field(ge=1, description="V.")
-    identity_components: int = Field(ge=0, description="N_S.")
-    expression_components: int = Field(ge=0, description="N_E.")
+    vertices: PositiveCount = Field(description="V.")
+    identity_components: Count = Field(description="N_S.")
+    expression_components: Count = Field(description="N_E.")
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, Trace
+from scan2albedo.core import BudgetLike, Meter, OnProgress, Plan, PlanStep, Trace
 from scan2albedo.core.arrays import (
     EPSILON,
     SMALLEST,
@@ -107,8 +107,8 @@ def fit_reflectance(
     samples: VertexSamples,
     *,
     options: ReflectanceFitOptions = ReflectanceFitOptions(),
-    budget: Budget | float | None = None,
-    on_progress: ProgressCallback | None = None,
+    budget: BudgetLike = None,
+    on_progress: OnProgress = None,
 ) -> ReflectanceFit:
     """Return the three albedos and weights of three lobes that fit each vertex best, all >= 0.
 
@@ -138,7 +138,7 @@ def fit_reflectance(
     """
     rows = _rows_to_fit(samples, options)
     count = samples.lobes.shape[1]
-    meter = Meter("reflectance", "loss per observation", Budget.of(budget), on_progress)
+    meter = Meter("reflectance", "loss per observation", budget, on_progress)
     data, level = _with_prior(samples, rows)
     gain, gains_settled = np.full((int(samples.light.max()) + 1, 3), np.nan), True
     gain[samples.light[samples.valid[:, rows].any((1, 2))]] = 1.0

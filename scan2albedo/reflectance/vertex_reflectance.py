@@ -44,9 +44,8 @@ class VertexReflectance:
         if (known & ~good).any():
             first = int(np.flatnonzero(known & ~good)[0])
             raise ReflectanceError(f"vertex {first} is known, but not finite or negative: {numbers[first]}")
-        object.__setattr__(self, "diffuse_linear", np.where(known[:, None], diffuse, np.nan))
-        object.__setattr__(self, "weights", np.where(known[:, None], weights, np.nan))
-        object.__setattr__(self, "known", known)
+        diffuse, weights = (np.where(known[:, None], values, np.nan) for values in (diffuse, weights))
+        vars(self).update(diffuse_linear=diffuse, weights=weights, known=known)
 
     def chosen(self, rows: IntArray) -> VertexReflectance:
         """Return the reflectance of some vertices."""

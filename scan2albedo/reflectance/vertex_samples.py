@@ -46,8 +46,7 @@ class CaptureRig:
         light = checked_array(self.light, (count,), "light", wrong, kind=int)
         if (light < 0).any():
             raise ReflectanceError(f"light is {light.min()} at least, expected 0 or more")
-        for name, array in (("cameras", cameras), ("light_positions", places), ("light", light)):
-            object.__setattr__(self, name, array)
+        vars(self).update(cameras=cameras, light_positions=places, light=light)
 
     @property
     def camera_positions(self) -> FloatArray:

@@ -12,6 +12,7 @@ from scan2albedo.core.arrays import (
     IntArray,
     checked_array,
     checked_mesh,
+    dots,
     finite_rows,
     norms,
 )
@@ -93,7 +94,7 @@ class VertexVisibility:
     def lit(self, light: FloatArray) -> BoolArray:
         """Return (V,) vertices that the light at (3,) reaches, none of them beside a cast shadow."""
         reached = self.reached(light)
-        hidden = (np.einsum("vc,vc->v", self._normals, light - self._vertices) > 0) & ~reached
+        hidden = (dots(self._normals, light - self._vertices) > 0) & ~reached
         beside = hidden.copy()
         beside[self._edges[hidden[self._edges[:, 1]], 0]] = True
         beside[self._edges[hidden[self._edges[:, 0]], 1]] = True
@@ -108,7 +109,7 @@ class VertexVisibility:
         position = camera_centers(camera[None])[0]
         sight = position - self._vertices
         distance = norms(sight)
-        n_v = np.einsum("vc,vc->v", self._normals, sight) / np.maximum(distance, 1e-12)
+        n_v = dots(self._normals, sight) / np.maximum(distance, 1e-12)
         result = self.reached(position) & (n_v > cosine)
         if not result.any():
             return result

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import expit
 
 from scan2albedo.core import Meter, Plan, PlanStep
-from scan2albedo.core.arrays import FloatArray, norms
+from scan2albedo.core.arrays import FloatArray, dots, norms
 from scan2albedo.errors import InsideOutError, NoFaceError, RegistrationError
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry.alignment import Alignment
@@ -68,7 +68,7 @@ def accepted(
         # |p - c| about the centroid c, -1 ... 1, changes its sign with the normals.
         samples = scan.samples
         offset = samples.points - samples.areas @ samples.points / samples.areas.sum()
-        outward = samples.areas @ np.einsum("ij,ij->i", offset, samples.normals)
+        outward = samples.areas @ dots(offset, samples.normals)
         clearly = outward >= _CLEARLY_OUTWARD * (samples.areas @ norms(offset))
         if best.log_odds < CONVINCING and not (best.log_odds > 0 and clearly):
             # The turned scan is another problem than the scan, so its rows stay out of the trace.

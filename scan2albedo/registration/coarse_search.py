@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray, IntArray, dots, norms
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.alignment import NearestGrid, align_on_grid
 from scan2albedo.geometry.oriented_points import OrientedPoints
@@ -63,7 +63,7 @@ def coarse_poses(
         kept.append(i)
         offset = poses.translations[i + 1 :] - poses.translations[i]
         trace = np.einsum("nij,ij->n", poses.rotations[i + 1 :], poses.rotations[i])
-        near = np.einsum("ni,ni->n", offset, offset) < 10**2
+        near = dots(offset, offset) < 10**2
         alike[i + 1 :] |= near & (trace > same_trace)
     return poses.subset(np.array(kept, int))
 
@@ -114,7 +114,7 @@ class PlacedPose:
         corners = np.stack([self.of_model, self.of_scan])[:, every]
         across = np.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
         # Nearly straight ones, of less than 300 mm2, leave a turn open.
-        wide = np.flatnonzero(np.linalg.norm(across, axis=2).min(0) > 600)
+        wide = np.flatnonzero(norms(across).min(0) > 600)
         if len(wide) > 200:
             wide = wide[np.random.default_rng(0).choice(len(wide), 200, replace=False)]
         return [every[i] for i in wide]

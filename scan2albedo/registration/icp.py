@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scan2albedo.core import Meter, PlanStep
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, dots
 from scan2albedo.face_model.variation import STRETCHES
 from scan2albedo.geometry.alignment import Alignment, Pairs, align
 from scan2albedo.geometry.mesh import normalized
@@ -95,8 +95,8 @@ def residuals(scan: OrientedPoints, model: OrientedPoints, pose: Similarity) -> 
     found = index < len(scan)
     index = np.where(found, index, 0)
     offset, normal = points - scan.points[index], normalized(normals + scan.normals[index])
-    agreement = np.where(found, np.einsum("ij,ij->i", normals, scan.normals[index]), -1.0)
-    return Residuals(offset, normal, np.einsum("ij,ij->i", offset, normal), distance, agreement)
+    agreement = np.where(found, dots(normals, scan.normals[index]), -1.0)
+    return Residuals(offset, normal, dots(offset, normal), distance, agreement)
 
 
 def icp(

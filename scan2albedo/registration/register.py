@@ -6,7 +6,16 @@ from functools import cache
 import numpy as np
 from scipy.special import expit, logit
 
-from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback, RawScan, Trace, checked_seed
+from scan2albedo.core import (
+    BudgetLike,
+    Meter,
+    OnProgress,
+    Plan,
+    PlanStep,
+    RawScan,
+    Trace,
+    checked_seed,
+)
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.errors import NoFaceError
@@ -55,11 +64,11 @@ class Registration:
 def register(
     scan: RawScan,
     model: AnnotatedSurface,
-    budget: Budget | float | None = None,
+    budget: BudgetLike = None,
     seed: int = 0,
     *,
     options: RegistrationOptions = RegistrationOptions(),
-    on_progress: ProgressCallback | None = None,
+    on_progress: OnProgress = None,
 ) -> Registration:
     """Return the rigid pose of a scan's face in the model's frame.
 
@@ -91,7 +100,7 @@ def register(
     require_type(scan, RawScan, "register: scan", "load_scan(path) returns one")
     require_type(model, AnnotatedSurface, "register: model", "AnnotatedFaceModel.default() returns one")
     require_type(options, RegistrationOptions, "register: options", "make them with RegistrationOptions()")
-    meter = Meter("icp", "mm", Budget.of(budget), on_progress)
+    meter = Meter("icp", "mm", budget, on_progress)
     seed = checked_seed(seed)
     prepared = prepared_scan(scan, options)
     template = Template.of(model, seed)

@@ -11,9 +11,11 @@ from scan2albedo.core.arrays import (
     ByteArray,
     Float32Array,
     FloatArray,
+    GridShape,
     IntArray,
     NDArray,
     RealArray,
+    dots,
 )
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.pinhole import project
@@ -78,7 +80,7 @@ class SeenSamples:
     barycentric coordinates `weight` (N, 3).
     """
 
-    shape: tuple[int, int]
+    shape: GridShape
     side: int
     index: IntArray
     corners: IntArray
@@ -111,7 +113,7 @@ class SeenSamples:
         .. [2] J. Hanika, "Hacking the shadow terminator", Ray Tracing Gems II, 2021.
         """
         flat = self.interpolated(vertices)
-        below = np.einsum("nkc,nkc->nk", vertices[self.corners] - flat[:, None], normals[self.corners])
+        below = dots(vertices[self.corners] - flat[:, None], normals[self.corners])
         if outward:
             below = np.maximum(below, 0.0)
         toward_planes = np.einsum("nk,nk,nkc->nc", self.weight, below, normals[self.corners])
@@ -126,7 +128,7 @@ class SeenSamples:
 
 
 def seen_samples(
-    vertices: FloatArray, faces: IntArray, camera: FloatArray, shape: tuple[int, int], side: int = 1
+    vertices: FloatArray, faces: IntArray, camera: FloatArray, shape: GridShape, side: int = 1
 ) -> SeenSamples:
     """Return what a normalised camera (3, 4) sees of a mesh in `side` x `side` samples of each pixel.
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.ndimage import affine_transform, binary_dilation
 
 from scan2albedo.core import RawScan
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, all_finite, finite_rows, norms
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, all_finite, finite_rows, norms, rms
 from scan2albedo.eyeglasses import Camera, RegisteredEyeglasses
 from scan2albedo.eyeglasses.canonicalization import CanonicalEyeglasses
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, KEY_POINT_PLACES
@@ -58,7 +58,7 @@ def glasses_panels(frames: Sequence[tuple[str, FloatArray, CanonicalEyeglasses]]
         hues = colormaps["tab20"](np.arange(canonical.weights.shape[1]) % 20)[:, :3]
         heat = heat_colors(distance, 0, max(most, 1e-9), "viridis")
         how = "unbent, own shape" if canonical.unbent else "to the mean"
-        how += f"\nmoved by {np.sqrt(np.mean(distance**2)):.2f} mm rms (0 to {most:.2g} mm)"
+        how += f"\nmoved by {rms(distance):.2f} mm rms (0 to {most:.2g} mm)"
         states = ((f"{name}\nas given", placed, canonical.weights @ hues), (how, canonical.vertices, heat))
         for view, side in zip(views, ("front", "above"), strict=True):
             for title, vertices, color in states:
@@ -145,9 +145,9 @@ def _view_panel(frame: RegisteredEyeglasses, number: int, view: SeenView, head: 
     count, wrong = int(given.sum()), int((given & ~close).sum())
     labels = f"{count} labels" + (f", {wrong} outliers" if wrong else "")
     if close.any():
-        labels += f", {np.sqrt(np.mean(errors[close] ** 2)):.1f} px rms"
-    rms = frame.outline_rms_px[number]
-    outline = "outline not compared" if np.isnan(rms) else f"outline {rms:.1f} px rms"
+        labels += f", {rms(errors[close]):.1f} px rms"
+    off = frame.outline_rms_px[number]
+    outline = "outline not compared" if np.isnan(off) else f"outline {off:.1f} px rms"
     title = f"{given_camera.name}: {labels}\n{'no mask' if given_mask is None else outline}"
     dots = given_labels[given] @ zoom[:2, :2].T + zoom[:2, 2]
     colors = np.where(close[given, None], to_rgb("lime"), to_rgb(_OUTLIER_COLOR))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, IntArray, finite_rows
+from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, GridShape, IntArray, dots, finite_rows
 from scan2albedo.geometry.mesh import face_cross_products, normalized
 from scan2albedo.geometry.operators import filled_over_mesh
 from scan2albedo.geometry.pinhole import camera_centers
@@ -110,7 +110,7 @@ def relit_panels(
 
 
 def draw_in_camera(
-    camera: FloatArray, shape: tuple[int, int], vertices: FloatArray, faces: IntArray, color: FloatArray
+    camera: FloatArray, shape: GridShape, vertices: FloatArray, faces: IntArray, color: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
     """Return colours (V, 3) as a camera (3, 4) sees them (H, W, 3), and where they are all known (H, W)."""
     seen = seen_samples(vertices, faces, camera, shape)
@@ -127,7 +127,7 @@ def relit_picture(
     reflectance: VertexReflectance,
     *,
     camera: FloatArray,
-    shape: tuple[int, int],
+    shape: GridShape,
     light: FloatArray,
     reference_distance_mm: float | None = None,
 ) -> tuple[FloatArray, BoolArray]:
@@ -138,7 +138,7 @@ def relit_picture(
     and shadowed one by one. The back of the mesh is not seen.
     """
     center, across = camera_centers(camera[None]), face_cross_products(vertices, faces)
-    front = np.einsum("fc,fc->f", across, center - vertices[faces[:, 0]]) > 0
+    front = dots(across, center - vertices[faces[:, 0]]) > 0
     seen = seen_samples(vertices, faces[front], camera, shape, 3)
     if len(seen.index) == 0 or not reflectance.known.any():
         return np.zeros((*shape, 3)), np.zeros(shape, bool)

@@ -12,10 +12,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from pydantic import Field
 
+from scan2albedo.core.arrays import Texts
 from scan2albedo.core.version import VERSION
 from scan2albedo.io.atomic import write_text
 from scan2albedo.io.npz import write_npz
-from scan2albedo.io.records import Figures, Number, OptionalNumber, Record
+from scan2albedo.io.records import Figures, Number, OptionalNumber, OwnFileNames, PositiveCount, Record, Share
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
 from scan2albedo.recognition import CmcCurve, ResultIdentification, RocCurve, cmc_curve, roc_curve
 from scan2albedo.recognition.templates import Kind
@@ -44,9 +45,9 @@ class ProbeRecord(Record):
 class RatesRecord(Record):
     """Of the probes whose person is known."""
 
-    probes: int = Field(ge=1)
+    probes: PositiveCount
     confidence: float = Field(gt=0, lt=1, description="Of the intervals.")
-    rank_1_rate: Number = Field(ge=0, le=1)
+    rank_1_rate: Share
     rank_1_interval: Interval = Field(description="Clopper and Pearson's.")
     equal_error_rate: OptionalNumber = Field(
         description="Of claims to be a person; null where nobody could be an impostor."
@@ -62,15 +63,15 @@ class IdentificationRecord(Record):
     gallery: str = Field(description="The file or folder that names it, as given.")
     probes: str = Field(description="The file or folder that names them, as given.")
     use: tuple[Kind, ...] = Field(min_length=1, description="What was compared.")
-    gallery_images: int = Field(ge=1)
-    persons: tuple[str, ...] = Field(min_length=1, description="Of the gallery.")
+    gallery_images: PositiveCount
+    persons: Texts = Field(min_length=1, description="Of the gallery.")
     combine: Literal["best", "mean"] = Field(description="What is taken of a person's several images.")
     template_options: Figures
     model: str | None = Field(description="Name of the face model on whose chart the albedos lie.")
     rates: RatesRecord | None = Field(description="Null when no probe's person is known.")
     results: tuple[ProbeRecord, ...] = Field(min_length=1, description="In the order of the probes.")
-    notes: tuple[str, ...] = ()
-    files: tuple[str, ...] = Field((), description="Names of the files beside this one.")
+    notes: Texts = ()
+    files: OwnFileNames = ()
 
 
 FILES = OwnFiles(

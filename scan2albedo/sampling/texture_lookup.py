@@ -9,8 +9,10 @@ from scan2albedo.core.arrays import (
     BoolArray,
     Float32Array,
     FloatArray,
+    GridShape,
     IntArray,
     Values,
+    dots,
     norms,
     on_grid,
     triangle_sides,
@@ -133,12 +135,12 @@ def sample_colors(
     valid = hits.distance <= reach_mm
     facing = mesh.face_normals(scan.vertices, scan.faces[near])[hits.face]
     # The raw surface must face the way the fitted one does, within 60 degrees.
-    valid &= np.einsum("ij,ij->i", normals, facing) >= 0.5
+    valid &= dots(normals, facing) >= 0.5
     on_edge = mesh.boundary_vertex_mask(len(scan.vertices), scan.faces[near])[scan.faces[face]]
     # In a hole the closest point is on the scan's edge, and the point 0.5 mm or more sideways of it.
     at_edge = (np.where(on_edge, 0.0, hits.barycentric).sum(1) < 1e-6) & (on_edge.sum(1) >= 1)
     offset = points - hits.points
-    sideways = offset - np.einsum("ij,ij->i", offset, normals)[:, None] * normals
+    sideways = offset - dots(offset, normals)[:, None] * normals
     valid &= ~(at_edge & (norms(sideways) > 0.5))
     pixel = None
     if scan.uv is not None and scan.texture_linear is not None:
@@ -175,7 +177,7 @@ def _photograph(
     # Gradients (F, 2, 3) of u and v over each of the faces, per mm; zero on degenerate ones.
     faces, corners = scan.faces[near], scan.vertices[scan.faces[near]]
     cross = mesh.face_cross_products(scan.vertices, faces)
-    squared = np.maximum(np.einsum("ij,ij->i", cross, cross), 1e-24)
+    squared = np.maximum(dots(cross, cross), 1e-24)
     gradient = np.zeros((len(faces), 2, 3))
     for k in range(3):
         hat = np.cross(cross, corners[:, (k + 2) % 3] - corners[:, (k + 1) % 3]) / squared[:, None]
@@ -233,7 +235,7 @@ def texture_cameras(scan: RawScan) -> tuple[IntArray, FloatArray] | None:
         if not np.median(off) < tolerance:
             continue
         position = camera_centers(fitted[None])[0]
-        facing = np.einsum("ij,ij->i", position - corners[inside, 0], normals[inside]) > 0
+        facing = dots(position - corners[inside, 0], normals[inside]) > 0
         if facing.mean() < _FACING:
             continue
         off = _distances(fitted, corners, pixels).max(1)
@@ -251,7 +253,7 @@ def _distances(camera: FloatArray, points: FloatArray, places: FloatArray) -> Fl
         return norms(image[..., :2] / image[..., 2:] - places)
 
 
-def texel_steps(vertices: FloatArray, uv: FloatArray, faces: IntArray, shape: tuple[int, int]) -> FloatArray:
+def texel_steps(vertices: FloatArray, uv: FloatArray, faces: IntArray, shape: GridShape) -> FloatArray:
     """Return (F, 3, 2): displacement in mm of one texel to the right and one texel down on each face."""
     corners, chart = vertices[faces], uv[faces]
     edges = np.stack(triangle_sides(corners), 2)

@@ -6,7 +6,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from scan2albedo.core.arrays import FloatArray, IntArray, arc_lengths, norms, smoothstep
+from scan2albedo.core.arrays import FloatArray, IntArray, Texts, arc_lengths, norms, smoothstep
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.geometry.mesh import normalized, vertex_components, without_unreferenced
 
@@ -222,7 +222,7 @@ class SyntheticEyeglasses:
         return self.rest_vertices[self.keypoint_vertices]
 
     @property
-    def names(self) -> tuple[str, ...]:
+    def names(self) -> Texts:
         """Names of the 20 key points."""
         return KEY_POINT_NAMES
 

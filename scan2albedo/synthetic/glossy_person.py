@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, norms
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, dots, norms
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.operators import vertex_average
@@ -114,12 +114,12 @@ class GlossyPerson:
 
     def _reflected(self, seen: SeenSurface, toward: FloatArray, reach: FloatArray) -> FloatArray:
         """Return radiance (N, 3) under light of strength 1 from directions (N, 3), `reach` (N,) mm away."""
-        n_l = np.einsum("nc,nc->n", seen.normal, toward)
+        n_l = dots(seen.normal, toward)
         facing = np.flatnonzero(n_l > 0)
         start = seen.position[facing] + SHADOW_OFFSET_MM * seen.normal[facing]
         rows = facing[~self.scene.occluded(start, toward[facing], reach[facing])]
         half = normalized(toward[rows] + seen.toward_camera[rows])
-        n_h = np.maximum(np.einsum("nc,nc->n", seen.normal[rows], half), 0.0)
+        n_h = np.maximum(dots(seen.normal[rows], half), 0.0)
         gloss = np.zeros(len(rows))
         for k, s in enumerate(EXPONENTS):
             gloss += seen.weights[rows, k] * (s + 2) / (8 * np.pi) * n_h**s

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from scan2albedo.core import GeometryImage, PointLight, RawScan
-from scan2albedo.core.arrays import Float32Array, FloatArray, IntArray, on_grid
+from scan2albedo.core.arrays import Float32Array, FloatArray, IntArray, dots, norms, on_grid
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry import pinhole, rigid
 from scan2albedo.geometry.mesh import face_normals, normalized, vertex_normals
@@ -120,17 +120,17 @@ def capture(
     clockwise = signed_areas(plane, triangles) < 0
     triangles[clockwise] = triangles[clockwise][:, ::-1]
     corners = plane[triangles]
-    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(1)
+    longest = norms(corners - np.roll(corners, 1, axis=1)).max(1)
     triangles = triangles[longest < 2.5 * spacing_mm]
     normals = face_normals(points, triangles)
-    leaning = -np.einsum("ij,ij->i", normals, rays[seen][triangles[:, 0]])
+    leaning = -dots(normals, rays[seen][triangles[:, 0]])
     # The cosine between each triangle's normal and each pod, -1 where the pod cannot see it.
     facing = np.empty((len(triangles), len(pods)))
     for k, (camera, place) in enumerate(zip(pods, pinhole.camera_centers(pods), strict=True)):
         toward_pod = normalized(place - points)
         hidden = np.asarray((np.abs(pinhole.project(camera, points)[0] - 0.5) > 0.4975).any(1))
         hidden[~hidden] = scene.occluded((points + toward_pod / 2)[~hidden], toward_pod[~hidden])
-        cosine = np.einsum("ij,ij->i", normals, toward_pod[triangles[:, 0]])
+        cosine = dots(normals, toward_pod[triangles[:, 0]])
         facing[:, k] = np.where(hidden[triangles].any(1), -1.0, cosine)
     kept = (leaning > _LEAST_COSINE) & (facing.max(1) > _LEAST_COSINE)
     used, renumbered = np.unique(triangles[kept], return_inverse=True)
@@ -325,7 +325,7 @@ def assembled(
     centers = points[rng.choice(len(points), scanner.holes)]
     kept = np.ones(len(measured.faces), bool)
     for center, radius in zip(centers, rng.uniform(2, 6, scanner.holes), strict=True):
-        kept &= (np.linalg.norm(points[measured.faces] - center, axis=2) > radius).all(1)
+        kept &= (norms(points[measured.faces] - center) > radius).all(1)
     vertices, faces = seated.join(
         [(points, measured.faces[kept]), *seated.crumb_meshes(points, rng, scanner.crumbs)]
     )

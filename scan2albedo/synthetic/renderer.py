@@ -10,7 +10,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from scan2albedo.core import PointLight
-from scan2albedo.core.arrays import ArrayLike, BoolArray, Float32Array, FloatArray, NDArray, RealArray, norms
+from scan2albedo.core.arrays import (
+    ArrayLike,
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    NDArray,
+    RealArray,
+    dots,
+    norms,
+)
 from scan2albedo.errors import import_open3d
 from scan2albedo.geometry.mesh import RayHits, normalized
 from scan2albedo.geometry.pinhole import look_at
@@ -114,7 +123,7 @@ def render(
     visible = np.zeros((len(xyz), len(lights)), bool)
     for column, light in enumerate(lights):
         toward, reach, irradiance = incident_light(xyz, light)
-        lit = np.einsum("ij,ij->i", n, toward) > 0
+        lit = dots(n, toward) > 0
         if occluder is not None:
             start = xyz[lit] + SHADOW_OFFSET_MM * n[lit]
             lit[lit] = ~occluder.occluded(start, toward[lit], reach[lit] if np.isfinite(reach[0]) else np.inf)
@@ -152,7 +161,7 @@ def oren_nayar(
     bitangent = np.cross(normal, tangent)
 
     def polar(direction: FloatArray) -> tuple[FloatArray, FloatArray]:
-        along = [np.einsum("ij,ij->i", direction, axis) for axis in (tangent, bitangent, normal)]
+        along = [dots(direction, axis) for axis in (tangent, bitangent, normal)]
         theta = np.arctan2(np.hypot(along[0], along[1]), along[2])
         return np.minimum(theta, _GRAZING_RAD), np.arctan2(along[1], along[0])
 
@@ -169,8 +178,8 @@ def phong(
     normal: FloatArray, toward_light: FloatArray, toward_viewer: FloatArray, exponent: float
 ) -> FloatArray:
     """Return (N,) max(0, r . v)^exponent, r the mirrored light direction (Phong, CACM 18(6), 1975)."""
-    mirrored = 2 * np.einsum("ij,ij->i", normal, toward_light)[:, None] * normal - toward_light
-    return np.maximum(0, np.einsum("ij,ij->i", mirrored, toward_viewer)) ** exponent
+    mirrored = 2 * dots(normal, toward_light)[:, None] * normal - toward_light
+    return np.maximum(0, dots(mirrored, toward_viewer)) ** exponent
 
 
 TARGET_MM = np.array([0.0, 0.0, -5.0])

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from scan2albedo.core import GeometryImage, PointLight
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, norms, on_grid
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, dots, norms, on_grid
 from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.synthetic.face_shape import Expression, face_geometry_image, face_surface, person
@@ -164,7 +164,7 @@ def with_normal_error(image: GeometryImage, rms_deg: float, rng: np.random.Gener
     mask, normal = image.mask, image.normal[image.mask]
     uv = texel_coordinates(max(image.shape))[mask.ravel()]
     push = np.stack([smooth_noise(uv, (24, 24), rng) for _ in range(3)], 1)
-    push -= np.einsum("ij,ij->i", push, normal)[:, None] * normal
+    push -= dots(push, normal)[:, None] * normal
     push *= np.deg2rad(rms_deg) / np.sqrt(np.mean(np.sum(push**2, axis=1)))
     tilted = image.normal.copy()
     tilted[mask] = normalized(normal + push)

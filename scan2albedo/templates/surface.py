@@ -5,7 +5,7 @@ from typing import Self
 
 import numpy as np
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, checked_mesh, norms
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, Texts, checked_mesh, norms
 from scan2albedo.core.compiled import compiled
 from scan2albedo.errors import ModelError, errors_of
 from scan2albedo.geometry import mesh as meshes
@@ -34,7 +34,7 @@ class TemplateSurface:
     vertices: FloatArray
     faces: IntArray
     template_from_surface: FloatArray
-    notes: tuple[str, ...] = ()
+    notes: Texts = ()
 
     def turned(self, rotation: FloatArray) -> Self:
         """Return the surface turned by a (3, 3) rotation about its origin."""

@@ -42,7 +42,7 @@ def test_a_walk_downhill_ends_at_the_vertex_of_a_full_search():
     points = vertices[FACES].mean(1)
     moved, before = points + [0.2, -0.1, 0.05], surface.nearest_vertices(points)
     xyz, _, _, _, near, near_start = surface.arrays
-    found = [walk_downhill(*place, v, xyz, near, near_start) for place, v in zip(moved, before, strict=True)]
+    found = [walk_downhill(place, v, xyz, near, near_start) for place, v in zip(moved, before, strict=True)]
     nearest = surface.nearest_vertices(moved)
     assert (nearest != before).any()
     assert_array_equal(found, nearest)
@@ -75,7 +75,7 @@ def test_triangles_without_area_or_with_coincident_corners_have_closest_points_t
     for corners in vertices[faces]:
         for order in ([0, 1, 2], [1, 2, 0], [2, 0, 1], [0, 2, 1]):
             for point in (points[1], corners[0]):
-                weights = weights_nearest_origin(*(corners[order] - point).ravel())
+                weights = weights_nearest_origin(*(corners[order] - point))
                 assert sum(weights) == pytest.approx(1)
 
 

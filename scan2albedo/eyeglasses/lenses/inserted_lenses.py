@@ -11,8 +11,10 @@ from scan2albedo.core.arrays import (
     BoolArray,
     FloatArray,
     IntArray,
+    Texts,
     all_finite,
     checked_array,
+    dots,
     norms,
 )
 from scan2albedo.errors import EyeglassesError, errors_of
@@ -145,7 +147,7 @@ def lens_mesh(
 
 def without_glass(
     frame: Surface, lenses: Sequence[InsertedLens], keypoints: FloatArray
-) -> tuple[Surface, tuple[str, ...]]:
+) -> tuple[Surface, Texts]:
     """Return a frame without parts across a lens, and notes, also on glass of one piece with the rim."""
     vertices, faces = np.asarray(frame.vertices), np.asarray(frame.faces)
     kept, notes = np.ones(len(faces), bool), []
@@ -233,7 +235,7 @@ def trace_lenses(scene: LensScene, lenses: Sequence[InsertedLens], seen: SceneRa
             mirrored = mirror_on_sphere(position - height, heading, center, normal, material.front_radius_mm)
             alpha, beta = np.full(len(rays), material.alpha), np.full(len(rays), material.beta)
             if material.fresnel:
-                cosine = np.sqrt(np.clip((1 - np.einsum("ni,ni->n", heading, mirrored)) / 2, 0, 1))
+                cosine = np.sqrt(np.clip((1 - dots(heading, mirrored)) / 2, 0, 1))
                 beta = material.beta + (1 - material.beta) * (1 - cosine) ** 5
                 # All other shares shrink alike, so that together they stay 1.
                 alpha = alpha * (1 - beta) / max(1 - material.beta, SMALLEST)

@@ -9,11 +9,14 @@ from scan2albedo.core.arrays import (
     ArrayLike,
     BoolArray,
     FloatArray,
+    GridShape,
     IntArray,
     NDArray,
+    Texts,
     Values,
     checked_array,
     norms,
+    rms,
 )
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import checked_keypoints
@@ -60,7 +63,7 @@ class LensPicture:
     """(H, W) True where a lens shows what the photograph does not, and the colour is a guess."""
     lenses: tuple[inserted.InsertedLens, ...]
     """With their rims and meshes."""
-    notes: tuple[str, ...]
+    notes: Texts
     """What was left out or filled in, a sentence each."""
 
 
@@ -71,7 +74,7 @@ def insert_lenses(
     *,
     surfaces: Sequence[Surface],
     camera: ArrayLike,
-    shape: tuple[int, int] | None = None,
+    shape: GridShape | None = None,
     picture_linear: ArrayLike | None = None,
     environment_linear: ArrayLike | None = None,
     lights: DistantLights | None = None,
@@ -183,9 +186,7 @@ def insert_lenses(
     return LensPicture(image, without, seen, unknown, placed, tuple(notes))
 
 
-def _lens_region(
-    camera: FloatArray, lenses: Sequence[inserted.InsertedLens], shape: tuple[int, int]
-) -> Window:
+def _lens_region(camera: FloatArray, lenses: Sequence[inserted.InsertedLens], shape: GridShape) -> Window:
     """Return rows and columns of the pixels that may see a lens, with one to spare around them."""
     size = np.array(shape[::-1], float)
     low, high = np.zeros(2), np.zeros(2)
@@ -208,7 +209,7 @@ def _lens_notes(lens: inserted.InsertedLens, masked: bool, seen: bool) -> list[s
             f"{int((~rim.measured).sum())} of {len(rim.points)} points of its rim come from {source}"
         )
     if rim.deviation is not None:
-        off = np.sqrt((rim.deviation**2).mean())
+        off = rms(rim.deviation)
         notes.append(f"masks refine its outline, to {off:.2f} mm (standard deviation)")
     elif masked:
         notes.append("no mask shows half of its outline and agrees with the rim, which stays")

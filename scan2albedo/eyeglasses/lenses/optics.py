@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from scan2albedo.core.arrays import ArrayLike, FloatArray, checked_array, norms
+from scan2albedo.core.arrays import ArrayLike, FloatArray, checked_array, dots, norms
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.geometry.mesh import normalized
 
@@ -98,7 +98,7 @@ def mirror_on_sphere(
     # Divided by the radius, so that a flat front is not a special case.
     outward = normalized(axis + (points - np.asarray(center, float)) / radius_mm)
     heading = normalized(directions)
-    return heading - 2 * np.einsum("ni,ni->n", heading, outward)[:, None] * outward
+    return heading - 2 * dots(heading, outward)[:, None] * outward
 
 
 @dataclass(frozen=True)

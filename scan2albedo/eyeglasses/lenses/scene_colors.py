@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
-from scan2albedo.core.arrays import ArrayLike, BoolArray, ByteArray, FloatArray, IntArray, norms
+from scan2albedo.core.arrays import ArrayLike, BoolArray, ByteArray, FloatArray, IntArray, dots, norms
 from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens
 from scan2albedo.eyeglasses.lenses.scenes import LensScene, SceneRays, radiance_at
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, pixel_grid, project
@@ -75,8 +75,8 @@ class _PixelShadows(ShadowMap):
         around = known[place + np.concatenate([side, -side])]
         step = self.position[around] - self.position
         rise = np.abs(np.einsum("knc,nc->kn", step, self.normal))
-        rise = np.maximum(rise, np.abs(np.einsum("knc,knc->kn", step, self.normal[around])))
-        flat = ((around >= 0) & (rise <= _FLAT * np.linalg.norm(step, axis=2))).all(0)
+        rise = np.maximum(rise, np.abs(dots(step, self.normal[around])))
+        flat = ((around >= 0) & (rise <= _FLAT * norms(step))).all(0)
         alone = ~flat | (around[0] == own)
         stages = [np.flatnonzero(which) for which in (alone, ~alone & (odd == 2), ~alone & (odd != 2))]
         return [(at, around[:, at]) for at in stages]

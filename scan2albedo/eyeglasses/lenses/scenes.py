@@ -7,7 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scan2albedo.core.arrays import ArrayLike, BoolArray, FloatArray, IntArray, all_finite, norms, smoothstep
+from scan2albedo.core.arrays import (
+    ArrayLike,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    all_finite,
+    dots,
+    norms,
+    smoothstep,
+)
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import checked_mesh
 from scan2albedo.geometry.mesh import RayHits, face_cross_products, normalized, vertex_normals
@@ -68,8 +77,7 @@ class Surface:
                 raise ValueError(f"{name} must have shape {shape}, got {fields[name].shape}")
             if not all_finite(fields[name]):
                 raise EyeglassesError(f"a surface's {name} are not finite; repair the input first")
-        for name, value in fields.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(fields)
 
 
 @dataclass(frozen=True)
@@ -124,7 +132,7 @@ class LensScene:
         hits = self.caster.first_hit(origins, directions)
         at = np.flatnonzero((hits.face >= 0) & self._one_sided[hits.face])
         front = face_cross_products(self.vertices, self.faces[hits.face[at]])
-        back = at[np.einsum("nc,nc->n", front, directions[at]) > 0]
+        back = at[dots(front, directions[at]) > 0]
         hits.face[back], hits.distance[back] = -1, np.inf
         return hits
 
@@ -133,11 +141,11 @@ class LensScene:
         corners = self.faces[rays.hits.face]
         flat = face_cross_products(self.vertices, corners)
         smooth = np.einsum("nk,nkc->nc", rays.hits.barycentric, self._normals[corners])
-        agreement = np.einsum("nc,nc->n", flat, smooth)
+        agreement = dots(flat, smooth)
         size = norms(flat) * norms(smooth)
         believed = np.abs(agreement) > _SMOOTH * size
         normal = normalized(np.where(believed[:, None], np.sign(agreement)[:, None] * smooth, flat))
-        return np.where((np.einsum("nc,nc->n", flat, rays.directions) > 0)[:, None], -normal, normal)
+        return np.where((dots(flat, rays.directions) > 0)[:, None], -normal, normal)
 
     def albedo(self, rays: SceneRays) -> FloatArray:
         """Return (N, 3) linear albedo where rays that all hit end."""

@@ -11,8 +11,10 @@ from scan2albedo.core.arrays import (
     ArrayLike,
     BoolArray,
     FloatArray,
+    GridShape,
     IntArray,
     NDArray,
+    Texts,
     all_finite,
     checked_array,
     finite_rows,
@@ -95,7 +97,7 @@ class RegisteredEyeglasses:
     """(H, W) of the frame in these views, None for the others."""
 
     @property
-    def unobserved(self) -> tuple[str, ...]:
+    def unobserved(self) -> Texts:
         """What the pictures do not determine: "depth", and names of key points."""
         lost = np.isfinite(self.keypoint_deviation) & ~self.keypoints_observed
         names = tuple(name for name, gone in zip(KEY_POINT_NAMES, lost, strict=True) if gone)
@@ -139,7 +141,7 @@ def checked_inputs(
     cameras: ArrayLike,
     head: Any | None,
     start: ArrayLike | None,
-    shapes: Sequence[tuple[int, int]] | None = None,
+    shapes: Sequence[GridShape] | None = None,
     pictures: Sequence[ArrayLike | None] | None = None,
 ) -> RegistrationInputs:
     """Return the inputs of `register_on_face`, checked; see there for what is raised."""
@@ -213,7 +215,7 @@ def _checked_view(
     camera: FloatArray,
     labels: FloatArray,
     mask: ArrayLike | None,
-    shape: tuple[int, int] | None,
+    shape: GridShape | None,
     picture: ArrayLike | None,
 ) -> _CheckedView:
     """Return one view with its labels (20, 2), mask, size and picture; raises as `register_on_face`."""

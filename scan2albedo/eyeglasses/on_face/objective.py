@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import EPSILON, FloatArray, IntArray, finite_rows, norms
+from scan2albedo.core.arrays import EPSILON, FloatArray, IntArray, dots, finite_rows, norms
 from scan2albedo.eyeglasses.mean_keypoints import FRONT
 from scan2albedo.eyeglasses.on_face import frame_motion as moving
 from scan2albedo.eyeglasses.on_face.inputs import FaceRegistrationOptions
@@ -71,7 +71,7 @@ class HeadContact:
         """Turn the head's normals to the viewers (C, 3) if most of those near the frame's front look away."""
         hits = self._query.query(motion.positions(self._front))
         toward = viewers.mean(0) - hits.points
-        if np.einsum("ni,ni->n", self._normals[hits.face], toward).sum() < 0:
+        if dots(self._normals[hits.face], toward).sum() < 0:
             self._normals = -self._normals
 
     def select_candidates(self, motion: moving.FrameMotion) -> None:
@@ -90,7 +90,7 @@ class HeadContact:
         place = motion.positions(self._candidates)
         hits = self._query.query(place)
         normals = self._normals[hits.face]
-        height = np.einsum("ni,ni->n", place - hits.points, normals)
+        height = dots(place - hits.points, normals)
         signed = np.where(height < 0, -hits.distance, hits.distance)
         first = int(np.argmin(signed))
         away = place[first] - hits.points[first]
@@ -188,7 +188,7 @@ class RegistrationObjective:
         motion, noise = sums.motion, np.hypot(self.options.outline_noise_px, samples.noise_px)
         place = motion.positions(samples.points)
         pixels, slopes, _ = projected(self._cameras[samples.view], place)
-        error = np.einsum("ni,ni->n", samples.outward, pixels - samples.edges)
+        error = dots(samples.outward, pixels - samples.edges)
         slope = np.einsum("ni,nij->nj", samples.outward, slopes)
         residual = error / noise
         rows = sums.rows(samples.points, place, slope / noise[:, None])

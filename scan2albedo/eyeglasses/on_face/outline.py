@@ -13,6 +13,7 @@ from scan2albedo.core.arrays import (
     BoolArray,
     Float32Array,
     FloatArray,
+    GridShape,
     IntArray,
     NDArray,
     RealArray,
@@ -88,7 +89,7 @@ def search_edges(
     value, slope = distance.sample((pixels[:, None] + ways[:, None] * outward[:, None]).reshape(-1, 2))
     value = value.reshape(len(pixels), -1)
     along = np.einsum("nki,ni->nk", slope.reshape(*value.shape, 2), outward)
-    steep = along >= _FACING * np.linalg.norm(slope.reshape(*value.shape, 2), axis=2)
+    steep = along >= _FACING * norms(slope.reshape(*value.shape, 2))
     with np.errstate(invalid="ignore"):
         leaves = (value[:, :-1] <= edge) & (value[:, 1:] > edge) & (steep[:, :-1] | steep[:, 1:])
     share = (edge - value[:, :-1]) / np.where(leaves, value[:, 1:] - value[:, :-1], 1.0)
@@ -110,7 +111,7 @@ class ObservedView:
     camera: FloatArray
     labels: FloatArray
     distance: MaskDistance | None
-    shape: tuple[int, int] | None
+    shape: GridShape | None
     colors: IntArray | None = None
 
     @property

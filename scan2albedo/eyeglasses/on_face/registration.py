@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from scan2albedo.core import Budget, Meter, Plan, PlanStep, ProgressCallback
-from scan2albedo.core.arrays import ArrayLike, norms
+from scan2albedo.core import Budget, BudgetLike, Meter, OnProgress, Plan, PlanStep
+from scan2albedo.core.arrays import ArrayLike, GridShape, norms
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses.mean_keypoints import BEHIND
 from scan2albedo.eyeglasses.on_face import inputs, objective, outline, start_poses
@@ -37,14 +37,14 @@ def register_on_face(
     keypoints_2d: ArrayLike,
     masks: Sequence[ArrayLike | None] | ArrayLike | None,
     cameras: ArrayLike,
-    budget: Budget | float | None = None,
+    budget: BudgetLike = None,
     *,
     head: Any | None = None,
     start: ArrayLike | None = None,
-    shapes: Sequence[tuple[int, int]] | None = None,
+    shapes: Sequence[GridShape] | None = None,
     pictures: Sequence[ArrayLike | None] | None = None,
     options: FaceRegistrationOptions = FaceRegistrationOptions(),
-    on_progress: ProgressCallback | None = None,
+    on_progress: OnProgress = None,
 ) -> RegisteredEyeglasses:
     """Return a frame placed where calibrated pictures show it, bent as they show it.
 
@@ -91,7 +91,7 @@ def register_on_face(
     (0.5 mm) and masks too wide or too narrow throughout (1 px). Li et al. (supplement, equation S3) minimise
     a rendered segmentation with Adam in some thousand renderings; this takes about a hundred evaluations.
     """
-    meter = Meter("glasses", "px", Budget.of(budget), on_progress)
+    meter = Meter("glasses", "px", budget, on_progress)
     given = inputs.checked_inputs(glasses, keypoints_2d, masks, cameras, head, start, shapes, pictures)
     with threadpool_limits(1, "blas"):
         # Matrices of 66 rows: more threads only wait for each other.

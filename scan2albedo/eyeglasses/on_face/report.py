@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from scipy.special import erfinv, log_ndtr
 
 from scan2albedo.core import Meter, Plan, PlanStep
-from scan2albedo.core.arrays import SMALLEST, BoolArray, FloatArray, finite_rows, norms
+from scan2albedo.core.arrays import SMALLEST, BoolArray, FloatArray, finite_rows, norms, rms
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
 from scan2albedo.eyeglasses.on_face.inputs import (
@@ -247,7 +247,7 @@ def _fit_to_masks(
     for number, (view, mask) in enumerate(zip(given.views, given.masks, strict=True)):
         seen = at.outline_px[samples.view == number]
         if len(seen):
-            outline_rms[number] = np.sqrt(np.mean(seen**2))
+            outline_rms[number] = rms(seen)
         if mask is not None and view.distance is not None:
             iou[number], here = compare_masks(sampler, motion, number, mask, noise_px)
             differing = np.maximum(differing, here)

@@ -6,17 +6,27 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 from pydantic import Field
 
 from scan2albedo import eyeglasses
-from scan2albedo.core import Budget, PlanStep, ProgressCallback
-from scan2albedo.core.arrays import Values, norms
+from scan2albedo.core import Budget, BudgetLike, OnProgress, PlanStep
+from scan2albedo.core.arrays import Texts, Values, attributes, norms, rms
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses import CanonicalizationOptions, skin, write_keypoints
 from scan2albedo.eyeglasses.frame_files import read_keypoints_with_unit, write_frame_glb
 from scan2albedo.geometry.rigid import transform_points
-from scan2albedo.io.records import Figures, Matrix, Number, Record, plain_json
+from scan2albedo.io.records import (
+    CalledWith,
+    Count,
+    Figures,
+    Matrix,
+    Name,
+    NonNegative,
+    OwnFileNames,
+    Positive,
+    Record,
+    plain_json,
+)
 from scan2albedo.io.result_records import SHA256, InputRecord, RunRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder, Staging
 from scan2albedo.io.units import MM_PER_UNIT
@@ -28,12 +38,12 @@ from scan2albedo.runs.eyeglasses.inputs import GlassesFrame
 class CanonicalFrameRecord(RunRecord):
     """The content of a canonical frame's `result.json`."""
 
-    name: str = Field(min_length=1, description="Name of the frame.")
+    name: Name = Field(description="Name of the frame.")
     input: InputRecord
     keypoints_file: str | None = Field(description="Path as given; null when all were proposed.")
     keypoints_sha256: str | None = Field(pattern=SHA256)
-    mm_per_unit: Number = Field(gt=0, description="Of the mesh's file.")
-    scale: Number = Field(gt=0, description="Factor on the frame in mm; 1 unless it was of no true size.")
+    mm_per_unit: Positive = Field(description="Of the mesh's file.")
+    scale: Positive = Field(description="Factor on the frame in mm; 1 unless it was of no true size.")
     canonical_from_frame: Matrix = Field(
         description="Row-major 4x4 acting on column vectors: the frame in mm, scaled, into canonical space; "
         "rigid. The bend is taken out after it, by the key points."
@@ -42,11 +52,11 @@ class CanonicalFrameRecord(RunRecord):
         description="Whether the frame keeps its own shape and sizes, or its key points are the mean's."
     )
     converged: bool = Field(description="Whether the weights did.")
-    missing_key_points: tuple[str, ...] = ()
+    missing_key_points: Texts = ()
     plan: tuple[PlanStep, ...]
     metrics: Figures
-    notes: tuple[str, ...] = Field((), description="What loading decided and repaired.")
-    files: tuple[str, ...] = Field(description="Names of the files beside this one.")
+    notes: Texts = Field((), description="What loading decided and repaired.")
+    files: OwnFileNames
 
 
 class FailedFrameRecord(Record):
@@ -59,15 +69,15 @@ class FailedFrameRecord(Record):
 class CanonicalSetRecord(RunRecord):
     """The content of a set's `set.json`."""
 
-    options: Figures = Field(description="What the run was called with.")
-    frames: tuple[str, ...] = Field(description="Folders of the frames that were done.")
+    options: CalledWith
+    frames: Texts = Field(description="Folders of the frames that were done.")
     failures: tuple[FailedFrameRecord, ...] = ()
-    notes: tuple[str, ...] = Field((), description="The plan's doubts, and bends that stay.")
+    notes: Texts = Field((), description="The plan's doubts, and bends that stay.")
     converged: bool
-    iterations: int = Field(ge=0, description="Rounds of the mean; 0 when it was given.")
-    seconds: Number = Field(ge=0)
+    iterations: Count = Field(description="Rounds of the mean; 0 when it was given.")
+    seconds: NonNegative
     plan: tuple[PlanStep, ...]
-    files: tuple[str, ...] = Field(description="Names of the files beside this one.")
+    files: OwnFileNames
 
 
 _COMMAND = "scan2albedo glasses canonicalize"
@@ -88,7 +98,7 @@ class CanonicalFiles:
     seconds: float
 
     @property
-    def notes(self) -> tuple[str, ...]:
+    def notes(self) -> Texts:
         """What a person should check, and the bends that stay."""
         plan = self.result.plan
         return tuple(s.text for s in (*plan.doubts(), *plan.of_stage("eyeglasses.common_bend")))
@@ -100,8 +110,8 @@ def canonicalize_frames(
     *,
     mean: Path | None = None,
     options: CanonicalizationOptions = CanonicalizationOptions(),
-    budget: Budget | float | None = None,
-    on_progress: ProgressCallback | None = None,
+    budget: BudgetLike = None,
+    on_progress: OnProgress = None,
 ) -> CanonicalFiles:
     """Take poses and bends away; frames go where their mean lies, or an earlier `mean_keypoints.json`.
 
@@ -149,7 +159,7 @@ def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, Values]:
             cut = skin(frame.scan.vertices, weights, canonical.handle_transforms) - canonical.vertices
             figures[frame.name] = {
                 "key_point_residual_mm": canonical.residual,
-                "moved_rms_mm": float(np.sqrt(np.mean(moved**2))),
+                "moved_rms_mm": rms(moved),
                 "moved_max_mm": float(moved.max()),
                 "glb_weight_cut": weight_cut,
                 "glb_moved_max_mm": float(norms(cut).max()),
@@ -160,8 +170,8 @@ def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, Values]:
                 input=InputRecord.of(frame.scan, Path(mesh.file), mesh.sha256),
                 keypoints_file=keypoints and keypoints.file,
                 keypoints_sha256=keypoints and keypoints.sha256,
-                **{name: getattr(frame, name) for name in ("mm_per_unit", "missing_key_points")},
-                **{name: getattr(canonical, name) for name in ("scale", "converged")},
+                **attributes(frame, "mm_per_unit", "missing_key_points"),
+                **attributes(canonical, "scale", "converged"),
                 canonical_from_frame=plain_json(canonical.canonical_from_frame),
                 mode="unbend" if canonical.unbent else "mean",
                 plan=canonical.plan.steps,
@@ -177,8 +187,8 @@ def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, Values]:
         staging.write_record(
             options=dict(done.options),
             frames=tuple(frame.name for frame in done.frames),
-            **{name: getattr(done, name) for name in ("failures", "notes", "seconds")},
-            **{name: getattr(result, name) for name in ("converged", "iterations")},
+            **attributes(done, "failures", "notes", "seconds"),
+            **attributes(result, "converged", "iterations"),
             plan=result.plan.steps,
         )
     return figures

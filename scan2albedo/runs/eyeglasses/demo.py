@@ -9,8 +9,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from scan2albedo import eyeglasses
-from scan2albedo.core import ProgressCallback
-from scan2albedo.core.arrays import FloatArray, IntArray, Values, norms
+from scan2albedo.core import OnProgress
+from scan2albedo.core.arrays import FloatArray, IntArray, Values, dots, norms, rms
 from scan2albedo.errors import OutputError
 from scan2albedo.eyeglasses import Camera, LensMaterial, write_keypoints, write_labels
 from scan2albedo.fitting import fit
@@ -77,10 +77,6 @@ class GlassesDemoReport:
 
 def compare_with_wearer(placed: PlacedFrame, person: Wearer, head: Head = "fitted") -> GlassesDemoReport:
     """Return the errors of a registered synthetic frame."""
-
-    def rms(errors: FloatArray) -> float:
-        return float(np.sqrt(np.mean(errors**2))) if errors.size else float("nan")
-
     result, glasses = placed.result, person.glasses
     # Reading a mesh may drop and renumber vertices.
     same = cKDTree(glasses.rest_vertices).query(placed.given.frame.scan.vertices)[1]
@@ -93,7 +89,7 @@ def compare_with_wearer(placed: PlacedFrame, person: Wearer, head: Head = "fitte
     for center, hidden in zip(camera_centers(person.cameras), person.hidden, strict=True):
         shown = ~hidden[glasses.keypoint_vertices]
         rays = normalized(person.keypoints[shown] - center)
-        depth_errors.append(rms(np.einsum("ki,ki->k", rays, off[shown])))
+        depth_errors.append(rms(dots(rays, off[shown])))
     errors = {
         "seen_rms_mm": rms(error[seen]),
         "seen_max_mm": float(error[seen].max()),
@@ -117,7 +113,7 @@ def run_glasses_demo(
     seed: int = 0,
     head: Head = "fitted",
     person: Wearer | None = None,
-    on_progress: ProgressCallback | None = None,
+    on_progress: OnProgress = None,
     say: Callable[[str], None] = lambda line: None,
 ) -> GlassesDemoReport:
     """Photograph a synthetic person with glasses, register the frame on the face, compare with the truth.
@@ -145,7 +141,7 @@ def run_glasses_demo(
     return compare_with_wearer(placed, person, head)
 
 
-def fitted_face(seed: int, on_progress: ProgressCallback | None = None) -> Mesh:
+def fitted_face(seed: int, on_progress: OnProgress = None) -> Mesh:
     """Return the face fitted to a raw scan of the person of `wearer(seed)`, in that wearer's world."""
     # Neither registration nor fit look at the scan's pictures.
     scan, truth = raw_scan(seed, scanner=Scanner(size=64, picture_size=64))

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from scan2albedo import eyeglasses
 from scan2albedo.core import RawScan
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, Values, all_finite, finite_rows
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, Texts, Values, all_finite, finite_rows
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import Camera, LensMaterial, read_cameras, write_keypoints
 from scan2albedo.eyeglasses.frame_files import read_keypoints_with_unit
@@ -61,7 +61,7 @@ class GlassesFrame:
     """Of the key points that nobody placed, by name."""
 
     @property
-    def missing_key_points(self) -> tuple[str, ...]:
+    def missing_key_points(self) -> Texts:
         """Names of the key points that the file leaves out."""
         rows = zip(KEY_POINT_NAMES, self.keypoints, strict=True)
         return tuple(name for name, point in rows if not all_finite(point))
@@ -80,7 +80,7 @@ class GlassesInput:
     cameras: tuple[Camera, ...]
     head: RawScan | None
     files: Mapping[str, FileRecord]
-    notes: tuple[str, ...] = ()
+    notes: Texts = ()
     labels: FloatArray | None = None
     masks: tuple[BoolArray | None, ...] = ()
     start: FloatArray | None = None

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from scan2albedo import eyeglasses
 from scan2albedo.core import RawScan
-from scan2albedo.core.arrays import ArrayLike, finite_rows, norms
+from scan2albedo.core.arrays import ArrayLike, Texts, finite_rows, norms, rms
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import Camera, LensPictureOptions, Surface
 from scan2albedo.eyeglasses.keypoints import checked_keypoints
@@ -24,7 +24,19 @@ from scan2albedo.geometry.mesh import face_normals
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.glb import GlbPart, write_parts_glb
 from scan2albedo.io.images import write_exr, write_png
-from scan2albedo.io.records import Figures, Number, OptionalNumber, Record
+from scan2albedo.io.records import (
+    Count,
+    Figures,
+    Name,
+    NonNegative,
+    Number,
+    OptionalNumber,
+    OwnFileNames,
+    Positive,
+    PositiveCount,
+    Record,
+    Share,
+)
 from scan2albedo.io.result_records import InputRecord, RunRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
 from scan2albedo.report.eyeglasses_views import MOST_SHOWN
@@ -44,17 +56,15 @@ class LensRecord(Record):
     side: Literal["left", "right"] = Field(description="The wearer's.")
     dioptres: Number = Field(description="1/m; negative for the shortsighted.")
     tint_linear: tuple[Number, Number, Number]
-    alpha: Number = Field(ge=0, le=1, description="Share of the tint.")
-    beta: Number = Field(ge=0, le=1, description="Share of the reflection, at right angles.")
+    alpha: Share = Field(description="Share of the tint.")
+    beta: Share = Field(description="Share of the reflection, at right angles.")
     fresnel: bool
     tinting: Literal["paint", "filter"]
     front_radius_mm: OptionalNumber = Field(description="Of the sphere that mirrors; null is a flat one.")
     center_mm: tuple[Number, Number, Number] = Field(description="Optical centre, in the world.")
     normal: tuple[Number, Number, Number] = Field(description="Of the lens plane, towards the viewer.")
-    mean_radius_mm: Number = Field(gt=0)
-    measured: Number = Field(
-        ge=0, le=1, description="Share of the outline met by rays; the rest is filled in."
-    )
+    mean_radius_mm: Positive
+    measured: Share = Field(description="Share of the outline met by rays; the rest is filled in.")
     gaps: Literal["none", "interpolated", "subdivided"] = Field(description="How the rest was filled in.")
     deviation_mm: OptionalNumber = Field(None, description="Of the outline as masks refine it; null without.")
 
@@ -62,34 +72,34 @@ class LensRecord(Record):
 class LensViewRecord(Record):
     """One picture."""
 
-    name: str = Field(min_length=1)
-    width: int = Field(ge=1)
-    height: int = Field(ge=1)
-    left_lens_pixels: int = Field(ge=0)
-    right_lens_pixels: int = Field(ge=0)
-    unknown_pixels: int = Field(ge=0, description="Of which the photograph does not show what a lens does.")
-    seconds: Number = Field(ge=0)
+    name: Name
+    width: PositiveCount
+    height: PositiveCount
+    left_lens_pixels: Count
+    right_lens_pixels: Count
+    unknown_pixels: Count = Field(description="Of which the photograph does not show what a lens does.")
+    seconds: NonNegative
 
 
 class LensesRecord(RunRecord):
     """The content of `result.json`."""
 
-    name: str = Field(min_length=1, description="Name of the frame.")
+    name: Name = Field(description="Name of the frame.")
     options: Figures = Field(description="Settings of the pictures.")
     input: InputRecord = Field(description="The frame.")
     keypoints: FileRecord | None
-    mm_per_unit: Number = Field(gt=0, description="Of the frame's file.")
+    mm_per_unit: Positive = Field(description="Of the frame's file.")
     head: InputRecord
     cameras: FileRecord
     pictures: tuple[FileRecord, ...] = ()
     masks: tuple[FileRecord, ...] = Field((), description="By which rims were refined.")
     environment: FileRecord | None = Field(None, description="null for the built-in one, or none.")
     light: Literal["given", "built-in", "none"] = Field(description="Where the environment comes from.")
-    exposure: Number = Field(gt=0, description="Factor on linear colours in the PNG files.")
+    exposure: Positive = Field(description="Factor on linear colours in the PNG files.")
     lenses: tuple[LensRecord, ...]
     views: tuple[LensViewRecord, ...] = Field(min_length=1)
-    notes: tuple[str, ...] = ()
-    files: tuple[str, ...] = Field(description="Names of the files beside this one.")
+    notes: Texts = ()
+    files: OwnFileNames
 
 
 _MADE = ("*_lenses.exr", "*_lenses.png", "*_unknown.png", "frame_with_lenses.glb", "overview.png")
@@ -123,7 +133,7 @@ class RenderedLenses:
         return self.views[0].picture.lenses
 
     @property
-    def notes(self) -> tuple[str, ...]:
+    def notes(self) -> Texts:
         """Notes of all views; those that only some have name them. The last is on the exposure."""
         said: dict[str, list[str]] = {}
         for view in self.views:
@@ -268,7 +278,7 @@ def run_lenses(
             "mean_radius_mm": float(norms(rim.points - rim.center).mean()),
             "measured": float(rim.measured.mean()),
             "gaps": rim.gaps,
-            "deviation_mm": None if rim.deviation is None else float(np.sqrt((rim.deviation**2).mean())),
+            "deviation_mm": None if rim.deviation is None else rms(rim.deviation),
         }
         records.append(LensRecord.model_validate(material))
     with RunFolder(out, FILES).publishing() as staging:

@@ -10,13 +10,26 @@ import numpy as np
 from pydantic import Field
 
 from scan2albedo import eyeglasses
-from scan2albedo.core import Budget, PlanStep, ProgressCallback
-from scan2albedo.core.arrays import FloatArray, Values, norms
+from scan2albedo.core import Budget, BudgetLike, OnProgress, PlanStep
+from scan2albedo.core.arrays import FloatArray, Texts, Values, attributes, norms, rms
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import write_keypoints, write_labels
 from scan2albedo.eyeglasses.frame_files import write_frame_glb
 from scan2albedo.io.images import write_png
-from scan2albedo.io.records import Figures, Matrix, Number, OptionalNumber, Record, plain_json
+from scan2albedo.io.records import (
+    CalledWith,
+    Count,
+    Figures,
+    Matrix,
+    Name,
+    NonNegative,
+    OptionalNumber,
+    OwnFileNames,
+    Positive,
+    Record,
+    Share,
+    plain_json,
+)
 from scan2albedo.io.result_records import RunRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
 from scan2albedo.report.eyeglasses_views import MOST_SHOWN, registration_panels
@@ -28,11 +41,11 @@ class RegisteredViewRecord(Record):
     """How well a registered frame fits one picture."""
 
     camera: str
-    labels: int = Field(ge=0, description="Key points labelled.")
-    outliers: int = Field(ge=0, description="Labels farther off than three times their noise.")
+    labels: Count = Field(description="Key points labelled.")
+    outliers: Count = Field(description="Labels farther off than three times their noise.")
     label_rms_px: OptionalNumber = Field(None, description="Of the labels that are not outliers.")
     mask: bool = Field(description="Whether there was one.")
-    proposed: int = Field(0, ge=0, description="Key points that the picture shows and nobody labelled.")
+    proposed: Count = Field(0, description="Key points that the picture shows and nobody labelled.")
     proposed_deviation_px: OptionalNumber = Field(
         None, description="Of these along an axis, median; each one's is in the plan."
     )
@@ -40,32 +53,32 @@ class RegisteredViewRecord(Record):
     iou: OptionalNumber = Field(
         None, description="Of the frame's mask and the given one; high values are no evidence in space."
     )
-    visible_share: Number = Field(ge=0, le=1, description="Vertices in the picture and not behind the head.")
+    visible_share: Share = Field(description="Vertices in the picture and not behind the head.")
 
 
 class RegisteredFrameRecord(RunRecord):
     """The content of a registered frame's `result.json`."""
 
-    name: str = Field(min_length=1, description="Name of the frame.")
-    options: Figures = Field(description="What the run was called with.")
+    name: Name = Field(description="Name of the frame.")
+    options: CalledWith
     inputs: dict[str, FileRecord] = Field(description="By what they are: mesh, cameras, labels and others.")
-    mm_per_unit: Number = Field(gt=0, description="Of the mesh's file.")
+    mm_per_unit: Positive = Field(description="Of the mesh's file.")
     world_from_glasses: Matrix = Field(
         description="Row-major 4x4 acting on column vectors: the frame in mm, as it was before it was bent, "
         "into the cameras' world; rigid."
     )
     converged: bool
-    iterations: int = Field(ge=0, description="Evaluations of the objective.")
-    seconds: Number = Field(ge=0)
+    iterations: Count = Field(description="Evaluations of the objective.")
+    seconds: NonNegative
     depth_observed: bool
-    unobserved: tuple[str, ...] = Field(description="'depth', and key points that no picture tells.")
+    unobserved: Texts = Field(description="'depth', and key points that no picture tells.")
     views: tuple[RegisteredViewRecord, ...]
     plan: tuple[PlanStep, ...]
     metrics: Figures
-    notes: tuple[str, ...] = Field(
+    notes: Texts = Field(
         (), description="What reading decided, repaired and did not find, and the plan's doubts."
     )
-    files: tuple[str, ...] = Field(description="Names of the files beside this one.")
+    files: OwnFileNames
 
 
 _MADE = ("registered.glb", "registered.npz", "keypoints.json", "trace.csv", "error_vs_time.png")
@@ -74,7 +87,7 @@ FILES = OwnFiles("result.json", RegisteredFrameRecord, _MADE + _SEEN, "scan2albe
 
 
 def _rms(values: FloatArray) -> float | None:
-    return float(np.sqrt(np.mean(values**2))) if len(values) else None
+    return rms(values) if len(values) else None
 
 
 @dataclass(frozen=True)
@@ -87,7 +100,7 @@ class PlacedFrame:
     seconds: float
 
     @property
-    def notes(self) -> tuple[str, ...]:
+    def notes(self) -> Texts:
         """What reading said, what was done about lenses, and what a person should check."""
         plan, doubts = self.result.plan, set(self.result.plan.doubts())
         found = ("glasses.lenses", "glasses.proposed")
@@ -145,8 +158,8 @@ def register_frame(
     given: GlassesInput,
     *,
     bend: bool = True,
-    budget: Budget | float | None = None,
-    on_progress: ProgressCallback | None = None,
+    budget: BudgetLike = None,
+    on_progress: OnProgress = None,
 ) -> PlacedFrame:
     """Register a frame on a face as `register_on_face` does.
 
@@ -206,11 +219,8 @@ def write_registration_files(done: PlacedFrame, out: Path) -> Values:
             inputs=dict(given.files),
             mm_per_unit=given.frame.mm_per_unit,
             world_from_glasses=plain_json(result.world_from_glasses),
-            **{
-                name: getattr(result, name)
-                for name in ("converged", "iterations", "depth_observed", "unobserved")
-            },
-            **{name: getattr(done, name) for name in ("seconds", "views", "notes")},
+            **attributes(result, "converged", "iterations", "depth_observed", "unobserved"),
+            **attributes(done, "seconds", "views", "notes"),
             plan=result.plan.steps,
             metrics=figures,
         )

@@ -7,9 +7,9 @@ from typing import Literal
 
 from pydantic import Field
 
-from scan2albedo.core.arrays import Values
+from scan2albedo.core.arrays import Texts, Values
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.io.records import Figures, Record
+from scan2albedo.io.records import Figures, OwnFileNames, Record
 from scan2albedo.io.run_folder import OwnFiles, RunFolder, Staging
 
 MODEL_FILE, MEAN_FILE, SHAPE_FILE = "reflectance_model.npz", "mean.npz", "shape_model.npz"
@@ -21,11 +21,11 @@ class ReflectanceRecord(Record):
     format_version: Literal[1] = 1
     scan2albedo_version: str
     command: Literal["olat", "fit", "build", "sample", "fit-image", "finetune"]
-    inputs: tuple[str, ...] = Field(description="Files, as given.")
+    inputs: Texts = Field(description="Files, as given.")
     options: Figures = Field(description="What the command was called with.")
     metrics: Figures
-    notes: tuple[str, ...] = ()
-    files: tuple[str, ...] = Field((), description="Names of the files beside this one.")
+    notes: Texts = ()
+    files: OwnFileNames = ()
 
 
 FILES = OwnFiles(

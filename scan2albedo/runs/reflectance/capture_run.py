@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from scan2albedo import reflectance
-from scan2albedo.core import Budget, ProgressCallback
-from scan2albedo.core.arrays import SMALLEST, BoolArray, FloatArray, Values
+from scan2albedo.core import BudgetLike, OnProgress
+from scan2albedo.core.arrays import SMALLEST, BoolArray, FloatArray, Texts, Values, attributes
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.geometry.mesh import vertex_components, vertex_normals
 from scan2albedo.io.color import encode_srgb_bytes
@@ -33,7 +33,7 @@ class FittedCapture:
     fit: reflectance.ReflectanceFit
     held_out: BoolArray
     error: reflectance.RelightingError | None
-    notes: tuple[str, ...] = ()
+    notes: Texts = ()
 
 
 def write_olat(capture: CaptureFiles, out: Path) -> Values:
@@ -71,8 +71,8 @@ def fit_capture(
     *,
     options: ReflectanceFitOptions = ReflectanceFitOptions(),
     held_out_every: int = 10,
-    budget: Budget | float | None = None,
-    on_progress: ProgressCallback | None = None,
+    budget: BudgetLike = None,
+    on_progress: OnProgress = None,
 ) -> FittedCapture:
     """Read the pictures of a capture, fit its vertices, and test a fit without one of `held_out_every` pairs.
 
@@ -144,11 +144,10 @@ def write_fit(done: FittedCapture, out: Path, options: Values) -> Values:
         "impossible_vertices": int(fit.impossible.sum()),
         "plan": [vars(step) for step in fit.plan],
     }
-    figures |= {name: getattr(fit, name) for name in ("level", "converged", "iterations", "light_gain")}
+    figures |= attributes(fit, "level", "converged", "iterations", "light_gain")
     title = f"{figures['known_vertices']} of {figures['vertices']} vertices, {figures['pairs']} pairs"
     if done.error is not None:
-        names = ("relative_rmse", "noise_part", "psnr_db")
-        error = {name: getattr(done.error, name) for name in names}
+        error = attributes(done.error, "relative_rmse", "noise_part", "psnr_db")
         figures["held_out"] = {"pairs": int(done.held_out.sum()), **error}
         title += f"; pictures left out: relative RMSE {100 * done.error.relative_rmse:.1f} %"
     with publishing(out, "fit", (capture.path,), options, figures, done.notes) as results:
@@ -216,7 +215,7 @@ def _notes_of_capture(capture: CaptureFiles, olat: OlatImages) -> list[str]:
     return notes + [f"{names[one.pair]}: {one.message}" for one in faults]
 
 
-def gamma_notes(files: CaptureFiles | reflectance.PhotographFiles) -> tuple[str, ...]:
+def gamma_notes(files: CaptureFiles | reflectance.PhotographFiles) -> Texts:
     """Return the caveat of a file that gives no gamma, which is a guess then."""
     if "gamma" in files.content.model_fields_set:
         return ()

@@ -6,17 +6,16 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from scan2albedo import reflectance
 from scan2albedo.albedo import albedo_error
-from scan2albedo.core import ProgressCallback
+from scan2albedo.core import OnProgress
 from scan2albedo.core.arrays import EPSILON, FloatArray, IntArray, Values, norms
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.io.atomic import write_text
 from scan2albedo.io.images import write_png
-from scan2albedo.io.records import Record, write_record
+from scan2albedo.io.records import OwnFileNames, Record, write_record
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
 from scan2albedo.lighting.environment import texel_directions
 from scan2albedo.reflectance import OlatOptions, VertexReflectance
@@ -58,7 +57,7 @@ def run_reflectance_demo(
     people: int = 8,
     photographs: int = 12,
     seed: int = 0,
-    on_progress: ProgressCallback | None = None,
+    on_progress: OnProgress = None,
     say: Callable[[str], None] = lambda line: None,
 ) -> Values:
     """Photograph people with flashes, learn a model, use it on photographs of others, compare with the truth.
@@ -152,7 +151,7 @@ class SyntheticRecord(Record):
     """The content of `synthetic.json`, beside pictures of synthetic people."""
 
     format_version: Literal[1] = 1
-    files: tuple[str, ...] = Field((), description="Names of the files beside this one.")
+    files: OwnFileNames = ()
 
 
 _OWN_FILES = OwnFiles(
@@ -170,7 +169,7 @@ def write_synthetic_capture(capture: FlashCapture, folder: Path) -> Path:
         raise ValueError("pictures without bits cannot be written as PNG; take 8 or 16 bits")
     with RunFolder(folder, _OWN_FILES).publishing() as staging:
         _write_mesh(staging.folder / _MESH, capture.vertices, capture.faces)
-        distance = np.linalg.norm(capture.landmarks[:, None] - capture.vertices[None], axis=2)
+        distance = norms(capture.landmarks[:, None] - capture.vertices[None])
         write_text(staging.folder / LANDMARKS_FILE, json.dumps(distance.argmin(1).tolist()) + "\n")
         pairs = []
         for j, (view, light) in enumerate(zip(capture.view, capture.light, strict=True)):

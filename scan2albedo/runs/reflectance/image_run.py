@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from scan2albedo import reflectance
-from scan2albedo.core import Budget, ProgressCallback, RawScan, Trace
-from scan2albedo.core.arrays import FloatArray, IntArray, Values
+from scan2albedo.core import BudgetLike, OnProgress, RawScan, Trace
+from scan2albedo.core.arrays import FloatArray, IntArray, Texts, Values, attributes
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.fitting import fit
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
@@ -45,7 +45,7 @@ class FittedPhotograph:
     trace: Trace
     """Of all fits, one after the other; each begins at 0 seconds."""
 
-    def notes(self) -> tuple[str, ...]:
+    def notes(self) -> Texts:
         """Return the caveats of the figures."""
         notes = gamma_notes(self.photograph)
         for name, part in {"shape": self.geometry, "reflectance and light": self.face.fit}.items():
@@ -69,8 +69,8 @@ def fit_photograph(
     photograph: PhotographFiles,
     models: FaceModels,
     *,
-    budget: Budget | float | None = None,
-    on_progress: ProgressCallback | None = None,
+    budget: BudgetLike = None,
+    on_progress: OnProgress = None,
 ) -> FittedPhotograph:
     """Fit reflectance and light to a photograph and, where it has no mesh, the shape.
 
@@ -92,8 +92,8 @@ def fit_photograph(
 def shaped_vertices(
     photograph: PhotographFiles,
     models: FaceModels,
-    budget: Budget | float | None = None,
-    on_progress: ProgressCallback | None = None,
+    budget: BudgetLike = None,
+    on_progress: OnProgress = None,
 ) -> tuple[FloatArray, GeometryFit | None, Trace]:
     """Return the vertices (V, 3) on a photograph's mesh, or those that its landmarks and colours give."""
     if photograph.vertices is not None:
@@ -175,20 +175,24 @@ def write_fitted_photograph(done: FittedPhotograph, models: FaceModels, out: Pat
     figures: Values = {
         "vertices": len(done.vertices),
         "seen_vertices": int(seen.sum()),
-        "beats_mean": face.beats_mean,
-        "badly_explained": face.badly_explained,
+        **attributes(face, "beats_mean", "badly_explained", "relative_rmse"),
         "details": face.details is not None,
         "plan": [vars(step) for step in face.plan],
-        "relative_rmse": face.relative_rmse,
         "coefficients": fit.face.coefficients,
         "light_harmonics": fit.light,
     }
-    names = ("objective", "converged", "iterations", "light_coefficients", "scale_rgb")
-    figures |= {name: getattr(fit, name) for name in names}
+    figures |= attributes(fit, "objective", "converged", "iterations", "light_coefficients", "scale_rgb")
     if geometry is not None:
-        shape = ("scene_from_model", "identity", "expression", "landmark_rmse_px", "converged")
-        colors = ("photometric_rmse_before", "photometric_rmse_after")
-        figures["geometry"] = {name: getattr(geometry, name) for name in (*shape, *colors)}
+        figures["geometry"] = attributes(
+            geometry,
+            "scene_from_model",
+            "identity",
+            "expression",
+            "landmark_rmse_px",
+            "converged",
+            "photometric_rmse_before",
+            "photometric_rmse_after",
+        )
     mesh = reflectance.MeshReflectance(done.vertices, done.faces, face.reflectance, seen=seen)
     upright = reflectance.MeshReflectance(models.mean.vertices, done.faces, face.reflectance)
     inputs = [path for path in (done.photograph.path, models.folder) if path is not None]
@@ -228,8 +232,8 @@ def tune_model(
     out: Path,
     options: Values,
     *,
-    budget: Budget | float | None = None,
-    on_progress: ProgressCallback | None = None,
+    budget: BudgetLike = None,
+    on_progress: OnProgress = None,
     say: Callable[[str], None] = lambda line: None,
 ) -> Values:
     """Fine-tune a model with photograph files, test it on others, and write the model's folder anew.
@@ -273,13 +277,12 @@ def tune_model(
     if not tuning.converged:
         notes.append("budget or rounds ended while changes still helped")
     figures: Values = {"photographs": [*map(str, tuned_with)], "held_out": [*map(str, tested_on)]}
-    names = ("accepted_steps", "held_out_before", "held_out_after", "converged")
-    figures |= {name: getattr(tuning, name) for name in names}
-    mean = tuning.model.reconstruct(np.zeros(tuning.model.components)).reflectance
+    figures |= attributes(tuning, "accepted_steps", "held_out_before", "held_out_after", "converged")
     inputs = (models.folder, *tuned_with, *tested_on)
     with publishing(out, "finetune", inputs, options, figures, notes) as results:
         tuning.model.save(results.folder / MODEL_FILE)
-        reflectance.write_reflectance(results.folder / MEAN_FILE, replace(models.mean, reflectance=mean))
+        mean = replace(models.mean, reflectance=tuning.model.mean_reflectance)
+        reflectance.write_reflectance(results.folder / MEAN_FILE, mean)
         if models.shape is not None:
             shutil.copyfile(models.folder / SHAPE_FILE, results.folder / SHAPE_FILE)
         results.trace(tuning.trace)

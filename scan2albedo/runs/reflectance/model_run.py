@@ -5,11 +5,12 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from scan2albedo import reflectance
-from scan2albedo.core.arrays import FloatArray, Values
+from scan2albedo.core.arrays import FloatArray, Values, attributes, norms
 from scan2albedo.errors import ReflectanceError, errors_of, one_line
 from scan2albedo.geometry.rigid import procrustes, transform_points
 from scan2albedo.io.npz import read_npz
@@ -86,8 +87,7 @@ def build_model(
         least_support=least_support,
         weights=[reliability(sample.reflectance, sample.std) for sample in samples],
     )
-    shapes = np.stack([transform_points(procrustes(one.vertices, first), one.vertices) for one in samples])
-    mean = model.reconstruct(np.zeros(model.components)).reflectance
+    shapes = _laid_on(first, samples)
     shape = None
     if landmark_vertices is not None:
         what = f"landmark vertices {landmark_vertices}"
@@ -99,7 +99,13 @@ def build_model(
             shape = reflectance.MorphableShapeModel.from_samples(shapes, None, faces, numbers)
         if len(np.unique(numbers)) < len(numbers):
             raise ReflectanceError(f"{what}: two landmarks have one vertex; give 68 different ones")
-    return FaceModels(model, MeshReflectance(shapes.mean(0), faces, mean), shape, tuple(sources))
+    mean = MeshReflectance(shapes.mean(0), faces, model.mean_reflectance)
+    return FaceModels(model, mean, shape, tuple(sources))
+
+
+def _laid_on(first: FloatArray, meshes: Sequence[Any]) -> FloatArray:
+    """Return the vertices (K, V, 3) of meshes, each aligned rigidly to the first's (V, 3)."""
+    return np.stack([transform_points(procrustes(one.vertices, first), one.vertices) for one in meshes])
 
 
 def synthetic_model(count: int, *, components: int | None = None) -> FaceModels:
@@ -122,13 +128,12 @@ def synthetic_model(count: int, *, components: int | None = None) -> FaceModels:
     if components is None:
         components = held_out_components(samples, rest)
     model = reflectance.MorphableReflectanceModel.from_samples(samples, components=components)
-    shapes = np.stack([transform_points(procrustes(one.vertices, rest), one.vertices) for one in people])
+    shapes = _laid_on(rest, people)
     assert template.landmarks is not None
-    nearest = np.linalg.norm(rest - template.landmarks[:, None], axis=2).argmin(1)
+    nearest = norms(rest - template.landmarks[:, None]).argmin(1)
     offsets = expression_offsets(template, np.random.default_rng([0, 14]), levels=SURFACE_LEVELS)
     shape = reflectance.MorphableShapeModel.from_samples(shapes, offsets, faces, nearest)
-    mean = model.reconstruct(np.zeros(model.components)).reflectance
-    return FaceModels(model, MeshReflectance(shapes.mean(0), faces, mean), shape)
+    return FaceModels(model, MeshReflectance(shapes.mean(0), faces, model.mean_reflectance), shape)
 
 
 def default_model() -> FaceModels:
@@ -159,16 +164,14 @@ def default_model() -> FaceModels:
         faces,
         arrays["landmark_vertices"],
     )
-    mean_face = model.reconstruct(np.zeros(model.components)).reflectance
-    return FaceModels(model, MeshReflectance(shape.mean, faces, mean_face), shape)
+    return FaceModels(model, MeshReflectance(shape.mean, faces, model.mean_reflectance), shape)
 
 
 def write_model_folder(built: FaceModels, out: Path, options: Values) -> Values:
     """Write the model, its mean on the mean mesh, and a sheet; return figures as in `reflectance.json`."""
     model = built.model
     figures: Values = {"vertices": len(model.known), "known_vertices": int(model.known.sum())}
-    names = ("samples", "components", "explained", "deviation")
-    figures |= {name: getattr(model, name) for name in names}
+    figures |= attributes(model, "samples", "components", "explained", "deviation")
     with publishing(out, "build", built.sources, options, figures) as results:
         model.save(results.folder / MODEL_FILE)
         write_reflectance(results.folder / MEAN_FILE, built.mean)
