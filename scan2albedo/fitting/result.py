@@ -31,8 +31,8 @@ so that both kinds lie far from 0. Fits to 51 real and modelled heads (foam head
 eyes and worn masks among them) and to 16 people in raw stereo have 4.6 and more, those to four parts of
 machines that the search took for faces -6.8 and less; all of them were seen."""
 _TAIL = 6
-"""Medians within which 95 % of a noisy scan's distances lie: 5.3 for a Student's t with two degrees of freedom;
-raw stereo with 6 mm of noise has 4 to 11, parts of machines 14 to 30."""
+"""Medians within which 95 % of a noisy scan's distances lie: 5.3 for a Student's t with two degrees of
+freedom. Raw stereo with 6 mm of noise has 4 to 11, parts of machines 14 to 30."""
 _LEAST_STRAIN = 0.02
 """Strain below which the model hardly had to bend."""
 _REACHED_MM = 0.05

@@ -37,14 +37,22 @@ def odds(strain, median_mm, p95_mm):
         (0.15, 0.85, 4.2),
         (0.0, 0.0, 0.0),
     ],
-    ids=["a face", "a foam head with a cap", "an infant", "an old laser scan", "noise", "raw stereo with 6 mm of it", "the model itself"],
+    ids=[
+        "a face",
+        "a foam head with a cap",
+        "an infant",
+        "an old laser scan",
+        "noise",
+        "raw stereo with 6 mm of it",
+        "the model itself",
+    ],
 )
 def test_nothing_speaks_against_what_is_reached_or_hardly_stretched(figures):
     assert odds(*figures) == 0
 
 
 def test_steps_that_a_stretched_model_does_not_reach_are_no_face():
-    """Figures of a plate with bosses and ribs; the surest of 41 that the search took for a face has odds of 5.5."""
+    """Figures of a plate with bosses and ribs; the surest of 41 has odds of 5.5 from the search."""
     assert odds(0.25, 0.12, 3.3) < -7
     assert odds(0.25, 0.12, 3.3) < odds(0.25, 0.12, 2.0) < odds(0.25, 0.12, 1.5)
     assert odds(0.25, 0.12, 3.3) < odds(0.15, 0.12, 3.3) < odds(0.12, 0.12, 3.3)
