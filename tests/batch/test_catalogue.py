@@ -2,10 +2,12 @@
 
 from datetime import UTC, datetime
 
+import duckdb
+import pandas as pd
 import pyarrow as pa
 import pytest
 
-from scan2albedo.batch.catalogue import catalogue_table, load_catalogue
+from scan2albedo.batch.catalogue import catalogue_table, load_catalogue, write_catalogue
 from scan2albedo.batch.manifest import BatchManifest, ManifestScan
 from scan2albedo.batch.records import BatchScanRecord
 from scan2albedo.errors import BatchError
@@ -108,6 +110,17 @@ def test_a_report_has_the_same_metrics_from_the_catalogue_and_from_result_files(
     shown = {k: v for k, v in of_result.items() if k.startswith("metrics_") and v == v}
     assert shown == of_catalogue
     assert shown["metrics_albedo_uncertainty_x"] == 2
+
+
+def test_pandas_and_duckdb_read_it(tmp_path):
+    rows = {"a": row("a", **DONE), "b": row("b", "failed")}
+    path = tmp_path / "catalogue.parquet"
+    write_catalogue(path, catalogue_table(manifest(tmp_path, "a", "b", "c"), rows))
+    counts = duckdb.sql(f"SELECT status, count(*) FROM '{path}' GROUP BY status ORDER BY status").fetchall()
+    assert counts == [("done", 1), ("failed", 1), ("not run", 1)]
+    frame = pd.read_parquet(path)
+    assert str(frame["finished_at"].dt.tz) == "UTC"
+    assert list(frame["name"]) == list(load_catalogue(tmp_path).to_pandas()["name"]) == ["a", "b", "c"]
 
 
 def test_none_and_a_damaged_one_are_told(tmp_path):
