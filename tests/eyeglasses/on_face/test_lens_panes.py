@@ -54,7 +54,14 @@ def shown_frame(mesh, *masks):
     return fit_lenses_to_masks(frame, motion, cameras, masks, None)
 
 
-def test_a_rim_without_all_its_key_points_has_no_opening():
+def test_openings_know_their_lenses():
+    openings = rim_openings(SLAB.vertices, SLAB.faces, SLAB.keypoints)
+    for (*_, panes, sealed), side in zip(openings, (1, -1), strict=True):
+        assert SLAB.glass[panes].all()
+        assert len(panes) == SLAB.glass.sum() / 2
+        assert (side * SLAB.vertices[SLAB.faces[panes], 0] > 0).all()
+        assert not sealed
+    assert [len(panes) for *_, panes, _ in rim_openings(BARE.vertices, BARE.faces, BARE.keypoints)] == [0, 0]
     marks = SLAB.keypoints.copy()
     marks[3] = np.nan
     assert [side for side, *_ in rim_openings(SLAB.vertices, SLAB.faces, marks)] == [1]
