@@ -11,6 +11,7 @@ from scan2albedo.geometry.loop_subdivision import refine
 from scan2albedo.geometry.parametrization import (
     boundary_curve,
     boundary_loop,
+    flatten_disc,
     parametrize_disc,
     signed_areas,
     tutte,
@@ -56,6 +57,11 @@ def test_chart_of_a_dome_is_flip_free_symmetric_and_fills_the_square(dome):
         matrix, f = refine(len(uv), f)
         uv = matrix @ uv
     assert signed_areas(uv, f).min() > 0
+
+
+def test_a_chart_has_about_unit_area_before_packing(dome):
+    vertices, faces, mirror = dome
+    assert signed_areas(flatten_disc(vertices, faces, mirror), faces).sum() == pytest.approx(1, abs=0.01)
 
 
 def test_chart_turns_with_the_axes_whatever_the_unit_and_is_less_distorted_than_tuttes(dome):

@@ -54,6 +54,7 @@ def test_a_part_of_a_machine_is_refused_by_what_the_fit_finds(tmp_path, seed):
     with pytest.raises(NoFaceError, match=r"no face found.*edges are stretched by") as caught:
         s2a.process(file, out, size=64, skip=["albedo"])
     assert caught.value.confidence < 0.4
+    assert caught.value.model_from_scan.shape == (4, 4)
     assert not [path for path in out.rglob("*") if path.is_file()]
 
 
