@@ -158,11 +158,14 @@ class Meter:
     def __init__(
         self, stage: str, unit: str, budget: BudgetLike = None, on_progress: OnProgress = None
     ) -> None:
-        self.stage, self.unit, self.on_progress = stage, unit, on_progress
+        self.stage = stage
+        self.unit = unit
+        self.on_progress = on_progress
         self.budget = Budget.of(budget)
         self.evaluations = 0
         self.rows = list[TraceRow]()
-        self._wall_start, self._cpu_start = time.perf_counter(), time.process_time()
+        self._wall_start = time.perf_counter()
+        self._cpu_start = time.process_time()
 
     @property
     def elapsed_s(self) -> float:

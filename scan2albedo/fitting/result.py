@@ -30,7 +30,7 @@ _FACE_ODDS = {"intercept": -10.0, "strain": -6.0, "unreached": -6.0}
 so that both kinds lie far from 0. Fits to 51 real and modelled heads (foam heads, infants' proportions, shut
 eyes and worn masks among them) and to 16 people in raw stereo have 4.6 and more, those to four parts of
 machines that the search took for faces -6.8 and less; all of them were seen."""
-_TAIL = 6
+_P95_MEDIANS = 6
 """Medians within which 95 % of a noisy scan's distances lie: 5.3 for a Student's t with two degrees of
 freedom. Raw stereo with 6 mm of noise has 4 to 11, parts of machines 14 to 30."""
 _LEAST_STRAIN = 0.02
@@ -167,10 +167,10 @@ def face_log_odds(metrics: dict[str, float]) -> float:
 
     The model bends onto anything that is smooth, so that a good fit speaks for nothing. What speaks against a
     face is how far its edges had to be stretched, and what of the scan it did not reach all the same: of a
-    scanner's errors, with heavy tails, 95 % are below `_TAIL` medians; of the steps and edges of other things
-    far fewer are.
+    scanner's errors, which have heavy tails, 95 % are below `_P95_MEDIANS` medians; of the steps and edges of
+    other things far fewer are.
     """
-    beyond_mm = max(metrics["residual_p95_mm"] - _TAIL * metrics["residual_median_mm"], 0.0)
+    beyond_mm = max(metrics["residual_p95_mm"] - _P95_MEDIANS * metrics["residual_median_mm"], 0.0)
     odds = (
         _FACE_ODDS["intercept"]
         + _FACE_ODDS["strain"] * float(np.log(max(metrics["strain"], _LEAST_STRAIN)))
