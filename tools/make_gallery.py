@@ -25,7 +25,6 @@ from PIL import Image, ImageDraw, ImageFont
 from scipy.special import expit
 
 import scan2albedo as s2a
-from scan2albedo.applications.template_baking import integers, normal_bytes
 from scan2albedo.core.arrays import FloatArray, IntArray
 from scan2albedo.eyeglasses import KEY_POINT_NAMES, propose_keypoints
 from scan2albedo.face_model import default_model
@@ -40,6 +39,7 @@ from scan2albedo.rendering.pictures import DISTANCE_MM, View, auto_exposure, hea
 from scan2albedo.report.eyeglasses_views import key_point_chart
 from scan2albedo.report.overview import preview_srgb
 from scan2albedo.synthetic import GlassesBend, Scanner, eyeglasses
+from scan2albedo.unlit.template_baking import integers, normal_bytes
 
 ROOT = Path(__file__).resolve().parents[1]
 OUT = ROOT / "docs" / "images" / "gallery"

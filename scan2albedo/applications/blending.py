@@ -5,8 +5,6 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from scan2albedo.applications import face_features
-from scan2albedo.applications.processed_face import ProcessedFace, on_common_chart
 from scan2albedo.applications.texture_swap import continued_skin
 from scan2albedo.core.arrays import FloatArray, NDArray
 from scan2albedo.errors import ApplicationError
@@ -14,6 +12,8 @@ from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.lighting.shading import Reflectance
+from scan2albedo.unlit import face_features
+from scan2albedo.unlit.processed_face import ProcessedFace, on_common_chart
 
 _OWN_END = 0.05
 """Closer than this to weight 0 or 1 badly seen texels fade to the face's own: the ends are the faces."""

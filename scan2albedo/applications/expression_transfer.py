@@ -6,7 +6,6 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from scan2albedo.applications.processed_face import SAME_PLACE_MM, FaceMesh, ProcessedFace, on_common_chart
 from scan2albedo.core import RawScan
 from scan2albedo.core.arrays import FloatArray, dots, norms
 from scan2albedo.errors import ApplicationError
@@ -17,6 +16,7 @@ from scan2albedo.fitting.dynamics import factorized
 from scan2albedo.fitting.mouth_opening import ANGLES_DEG, JawHinge
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision
 from scan2albedo.geometry.rigid import procrustes, transform_points
+from scan2albedo.unlit.processed_face import SAME_PLACE_MM, FaceMesh, ProcessedFace, on_common_chart
 
 Correspondence = Literal["auto", "refined", "as-fitted"]
 

@@ -10,12 +10,12 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from scan2albedo.applications.files import ProcessedScan, load_result
-from scan2albedo.applications.processed_face import NO_MODEL, FaceMesh, ProcessedFace
 from scan2albedo.core import PointLight
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.rasterization import pixels_from_uv
 from scan2albedo.lighting.shading import shade_points
+from scan2albedo.unlit.processed_face import NO_MODEL, FaceMesh, ProcessedFace
 
 if TYPE_CHECKING:
     from scan2albedo.reflectance import VertexReflectance

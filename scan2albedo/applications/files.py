@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from scan2albedo.applications.processed_face import NO_MODEL, SAME_PLACE_MM, FaceMesh, ProcessedFace
 from scan2albedo.applications.relighting import relight
 from scan2albedo.core import GeometryImage, PointLight
 from scan2albedo.core.arguments import described
@@ -28,6 +27,7 @@ from scan2albedo.io.result_records import APPLICATION_FILE, ApplicationRecord, R
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
 from scan2albedo.lighting.shading import Reflectance
 from scan2albedo.rendering.pictures import auto_exposure
+from scan2albedo.unlit.processed_face import NO_MODEL, SAME_PLACE_MM, FaceMesh, ProcessedFace
 
 if TYPE_CHECKING:
     from scan2albedo.albedo import AlbedoEstimate

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from scan2albedo.applications.processed_face import ProcessedFace
 from scan2albedo.applications.relighting import RelightOptions, relight
 from scan2albedo.core import PointLight
 from scan2albedo.core.arrays import ArrayLike, ByteArray, GridShape, all_finite
@@ -18,6 +17,7 @@ from scan2albedo.io.records import OwnFileNames
 from scan2albedo.io.result_records import RunRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
 from scan2albedo.rendering.pictures import Picture
+from scan2albedo.unlit.processed_face import ProcessedFace
 
 
 class SweepRecord(RunRecord):

@@ -9,10 +9,6 @@ from typing import Literal, get_args
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from scan2albedo.applications.eyes import WET_EXPONENT, WET_REFLECTANCE
-from scan2albedo.applications.eyes_and_mouth import eyes_and_mouth
-from scan2albedo.applications.face_features import AROUND, feature_texels, without_gaps
-from scan2albedo.applications.processed_face import NO_MODEL, ProcessedFace
 from scan2albedo.core import EnvironmentLight, PointLight
 from scan2albedo.core.arguments import require_linear, require_type
 from scan2albedo.core.arrays import (
@@ -38,6 +34,10 @@ from scan2albedo.lighting.shadow_map import ShadowMap
 from scan2albedo.rendering import pictures
 from scan2albedo.rendering.pictures import Picture, auto_exposure, checked_exposure
 from scan2albedo.rendering.scene_light import SceneLight, shade
+from scan2albedo.unlit.eyes import WET_EXPONENT, WET_REFLECTANCE
+from scan2albedo.unlit.eyes_and_mouth import eyes_and_mouth
+from scan2albedo.unlit.face_features import AROUND, feature_texels, without_gaps
+from scan2albedo.unlit.processed_face import NO_MODEL, ProcessedFace
 
 Gloss = Literal["auto", "found", "none"]
 

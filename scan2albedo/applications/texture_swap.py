@@ -6,12 +6,12 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, maximum_filter, uniform_filter
 
 from scan2albedo.albedo.inpainting import integrate_gradients
-from scan2albedo.applications import face_features
-from scan2albedo.applications.face_features import AROUND, blurred_inside, feature_texels, grown
-from scan2albedo.applications.processed_face import ProcessedFace, on_common_chart
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.face_model import AnnotatedSurface
+from scan2albedo.unlit import face_features
+from scan2albedo.unlit.face_features import AROUND, blurred_inside, feature_texels, grown
+from scan2albedo.unlit.processed_face import ProcessedFace, on_common_chart
 
 _MARGIN = 2
 """Texels beside badly seen ones that are not trusted either, and over which a feature at the border fades."""

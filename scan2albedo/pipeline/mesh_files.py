@@ -5,14 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from scan2albedo.applications import template_baking as baking
-from scan2albedo.applications.light_removal import UnlitScan
 from scan2albedo.core.arrays import ByteArray, Float32Array, NDArray, RealArray
 from scan2albedo.geometry.rasterization import interpolate, pixels_from_uv, rasterize
 from scan2albedo.io.color import encode_srgb_integers
 from scan2albedo.io.images import encode_image, write_exr, write_png
 from scan2albedo.io.textured_mesh import MeshPicture, TexturedMesh, write_textured_glb, write_textured_obj
 from scan2albedo.io.usd import write_usda
+from scan2albedo.unlit import template_baking as baking
+from scan2albedo.unlit.light_removal import UnlitScan
 
 
 def write_unlit(folder: Path, unlit: UnlitScan, samples: type = np.uint8, *, exr: bool = False) -> None:

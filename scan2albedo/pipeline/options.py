@@ -10,9 +10,6 @@ from typing import Any
 
 from scan2albedo.albedo import OPTIONAL_STEPS, EstimateOptions
 from scan2albedo.albedo.estimate import BRDFS
-from scan2albedo.applications.engine_maps import CARRIERS
-from scan2albedo.applications.light_removal import REACHES
-from scan2albedo.applications.template_baking import LARGEST_TEXTURE
 from scan2albedo.core import Budget, BudgetLike, checked_seed
 from scan2albedo.core.arrays import Values
 from scan2albedo.core.geometry_image import LARGEST_SIZE, SMALLEST_SIZE, check_size
@@ -23,6 +20,9 @@ from scan2albedo.io.units import MM_PER_UNIT
 from scan2albedo.pipeline.white_balance import checked_white_balance
 from scan2albedo.registration import RegistrationOptions
 from scan2albedo.templates import AnnotatedFaceModel
+from scan2albedo.unlit.engine_maps import CARRIERS
+from scan2albedo.unlit.light_removal import REACHES
+from scan2albedo.unlit.template_baking import LARGEST_TEXTURE
 
 STEPS = ("register.depth_annealing", *OPTIONAL_STEPS)
 """Steps that the evidence may leave out: the names that `force` takes."""

@@ -7,11 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from scan2albedo.albedo import AlbedoEstimate
-from scan2albedo.applications.engine_maps import engine_maps
-from scan2albedo.applications.eyes_and_mouth import eyes_and_mouth, on_template
 from scan2albedo.applications.files import load_result
-from scan2albedo.applications.light_removal import LightRemoval, UnlitScan, usual_light
-from scan2albedo.applications.template_baking import TemplateTexture, template_texture, tile_numbers
 from scan2albedo.core import PlanStep, RawScan
 from scan2albedo.core.arrays import FloatArray, RealArray, Values
 from scan2albedo.face_model.annotation import AnnotatedSurface
@@ -19,6 +15,10 @@ from scan2albedo.fitting import FittedFace
 from scan2albedo.io.texture_atlas import in_first_period
 from scan2albedo.pipeline.clock import Clock
 from scan2albedo.pipeline.options import ProcessOptions
+from scan2albedo.unlit.engine_maps import engine_maps
+from scan2albedo.unlit.eyes_and_mouth import eyes_and_mouth, on_template
+from scan2albedo.unlit.light_removal import LightRemoval, UnlitScan, usual_light
+from scan2albedo.unlit.template_baking import TemplateTexture, template_texture, tile_numbers
 
 
 @dataclass(frozen=True)

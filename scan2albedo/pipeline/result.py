@@ -29,12 +29,12 @@ from scan2albedo.report.overview import figure_png, overview_figure, preview_srg
 
 if TYPE_CHECKING:
     from scan2albedo.albedo import AlbedoEstimate
-    from scan2albedo.applications.light_removal import UnlitScan
-    from scan2albedo.applications.template_baking import TemplateTexture
     from scan2albedo.core import GeometryImage, Plan, RawScan, Trace
     from scan2albedo.fitting import FittedFace
     from scan2albedo.fitting.linear_model import LinearModelFit
     from scan2albedo.registration import Registration
+    from scan2albedo.unlit.light_removal import UnlitScan
+    from scan2albedo.unlit.template_baking import TemplateTexture
 
 RESULT_FILE = "result.json"
 _MESH = (".glb", ".obj", ".mtl", ".png", ".*.png", ".exr", ".*.exr")

@@ -2,17 +2,11 @@
 
 import pytest
 from helpers.fits import fit_of
-from helpers.processed_faces import person_scene, processed_person
+from helpers.processed_faces import processed_person
 
 import scan2albedo as s2a
 from scan2albedo.core import Trace
 from scan2albedo.pipeline.result import ProcessResult, write_result
-
-
-@pytest.fixture(scope="session")
-def scene():
-    """Make a synthetic scene: (seed, expression, size) -> SyntheticScene."""
-    return person_scene
 
 
 @pytest.fixture(scope="session")

@@ -10,10 +10,10 @@ from helpers.measures import row_lengths
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.applications import blend_faces
-from scan2albedo.applications.face_features import feature_texels, grown
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.lighting.shading import Reflectance
+from scan2albedo.unlit.face_features import feature_texels, grown
 
 ARRAYS = attrgetter("image.position", "image.normal", "albedo_linear", "mesh.vertices")
 """What is the same in two faces that look the same."""

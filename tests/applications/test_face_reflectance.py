@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.processed_faces import person_scene
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.applications import (
@@ -37,9 +38,9 @@ LIGHTS = [PointLight(0.0, 0.0), PointLight(0.6, 0.3), PointLight(-0.4, 0.2, 900.
 
 
 @pytest.fixture(scope="module")
-def true_face(scene, model):
+def true_face(model):
     """A synthetic face on the default model's mesh, as a processed scan has it."""
-    made = scene(1, size=SIZE)
+    made = person_scene(1, size=SIZE)
     vertices, faces = made.image.occluder_mesh()
     level = round(np.log(len(faces) / len(model.control_faces)) / np.log(4))
     mesh = FaceMesh(vertices, faces, model.refined_uv(level))

@@ -6,8 +6,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.applications import blend_faces, load_result, swap_texture, transfer_expression
-from scan2albedo.applications.processed_face import on_common_chart
 from scan2albedo.errors import ApplicationError
+from scan2albedo.unlit.processed_face import on_common_chart
 
 APPLICATIONS = [blend_faces, swap_texture, lambda a, b: transfer_expression(a, a, b)]
 

@@ -8,7 +8,7 @@ from helpers.faces import painted, square
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.applications import swap_texture
-from scan2albedo.applications.face_features import displacement, skin_gains, warped, without_light_left
+from scan2albedo.unlit.face_features import displacement, skin_gains, warped, without_light_left
 
 
 def test_the_tint_of_the_light_is_matched_on_skin_alone(person):

@@ -8,8 +8,8 @@ from helpers.faces import painted, square, unseen
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.applications import SwapOptions, swap_texture
-from scan2albedo.applications.face_features import grown
 from scan2albedo.applications.texture_swap import trusted
+from scan2albedo.unlit.face_features import grown
 
 
 def test_the_shape_is_as_and_the_skin_bs(two_people):

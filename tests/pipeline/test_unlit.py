@@ -11,9 +11,7 @@ from helpers.records import files_in, read_json
 from numpy.testing import assert_allclose, assert_array_equal
 
 import scan2albedo as s2a
-from scan2albedo.applications import light_removal, load_result, swap_texture, write_face
-from scan2albedo.applications.light_removal import UnlitScan, unlit_scan
-from scan2albedo.applications.template_baking import template_texture
+from scan2albedo.applications import UnlitScan, load_result, swap_texture, unlit_scan, write_face
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.rasterization import pixels_from_uv
 from scan2albedo.geometry.rigid import transform_points
@@ -22,6 +20,8 @@ from scan2albedo.io.images import encode_image, read_image_linear, read_image_va
 from scan2albedo.io.textured_mesh import MeshPicture, TexturedMesh, write_textured_obj
 from scan2albedo.pipeline.demo import compare_with_truth
 from scan2albedo.pipeline.mesh_files import write_template, write_unlit
+from scan2albedo.unlit import light_removal
+from scan2albedo.unlit.template_baking import template_texture
 
 SIZE = 128
 

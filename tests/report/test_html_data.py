@@ -10,7 +10,6 @@ from helpers.meshes import sphere
 from numpy.testing import assert_array_equal
 from PIL import Image
 
-from scan2albedo.applications.processed_face import FaceMesh
 from scan2albedo.core import TraceRow
 from scan2albedo.core.geometry_image import GeometryImage
 from scan2albedo.errors import Scan2AlbedoError
@@ -30,6 +29,7 @@ from scan2albedo.report.html.encoding import (
     texture_entry,
     thinned_chart,
 )
+from scan2albedo.unlit.processed_face import FaceMesh
 from tests.report.pages import TRACE_HEAD
 
 

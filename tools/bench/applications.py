@@ -51,8 +51,6 @@ from scan2albedo.applications.expression_transfer import (
     apart_where_still,
     expression_displacement,
 )
-from scan2albedo.applications.face_features import FEATURES as LABELS
-from scan2albedo.applications.face_features import local_contrast, named_texels, warped
 from scan2albedo.applications.files import PORTRAIT_LIGHT
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.fitting import FittedFace
@@ -66,6 +64,8 @@ from scan2albedo.pipeline.result import write_result
 from scan2albedo.synthetic import Material, SyntheticScene, face, light_at
 from scan2albedo.synthetic.face_shape import person
 from scan2albedo.synthetic.renderer import RayScene, render
+from scan2albedo.unlit.face_features import FEATURES as LABELS
+from scan2albedo.unlit.face_features import local_contrast, named_texels, warped
 
 LIGHTS = [
     light_at(0, 0),

@@ -39,7 +39,6 @@ import scan2albedo as s2a
 from bench.judging import ScanTruth
 from bench.runner import Bench, Case
 from scan2albedo.applications import engine_maps, unlit_scan
-from scan2albedo.applications.template_baking import REACH_MM, Appearance, TemplateTexture, painted
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.geometry.mesh import normalized, vertex_normals
@@ -51,6 +50,7 @@ from scan2albedo.io.images import read_image_linear
 from scan2albedo.io.texture_atlas import in_first_period
 from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.rendering.pictures import auto_exposure
+from scan2albedo.unlit.template_baking import REACH_MM, Appearance, TemplateTexture, painted
 
 SCANS = ("james.obj", "fran.obj", "traced/p*.obj", "real_skin/d_*.obj")
 TEXELS = 384

@@ -22,11 +22,11 @@ from worlds.files import DATA
 import scan2albedo as s2a
 from bench.runner import Bench, Case
 from scan2albedo.applications import ProcessedFace, load_result, relight
-from scan2albedo.applications.eyes import LID_LANDMARKS
-from scan2albedo.applications.eyes_and_mouth import eyes_and_mouth
 from scan2albedo.geometry.rasterization import bilinear, pixels_from_uv
 from scan2albedo.synthetic import face as synthetic_face
 from scan2albedo.synthetic.textures import landmark_uv
+from scan2albedo.unlit.eyes import LID_LANDMARKS
+from scan2albedo.unlit.eyes_and_mouth import eyes_and_mouth
 
 SHUT_EYES = DATA.parent / "repro" / "shut_eyes.py"
 SHUT = (("8", ".3", "5"), ("4", ".3", "3"), ("0", "1", "4"))

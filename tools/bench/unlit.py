@@ -34,8 +34,6 @@ import scan2albedo as s2a
 from bench.judging import score
 from bench.peers.fit import peer_answer
 from bench.runner import Bench, Case, Timed
-from scan2albedo.applications.light_removal import scan_on_chart, unlit_scan
-from scan2albedo.applications.template_baking import FineShape, TemplateTexture, template_texture
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import boundary_loops, face_areas, normalized, vertex_normals
@@ -46,6 +44,8 @@ from scan2albedo.io.color import encode_srgb_bytes, srgb_to_linear
 from scan2albedo.io.images import read_image_linear
 from scan2albedo.rendering.pictures import View, render_mesh
 from scan2albedo.synthetic import Scanner, SyntheticTruth, raw_scan
+from scan2albedo.unlit.light_removal import scan_on_chart, unlit_scan
+from scan2albedo.unlit.template_baking import FineShape, TemplateTexture, template_texture
 
 LEAST_LIGHT = 0.03
 """Texels that got less of the usual light do not count: there is no colour in them."""

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from scan2albedo.applications.processed_face import FaceMesh, ProcessedFace
 from scan2albedo.applications.relighting import RelightOptions, as_lit
 from scan2albedo.core import GeometryImage
 from scan2albedo.core.arrays import (
@@ -33,6 +32,7 @@ from scan2albedo.lighting.environment_light import environment_light_on, open_sh
 from scan2albedo.lighting.shadow_map import ShadowMap, shadow_offset_mm
 from scan2albedo.rendering.pictures import DISTANCE_MM, PORTRAIT_MARGIN, portrait_frame
 from scan2albedo.report.overview import RESIDUAL_SCALE_MM, preview_factor, white_level
+from scan2albedo.unlit.processed_face import FaceMesh, ProcessedFace
 
 _LEVELS = np.iinfo(np.uint16).max
 

@@ -7,9 +7,9 @@ from helpers.meshes import grid
 from helpers.mitsuba import needs_mitsuba
 from numpy.testing import assert_allclose
 
-from scan2albedo.applications.template_baking import TemplateTexture, TemplateTile
 from scan2albedo.core.lights import EnvironmentLight, PointLight
 from scan2albedo.io.color import linear_to_srgb
+from scan2albedo.unlit.template_baking import TemplateTexture, TemplateTile
 
 
 def test_likeness_is_psnr_of_srgb_after_the_best_exposure():

@@ -7,7 +7,8 @@ from helpers.faces import painted, unseen
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.applications import SwapOptions, blend_faces, swap_texture
-from scan2albedo.applications.face_features import (
+from scan2albedo.face_model.appearance import CLASSES
+from scan2albedo.unlit.face_features import (
     feature_texels,
     grown,
     named_texels,
@@ -15,7 +16,6 @@ from scan2albedo.applications.face_features import (
     taken_features,
     without_catchlights,
 )
-from scan2albedo.face_model.appearance import CLASSES
 
 
 def with_half_eyes(face):

@@ -9,11 +9,11 @@ from helpers.records import read_json
 from numpy.testing import assert_allclose
 
 import scan2albedo as s2a
-from scan2albedo.applications.light_removal import scan_on_chart, unlit_scan
 from scan2albedo.face_model.appearance import CLASSES, AppearanceModel, beyond_chart
 from scan2albedo.geometry.mesh import neighbour_mean
 from scan2albedo.geometry.rasterization import interpolate, pixels_from_uv, rasterize
 from scan2albedo.io.images import read_image_linear, read_image_values
+from scan2albedo.unlit.light_removal import scan_on_chart, unlit_scan
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,6 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from scan2albedo.albedo import AlbedoEstimate
-from scan2albedo.applications.light_removal import usual_light
-from scan2albedo.applications.template_baking import REACH_MM, Appearance, Fields, TemplateTexture, painted
 from scan2albedo.core import RawScan
 from scan2albedo.core.arrays import FloatArray, IntArray, dots
 from scan2albedo.errors import ApplicationError
@@ -20,6 +18,8 @@ from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.io.texture_atlas import in_first_period
 from scan2albedo.lighting.environment_light import shadowed_transfer
 from scan2albedo.lighting.shadow_map import ShadowMap
+from scan2albedo.unlit.light_removal import usual_light
+from scan2albedo.unlit.template_baking import REACH_MM, Appearance, Fields, TemplateTexture, painted
 
 CARRIERS = ("chart", "scan", "template")
 """Whose texture coordinates the maps lie on."""

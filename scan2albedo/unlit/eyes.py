@@ -15,11 +15,11 @@ from scipy.optimize import least_squares, minimize
 from scipy.spatial import cKDTree
 from scipy.special import expit
 
-from scan2albedo.applications.face_features import FLOOR, without_catchlights
-from scan2albedo.applications.processed_face import Eyeball, ProcessedFace
 from scan2albedo.core.arrays import ArrayLike, BoolArray, FloatArray, IntArray, grid_faces, norms, smoothstep
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.io.glb import GlbPart
+from scan2albedo.unlit.face_features import FLOOR, without_catchlights
+from scan2albedo.unlit.processed_face import Eyeball, ProcessedFace
 
 LID_LANDMARKS = {"right": slice(36, 42), "left": slice(42, 48)}
 """Of iBUG-68 around each eye: a corner, two of the upper lid, a corner, two of the lower lid."""

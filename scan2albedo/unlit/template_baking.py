@@ -9,7 +9,6 @@ from typing import Self
 import numpy as np
 from scipy.ndimage import maximum_filter
 
-from scan2albedo.applications.light_removal import GUTTER, UnlitScan
 from scan2albedo.core import RawScan
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, NDArray, RealArray, dots
@@ -24,6 +23,7 @@ from scan2albedo.geometry.tangents import in_tangent_space, tangent_mesh
 from scan2albedo.io.glb import GlbPart
 from scan2albedo.sampling.geometry_images import without_covers
 from scan2albedo.sampling.texture_lookup import sample_colors, texel_steps
+from scan2albedo.unlit.light_removal import GUTTER, UnlitScan
 
 LARGEST_TEXTURE = 8192
 """Texels of a side: pictures with more are not read back."""

@@ -12,17 +12,17 @@ from helpers.meshes import sphere
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.applications import relight
-from scan2albedo.applications.eyes import GLOBE_MM, LID_LANDMARKS, eyeball_mesh
-from scan2albedo.applications.eyes_and_mouth import eyes_and_mouth, on_template
-from scan2albedo.applications.face_features import grown, named_texels
-from scan2albedo.applications.template_baking import TemplateTexture
 from scan2albedo.core.lights import PointLight
 from scan2albedo.geometry.mesh import join, vertex_normals
 from scan2albedo.geometry.rasterization import bilinear, pixels_from_uv
 from scan2albedo.io.glb import write_parts_glb
 from scan2albedo.synthetic.textures import landmark_uv
 from scan2albedo.templates import AnnotatedFaceModel
-from tests.applications.test_face_features import with_shut_eyes
+from scan2albedo.unlit.eyes import GLOBE_MM, LID_LANDMARKS, eyeball_mesh
+from scan2albedo.unlit.eyes_and_mouth import eyes_and_mouth, on_template
+from scan2albedo.unlit.face_features import grown, named_texels
+from scan2albedo.unlit.template_baking import TemplateTexture
+from tests.unlit.test_face_features import with_shut_eyes
 
 
 def at_uv(face, uv):

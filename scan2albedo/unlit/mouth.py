@@ -5,11 +5,11 @@ import math
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from scan2albedo.applications.eyes import wet_part
-from scan2albedo.applications.face_features import named_texels
-from scan2albedo.applications.processed_face import ProcessedFace
 from scan2albedo.core.arrays import FloatArray, grid_faces, norms, smoothstep
 from scan2albedo.io.glb import GlbPart
+from scan2albedo.unlit.eyes import wet_part
+from scan2albedo.unlit.face_features import named_texels
+from scan2albedo.unlit.processed_face import ProcessedFace
 
 RIM_LANDMARKS = slice(60, 68)
 """Of iBUG-68: the lips' inner rim, from its right corner over the upper lip."""

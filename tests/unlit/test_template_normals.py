@@ -13,13 +13,13 @@ from helpers.meshes import grid
 from numpy.testing import assert_allclose, assert_array_equal
 
 import scan2albedo as s2a
-from scan2albedo.applications.template_baking import FineShape, tangent_normals, template_texture
 from scan2albedo.core import RawScan
 from scan2albedo.geometry.loop_subdivision import SurfacePoints
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.rasterization import bilinear
 from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_from_vector, transform_points
 from scan2albedo.pipeline.mesh_files import write_template
+from scan2albedo.unlit.template_baking import FineShape, tangent_normals, template_texture
 
 HALF_MM = 60.0
 WAVE_MM = 9.0
@@ -187,7 +187,7 @@ def test_what_lies_far_is_flat_and_another_side_does_not_stand():
 
 def test_a_texture_made_in_bands_is_the_same(monkeypatch):
     whole = template_texture(*carried(plain), 64).tiles[0]
-    monkeypatch.setattr("scan2albedo.applications.template_baking.LARGEST_TEXTURE", 256)  # four rows a band
+    monkeypatch.setattr("scan2albedo.unlit.template_baking.LARGEST_TEXTURE", 256)  # four rows a band
     banded = template_texture(*carried(plain), 64).tiles[0]
     for name in ("color_linear", "seen", "normal"):
         assert_allclose(getattr(banded, name), getattr(whole, name), atol=2e-3)

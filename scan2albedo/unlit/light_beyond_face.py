@@ -13,7 +13,6 @@ from scipy.special import logit
 
 from scan2albedo.albedo import AlbedoEstimate
 from scan2albedo.albedo.result import shade_image
-from scan2albedo.applications.face_features import FLOOR
 from scan2albedo.core import GeometryImage, RawScan
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, row_sums
 from scan2albedo.face_model.appearance import PATCH_MM, beyond_chart
@@ -24,6 +23,7 @@ from scan2albedo.geometry.operators import filled_over_mesh
 from scan2albedo.geometry.rasterization import bilinear, filled_from_nearest, pixels_from_uv, scan_colors
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import transform_points
+from scan2albedo.unlit.face_features import FLOOR
 
 OUTSIDE_CONFIDENCE = 0.5
 """Relative to the face: beyond the model the light is that of its lamps on the scan's own, rougher shape."""

@@ -10,7 +10,6 @@ from helpers.gltf import Gltf
 from numpy.testing import assert_allclose
 
 from scan2albedo.applications import bake, engine_maps
-from scan2albedo.applications.engine_maps import MATTE_EXPONENT
 from scan2albedo.core import GeometryImage, RawScan
 from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
@@ -18,15 +17,8 @@ from scan2albedo.io.images import read_exr_channels
 from scan2albedo.lighting.shading import Reflectance
 from scan2albedo.pipeline.mesh_files import write_template
 from scan2albedo.pipeline.options import ProcessOptions
-from tests.applications.test_template_normals import (
-    HALF_MM,
-    POSE,
-    carried,
-    charted,
-    mirrored,
-    plain,
-    two_tiles,
-)
+from scan2albedo.unlit.engine_maps import MATTE_EXPONENT
+from tests.unlit.test_template_normals import HALF_MM, POSE, carried, charted, mirrored, plain, two_tiles
 
 CENTERS_MM = ((np.arange(128) + 0.5) / 128 * 2 - 1) * HALF_MM
 """Of the texels of a picture with 128 a side."""

@@ -7,18 +7,6 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan2albedo.applications.eyes import (
-    LID_LANDMARKS,
-    LID_MM,
-    LID_SD_MM,
-    EyeOpening,
-    eyeball_mesh,
-    usual_white,
-)
-from scan2albedo.applications.face_features import named_texels
-from scan2albedo.applications.mouth import mouth_parts
-from scan2albedo.applications.processed_face import Eyeball, EyesAndMouth, ProcessedFace
-from scan2albedo.applications.template_baking import REACH_MM, TemplateTexture
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import FloatArray, dots
 from scan2albedo.fitting import FittedFace
@@ -26,6 +14,18 @@ from scan2albedo.geometry.closest_points import surface_query
 from scan2albedo.geometry.mesh import lengths, vertex_normals
 from scan2albedo.geometry.rasterization import bilinear, pixels_from_uv
 from scan2albedo.io.glb import GlbPart
+from scan2albedo.unlit.eyes import (
+    LID_LANDMARKS,
+    LID_MM,
+    LID_SD_MM,
+    EyeOpening,
+    eyeball_mesh,
+    usual_white,
+)
+from scan2albedo.unlit.face_features import named_texels
+from scan2albedo.unlit.mouth import mouth_parts
+from scan2albedo.unlit.processed_face import Eyeball, EyesAndMouth, ProcessedFace
+from scan2albedo.unlit.template_baking import REACH_MM, TemplateTexture
 
 _GAZE_SD_MM = 0.36
 """Deviation of one eye's gaze from the other's, at the surface of an eyeball."""

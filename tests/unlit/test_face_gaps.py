@@ -7,7 +7,9 @@ from helpers.faces import painted, square, unseen
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.applications import RelightOptions, relight
-from scan2albedo.applications.face_features import (
+from scan2albedo.face_model.appearance import CLASSES
+from scan2albedo.synthetic import light_at
+from scan2albedo.unlit.face_features import (
     JAWS,
     dark_sides,
     feature_texels,
@@ -15,8 +17,6 @@ from scan2albedo.applications.face_features import (
     named_texels,
     without_gaps,
 )
-from scan2albedo.face_model.appearance import CLASSES
-from scan2albedo.synthetic import light_at
 
 
 def with_sideburns(face):

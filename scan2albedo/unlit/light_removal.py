@@ -13,14 +13,6 @@ from skimage.filters.rank import median
 from scan2albedo.albedo import AlbedoEstimate
 from scan2albedo.albedo.division import divide_light
 from scan2albedo.albedo.noise import ChannelNoise
-from scan2albedo.applications.face_features import AROUND, FLOOR
-from scan2albedo.applications.light_beyond_face import (
-    DARKEST,
-    OUTSIDE_CONFIDENCE,
-    SURE_HAIR,
-    LightBeyond,
-    SurfaceLight,
-)
 from scan2albedo.core import GeometryImage, RawScan
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, GridShape, IntArray, dots, smoothstep
@@ -33,6 +25,14 @@ from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rasterization import bilinear, filled_from_nearest, pixels_from_uv
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.io.texture_atlas import in_first_period
+from scan2albedo.unlit.face_features import AROUND, FLOOR
+from scan2albedo.unlit.light_beyond_face import (
+    DARKEST,
+    OUTSIDE_CONFIDENCE,
+    SURE_HAIR,
+    LightBeyond,
+    SurfaceLight,
+)
 
 REACHES = ("face", "all")
 """How far the light is taken off: where the model was fitted, or from the whole scan."""

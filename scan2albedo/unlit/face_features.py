@@ -8,11 +8,11 @@ from scipy.ndimage import gaussian_filter, grey_opening, label, map_coordinates,
 from skimage.morphology import disk
 
 from scan2albedo.albedo.inpainting import continued_smoothly
-from scan2albedo.applications.processed_face import ProcessedFace
 from scan2albedo.core.arrays import BoolArray, FloatArray, RealArray, norms
 from scan2albedo.face_model import default_model
 from scan2albedo.face_model.appearance import CLASSES
 from scan2albedo.geometry.rasterization import area_mean
+from scan2albedo.unlit.processed_face import ProcessedFace
 
 FEATURES = {
     "eyes": ("eye", "left_eye", "right_eye"),

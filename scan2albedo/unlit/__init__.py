@@ -1,0 +1,1 @@
+"""What `process` makes of a scan without its light: the scan itself, a template, maps, eyes and mouth."""

@@ -1,0 +1,3 @@
+"""The processed faces of these tests."""
+
+from tests.applications.conftest import *  # noqa: F403
