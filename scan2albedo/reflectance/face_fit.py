@@ -17,10 +17,9 @@ from scan2albedo.geometry.operators import surface_diffusion
 from scan2albedo.reflectance.environment_shading import diffuse_response, shading_gradient
 from scan2albedo.reflectance.image_fit import MOST_UNEXPLAINED, ImageFit, common_vertices, fit_image
 from scan2albedo.reflectance.lighting_model import LightingModel
-from scan2albedo.reflectance.linear_model import require_one_topology
 from scan2albedo.reflectance.morphable_model import PEOPLE_DIFFER, MorphableReflectanceModel
 from scan2albedo.reflectance.photograph import ImageObservation
-from scan2albedo.reflectance.vertex_reflectance import VertexReflectance, among_all
+from scan2albedo.reflectance.vertex_reflectance import VertexReflectance, among_all, require_one_topology
 
 _BLOCK_MM = 12.0
 """Edge of the cubes whose vertices are left out together, for errors of a shape are alike over such a length.

@@ -16,10 +16,9 @@ from scan2albedo.geometry.operators import surface_diffusion
 from scan2albedo.geometry.rays import blocks
 from scan2albedo.reflectance.image_fit import ImageFit, common_vertices, fit_image
 from scan2albedo.reflectance.lighting_model import LightingModel
-from scan2albedo.reflectance.linear_model import require_one_topology
 from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
 from scan2albedo.reflectance.photograph import ImageObservation
-from scan2albedo.reflectance.vertex_reflectance import BLOCK
+from scan2albedo.reflectance.vertex_reflectance import BLOCK, require_one_topology
 
 ROUNDS = 10
 """Most rounds of fitting all images and changing the model."""

@@ -13,10 +13,9 @@ from scan2albedo.core.arrays import FloatArray, IntArray, checked_array
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.optimization.least_squares import LocalTerm, NormalEquations, map_equations, minimize
 from scan2albedo.reflectance.lighting_model import LightingModel
-from scan2albedo.reflectance.linear_model import require_one_topology
 from scan2albedo.reflectance.morphable_model import ModelReflectance, MorphableReflectanceModel
 from scan2albedo.reflectance.photograph import ImageObservation
-from scan2albedo.reflectance.vertex_reflectance import among_all
+from scan2albedo.reflectance.vertex_reflectance import among_all, require_one_topology
 
 PerceptualDistance = Callable[[FloatArray, FloatArray], tuple[float, ArrayLike]]
 """See `fit_image`."""

@@ -61,23 +61,23 @@ class LinearModel:
     def fit(self, values: FloatArray, *, prior: float = 1.0) -> "Posterior":
         """Return the maximum a posteriori coefficients of `values` (...), which have noise of unit variance.
 
-        They minimise |values - mean - sum b_k basis_k|^2 + prior |b|^2. With noise of a variance v let `prior`
-        be v, and multiply the posterior's deviations by its root. Without a prior, 0, coefficients that the
-        values leave open are 0, and their deviations infinite.
+        They minimise |values - mean - sum b_k basis_k|^2 + prior |b|^2. With noise of a variance v let
+        `prior` be v, and multiply the posterior's deviations by its root. Without a prior, 0, coefficients
+        that the values leave open are 0, and their deviations infinite.
         """
         rows = self.basis.reshape(self.components, self.mean.size)
         precision = rows @ rows.T + prior * np.eye(self.components)
         return Posterior(precision, rows @ (values - self.mean).ravel())
 
     def require_shape(self, what: str, shape: tuple[int, ...]) -> None:
-        """Raise `error`, naming the model, when mean or basis do not fit the mean's shape or are not finite."""
+        """Raise `error`, naming the model, when mean or basis have other shapes or are not finite."""
         for name, array, expected in (("mean", self.mean, shape), ("basis", self.basis, ("N", *shape))):
             checked_array(array, expected, f"{what} {name}", self.error, finite=self.error)
 
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """The normal distribution of K coefficients whose logarithm is h . b - b . P b / 2, but for a constant."""
+    """The normal distribution of K coefficients whose logarithm is h . b - b . P b / 2 and a constant."""
 
     precision: FloatArray
     """P (K, K)."""

@@ -31,7 +31,7 @@ from scan2albedo.fitting.linear_model import fit_linear_model
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import invert_rigid, procrustes, rotation_from_vector, transform_points
 from scan2albedo.io.linear_model_files import LinearFaceModel
-from scan2albedo.reflectance.linear_model import principal_directions
+from scan2albedo.statistics.linear_model import principal_directions
 from scan2albedo.templates.annotated_face_model import linear_model_places
 
 EXPRESSION_SD = 0.4
@@ -56,8 +56,7 @@ def ict_model(without: str = "") -> tuple[LinearFaceModel, IntArray]:
     stage = LightStage.load()
     people = np.array([shape for name, shape in stage.shapes.items() if name != without])
     mean = people.mean(0)
-    off = people - mean
-    directions = np.tensordot(principal_directions(off, None, size=float(np.sum(mean**2)))[0], off, 1)
+    directions, _ = principal_directions(people - mean, size=float(np.sum(mean**2)))
     expressions = [EXPRESSION_SD * stage.expressions[name] for name in moves()]
     basis = np.moveaxis(np.concatenate([directions, expressions]), 0, -1)
     model = LinearFaceModel("ict", "0" * 64, mean, basis, len(directions), stage.face_area)
