@@ -134,7 +134,7 @@ class LinearFaceModel(LinearModel):
         turns = np.array([rotation_from_vector(vector) for vector in rotations[1:]])
         return shape + self.pose_basis @ (turns - np.eye(3)).ravel()
 
-    def _skinned(self, shape: RealArray, places: FloatArray, rotations: FloatArray) -> FloatArray:
+    def _skinned(self, shape: RealArray, places: RealArray, rotations: FloatArray) -> FloatArray:
         """Return vertices (V, 3, ...), with joints at `places` (J, 3, ...), after linear blend skinning.
 
         x_i = T_i v_i + sum_k w_ik b_k with T_i = 1 + sum_k w_ik (R_k - 1), R_k the product of the rotations

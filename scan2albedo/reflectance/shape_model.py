@@ -97,8 +97,10 @@ class MorphableShapeModel(LinearModel):
         mean = neutral.mean(0)
         basis, _ = principal_directions(neutral - mean, 80, size=float(np.sum(neutral**2)))
         people = len(basis)
-        if expression_offsets is not None and len(expression_offsets):
+        offsets = np.zeros((0, count, 3))
+        if expression_offsets is not None:
             offsets = _checked_stack(expression_offsets, "expression_offsets")
+        if len(offsets):
             require_one_topology("expression_offsets", offsets.shape[1], "neutral_vertices", count)
             both = np.concatenate([offsets, -offsets])
             expression, _ = principal_directions(both, 64, size=float(np.sum(both**2)))
