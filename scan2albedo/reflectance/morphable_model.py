@@ -142,14 +142,10 @@ class MorphableReflectanceModel(LinearModel):
             if given.shape != there.shape or not ((given >= 0) & (given <= 1)).all():
                 raise ValueError(f"weights must be 0 to 1, of shape {there.shape}, got {given.shape}")
             trust *= given
-        diffuse = np.where(there[..., None], np.stack([one.diffuse_linear for one in samples]), 0.0)
-        lobes = np.where(there[..., None], np.stack([one.weights for one in samples]), 0.0)
-        total = lobes.sum(2)
-        share = np.divide(lobes, total[..., None], out=np.zeros_like(lobes), where=total[..., None] > 0)
-        values = np.concatenate([diffuse, total[..., None], share], axis=2)
+        values = np.stack([_columns(one) for one in samples])
         # Without gloss there are no shares of it; where nobody has any, they are equal.
         weight = np.repeat(trust[..., None], 7, axis=2)
-        weight[..., 4:] *= (there & (total > 0))[..., None]
+        weight[..., 4:] *= values[..., 3:4] > 0
         sure, equal = weight.sum(0), np.repeat([0.0, 1 / 3], [4, 3])
         mean = np.where(sure > 0, (values * weight).sum(0) / np.where(sure > 0, sure, 1.0), equal)
         off = weight * (values - mean)
@@ -259,6 +255,15 @@ class MorphableReflectanceModel(LinearModel):
             raise ReflectanceError("no vertex is known to both the model and the reflectance")
         nearest = self.of(np.s_[common, :3]).fit(reflectance.diffuse_linear[common], prior=prior)
         return self.reconstruct(nearest.mean)
+
+
+def _columns(sample: VertexReflectance) -> FloatArray:
+    """Return a sample's c, s and w' (V, 7); 0 where it is not known, and shares of no gloss are 0."""
+    numbers = np.concatenate([sample.diffuse_linear, sample.weights], axis=1)
+    diffuse, lobes = np.split(np.where(sample.known[:, None], numbers, 0.0), 2, axis=1)
+    total = lobes.sum(1, keepdims=True)
+    share = np.divide(lobes, total, out=np.zeros_like(lobes), where=total > 0)
+    return np.concatenate([diffuse, total, share], axis=1)
 
 
 def reliability(sample: VertexReflectance, std: FloatArray | None) -> FloatArray:
