@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import distance_transform_edt, maximum_filter, uniform_filter
 
-from scan2albedo.albedo.inpainting import integrate_gradients
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.face_model import AnnotatedSurface
+from scan2albedo.geometry.fields import filled_over_grid
 from scan2albedo.unlit import face_features
 from scan2albedo.unlit.face_features import AROUND, blurred_inside, feature_texels, grown
 from scan2albedo.unlit.processed_face import ProcessedFace, on_common_chart
@@ -147,7 +147,7 @@ def continued(
             total = uniform_filter(total, (side, side, 1), mode="mirror")
         feature = np.where(both[..., None], values - total[..., :3] / np.maximum(total[..., 3:], 1e-9), 0.0)
         weight = both / (1 + (np.abs(feature).max(-1) / _UNLIKE) ** 2) ** 2
-    filled = integrate_gradients(field - feature, missing, known, across, down)
+    filled = filled_over_grid(field - feature, missing, known, across=across, down=down)
     border = field[row, column]
     raised = filled + feature[row, column] * np.exp(-((distance / _MARGIN) ** 2))[..., None]
     faded = np.clip(raised, np.minimum(filled, border), np.maximum(filled, border))

@@ -10,8 +10,8 @@ from scan2albedo.core.arrays import EPSILON, SMALLEST, FloatArray, IntArray, ide
 from scan2albedo.face_model.annotation import AnnotatedSurface
 from scan2albedo.face_model.variation import expression_variance, identity_modes, similarity_modes
 from scan2albedo.fitting.result import NEAR_MM, UNSEEN_MM, FittedFace
+from scan2albedo.geometry.fields import surface_diffusion
 from scan2albedo.geometry.mesh import vertex_areas, vertex_normals
-from scan2albedo.geometry.operators import surface_diffusion
 from scan2albedo.geometry.rigid import procrustes, transform_points
 
 FIT_MM = 0.6

@@ -8,8 +8,8 @@ import numpy as np
 from scipy import sparse
 
 from scan2albedo.core.arrays import EPSILON, ArrayLike, BoolArray, FloatArray, IntArray
+from scan2albedo.geometry.fields import surface_diffusion
 from scan2albedo.geometry.mesh import edges_with_faces
-from scan2albedo.geometry.operators import surface_diffusion
 from scan2albedo.reflectance.environment_shading import diffuse_response, shading_gradient
 from scan2albedo.reflectance.image_fit import common_vertices
 from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel

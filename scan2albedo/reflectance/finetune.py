@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scan2albedo.core import Budget, BudgetLike, Meter, OnProgress, Trace
 from scan2albedo.core.arrays import FloatArray, checked_mesh
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.geometry.operators import surface_diffusion
+from scan2albedo.geometry.fields import surface_diffusion
 from scan2albedo.geometry.rays import blocks
 from scan2albedo.reflectance.image_fit import ImageFit, common_vertices, fit_image
 from scan2albedo.reflectance.lighting_model import LightingModel
