@@ -8,7 +8,7 @@ Weights are 1 where the residual r is 0, but for Student's t. A scale or a thres
 
 import numpy as np
 
-from scan2albedo.core.arrays import ArrayLike, FloatArray
+from scan2albedo.core.arrays import FloatArray
 
 
 def student_t_weights(square: FloatArray, freedom: float, count: int = 1) -> FloatArray:
@@ -27,12 +27,12 @@ def student_t_loss(square: FloatArray, freedom: float, count: int = 1) -> FloatA
     return (freedom + count) / 2 * np.log1p(square / freedom)
 
 
-def cauchy_weights(residual: FloatArray, scale: ArrayLike) -> FloatArray:
+def cauchy_weights(residual: FloatArray, scale: FloatArray | float) -> FloatArray:
     """Return 1 / (1 + (r / s)^2)."""
     return 1 / (1 + (residual / scale) ** 2)
 
 
-def geman_mcclure_weights(residual: FloatArray, scale: ArrayLike) -> FloatArray:
+def geman_mcclure_weights(residual: FloatArray, scale: FloatArray | float) -> FloatArray:
     """Return 1 / (1 + (r / s)^2)^2 [1]_: far outliers hardly count.
 
     .. [1] S. Geman, D. McClure, "Statistical methods for tomographic image reconstruction", Bulletin of the
@@ -55,6 +55,6 @@ def huber_loss(residual: FloatArray, threshold: float) -> FloatArray:
     return np.where(size > threshold, threshold * (size - threshold / 2), size**2 / 2)
 
 
-def tukey_weights(residual: FloatArray, scale: ArrayLike) -> FloatArray:
+def tukey_weights(residual: FloatArray, scale: FloatArray | float) -> FloatArray:
     """Return (1 - (r / s)^2)^2, Tukey's biweight, and 0 beyond the scale s."""
     return np.maximum(1 - (residual / scale) ** 2, 0) ** 2
