@@ -31,12 +31,3 @@ def test_weights_at_known_places():
     np.testing.assert_array_equal(robust.geman_mcclure_weights(residual, 1.0), [1, 1 / 4, 1 / 25])
     np.testing.assert_array_equal(robust.tukey_weights(residual, 2.0), [1, (3 / 4) ** 2, 0])
     np.testing.assert_array_equal(robust.student_t_weights(residual**2, 3.0), [4 / 3, 1, 4 / 7])
-
-
-def test_student_t_weights_have_the_density_of_a_normal_mixture():
-    """The weight is the mean precision of a normal whose precision is chi-squared with nu degrees over nu."""
-    freedom, square = 6.0, 2.5
-    precision = np.random.default_rng(0).chisquare(freedom, 400_000) / freedom
-    density = np.sqrt(precision) * np.exp(-precision * square / 2)
-    expected = (density * precision).sum() / density.sum()
-    assert robust.student_t_weights(np.array(square), freedom) == pytest.approx(expected, rel=0.01)
