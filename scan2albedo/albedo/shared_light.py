@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -47,7 +47,7 @@ class SharedLight:
             self.own[cell] = self.repeats * (scales.grain * deviation) ** 2
         dark = [
             point.known.scales.light
-            * node_field.deviation_of_light(point.light, float(np.median(point.light)))
+            * node_field.deviation_of_light(point.cells.light, float(np.median(point.cells.light)))
             for point in points
         ]
         self.variance = [
@@ -63,13 +63,15 @@ class SharedLight:
             self.weights, (known, top) = weights, np.zeros((2, len(self.own)))
             for point, cell, weight in zip(self.points, self.cells, weights, strict=True):
                 known[cell] += weight
-                top[cell] += weight * point.left
+                top[cell] += weight * point.cells.left
             share = 1 / (1 + known * self.own)
             self.factor = node_field.posterior_factor(self.nodes, known * share, self.precision)
             self.u = node_field.solved(self.factor, onto @ (top * share))
             self.total, smooth = known + 1 / self.own, self.nodes @ self.u
             beside = (top - known * smooth) / self.total
-            self.error = [p.left - (smooth + beside)[c] for p, c in zip(self.points, self.cells, strict=True)]
+            self.error = [
+                p.cells.left - (smooth + beside)[c] for p, c in zip(self.points, self.cells, strict=True)
+            ]
             pairs = list(zip(self.error, self.variance, strict=True))
             weights = [robust_weights(e, v, repeats, e < 0) for e, v in pairs]
         misfit = 0.0
@@ -83,7 +85,7 @@ class SharedLight:
     @cached_property
     def _equations(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Matrix (P, P) and gradient (P,) of all x for a known smooth albedo, and what u adds (M, P)."""
-        rows = [point.rows[:, :-EXTRA] for point in self.points]
+        rows = [point.cells.rows[:, :-EXTRA] for point in self.points]
         blocks, gradients, onto_cells = list[FloatArray](), list[FloatArray](), list[FloatArray]()
         each = zip(self.points, self.cells, rows, self.weights, self.error, strict=True)
         for point, cell, row, weight, error in each:
@@ -117,7 +119,7 @@ class SharedLight:
         for point in self.points:
             size = point.model.size + 1
             x = point.x + np.append(step[first : first + size], 0.0)
-            points.append(Point(point.problem, point.model, x, point.known, fixed=True))
+            points.append(point.problem.at(point.model, x, point.known, fixed=True))
             first += size
         return SharedLight(points, self.cells, self.prior, self.noise, self.weights)
 
@@ -164,11 +166,10 @@ def shared_lights(
     scales, likeness = node_field.Scales(*np.exp(logs)), float(np.mean([point.x[-1] for point in points]))
     covariance = scales.albedo**2 * prior.covariance(0)[np.ix_(used, used)]
     precision = node_field.inverse(np.asarray(np.linalg.cholesky(covariance), float))
-    starts = [Point(p.problem, p.model, np.append(p.x[:-1], likeness), p.known, fixed=True) for p in points]
+    starts = [p.problem.at(p.model, np.append(p.x[:-1], likeness), p.known, fixed=True) for p in points]
     shared = SharedLight(starts, cells, (weights[:, used].tocsr(), precision, scales))
     for _ in range(3):
         shared = descend(shared, 10, meter).rescaled()
-    found = [copy.copy(point) for point in shared.points]
-    for point in found:
-        point.shared = shared.u[np.searchsorted(used, point.problem.field.used)]
+    albedos = [shared.u[np.searchsorted(used, point.problem.field.used)] for point in shared.points]
+    found = [replace(point, shared=u) for point, u in zip(shared.points, albedos, strict=True)]
     return found, shared.deviation(), every

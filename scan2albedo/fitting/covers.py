@@ -20,6 +20,7 @@ from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.geometry import mesh
 from scan2albedo.geometry.alignment import Alignment, Pairs, align
+from scan2albedo.statistics.robust import geman_mcclure_weights
 
 STEPS = 10
 """Iterations of the alignment with a person's face."""
@@ -85,9 +86,9 @@ def persons_face(scan: ScanSurface, model: AnnotatedSurface, reference: FloatArr
             return None
         gap = dots(forces.offset, forces.normal)
         before = dots(forces.offset, normals) > 0
-        # Of Geman and McClure's weights: 12 mm at first, 2 mm at last for scan before the face, 6 mm behind.
+        # 12 mm at first, 2 mm at last for scan before the face, 6 mm behind.
         scale = np.where(before, *(between((12.0, last), now.steps / (STEPS - 1)) for last in (2.0, 6.0)))
-        trust = (forces.weight > 0) / (1 + (gap / scale) ** 2) ** 2
+        trust = (forces.weight > 0) * geman_mcclure_weights(gap, scale)
         return Pairs(forces.offset, forces.normal, trust, noise=NOISE_MM)
 
     rest, weights = samples.matrix @ reference, samples.area * samples.rigidity
