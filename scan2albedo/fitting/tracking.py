@@ -27,7 +27,7 @@ class TrackedFace:
     `mouth` (3,) is how far beside the first frame the jaw is turned, degrees, and the right and left corner
     of the mouth drawn back, mm. Control points `seen` (C,) have scan near; that is the part `coverage` of the
     surface, at a mean distance of `residual_mm`. `odds` are mean log odds of a sample that the last shape,
-    before it bends, lies on the face, not beside it.
+    before it bends, lies on the face, not beside it; it was `found_again` when that is a new registration.
     """
 
     control_points: FloatArray
@@ -37,6 +37,7 @@ class TrackedFace:
     residual_mm: float
     coverage: float
     odds: float
+    found_again: bool = False
 
 
 class FaceTracker:
