@@ -121,7 +121,6 @@ def common_shape(fits: Iterable[FittedFace]) -> PersonShape:
     )
 
 
-
 def _kept(fits: Iterable[FittedFace]) -> tuple[FittedFace, list[tuple[FloatArray, FloatArray]]]:
     """Return the first fit, and of each its control points (C, 3) and the part (C,) around with scan near."""
     first = None
