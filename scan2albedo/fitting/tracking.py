@@ -58,7 +58,7 @@ class FaceTracker:
         self._hinge, self._corners, self._on_progress = hinge, corners, on_progress
         self._weight = samples.area * samples.rigidity * samples.relief(samples.matrix @ self._rest)
         near = ~np.isnan(first.residual_mm[: len(self._rest)])
-        figures = (first.metrics["residual_mean_mm"], first.metrics["coverage"], np.inf)
+        figures = (float(np.nanmean(first.residual_mm)), first.coverage, np.inf)
         self.start = TrackedFace(self._rest, first.model_from_scan, np.zeros(3), near, *figures)
 
     def follow(self, scan: RawScan, last: TrackedFace) -> TrackedFace:

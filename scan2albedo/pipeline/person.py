@@ -251,6 +251,7 @@ def _person(spool: _Spool, takes: Takes, shape: PersonShape, common: CommonAlbed
     near = np.full(len(shape.vertices), np.nan)
     for fit in spool.fits():
         near = np.fmin(near, fit.residual_mm)
+    coverage = float(np.mean(~np.isnan(near)))
     fitted = replace(
         next(spool.fits()),
         **attributes(shape, "vertices", "faces", "control_points", "landmarks"),
@@ -260,8 +261,9 @@ def _person(spool: _Spool, takes: Takes, shape: PersonShape, common: CommonAlbed
             "residual_mean_mm": float(np.nanmean(near)),
             "residual_median_mm": float(np.nanmedian(near)),
             "residual_p95_mm": float(np.nanpercentile(near, 95)),
-            "coverage": float(np.mean(~np.isnan(near))),
+            "coverage": coverage,
         },
+        coverage=coverage,
         model_from_scan=np.eye(4),
     )
     image = geometry_image(fitted, None, takes.options.texels)
