@@ -137,7 +137,7 @@ def asymmetry(fitted: FittedFace) -> tuple[float, str] | None:
     # Differences are averaged over patches, against noise.
     upper_mm, middle_mm = unlike_mm(upper, 22.0), unlike_mm(middle, 26.0)
     both_mm, step_mm = min(upper_mm, middle_mm), unlike_mm(strip, 22.0)
-    noise_mm = max(np.nanmean(fitted.residual_mm) - CLEAN_MM, 0.0)
+    noise_mm = max(float(np.nanmean(fitted.residual_mm)) - CLEAN_MM, 0.0)
     step = step_mm / (UNLIKE_MM + 4 * noise_mm) if both_mm > 0 else 0.0
     parts = f"{upper_mm:.1f} mm in the upper part, {middle_mm:.1f} mm in the middle"
     excess = max(both_mm / (UNLIKE_MM + 2 * noise_mm), step)

@@ -153,7 +153,12 @@ def fitted_face(
         iterations=deformation.meter.evaluations,
         trace=deformation.meter.trace,
         model=model,
-        **figures,
+        scale=scale,
+        coverage=coverage,
+        strain=strain,
+        mirror_mm=figures["mirror_mm"],
+        covered_mm2=deformation.covered_mm2,
+        face_log_odds=figures["face_log_odds"],
         metrics={
             **figures,
             "residual_mean_mm": float(known.mean()),

@@ -10,7 +10,7 @@ from scan2albedo.core import Budget, Meter, OnProgress, RawScan
 from scan2albedo.core.arrays import SMALLEST, BoolArray, FloatArray
 from scan2albedo.errors import FitError
 from scan2albedo.fitting.alignment import aligned
-from scan2albedo.fitting.fit import scan_beside
+from scan2albedo.fitting.fit import scan_near
 from scan2albedo.fitting.forces import MIN_ROBUST_MM, ForceGates, scan_forces
 from scan2albedo.fitting.mouth_opening import JawHinge, corner_moves
 from scan2albedo.fitting.options import GATE_MM, FitOptions
@@ -65,7 +65,7 @@ class FaceTracker:
         """Return the face in the next frame, `last` being where it was; FitError where no scan is near."""
         model, options, samples = self._model, self._options, self._samples
         meter = Meter("track", "mm", Budget(), self._on_progress)
-        surface = scan_beside(scan, samples, last.control_points, last.model_from_scan, options)
+        surface = scan_near(scan, samples, last.control_points, last.model_from_scan, options)
         gates = ForceGates(GATE_MM[0], options.tangential, MIN_ROBUST_MM[1])
         # What a frame turns the jaw by is small, so that the turn is linear. Its prior has a deviation of 3
         # degrees a frame, and of 10 mm for each corner: a jaw opens in a quarter of a second, smiles sooner.

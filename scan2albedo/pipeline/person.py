@@ -272,8 +272,10 @@ def _person(spool: _Spool, takes: Takes, shape: PersonShape, common: CommonAlbed
     if common is not None:
         estimate = _unlit(spool, common, image)
         image = estimate.image
-        coverage = common.coverage / len(spool.names)
-        pictures = {"coverage.png": coverage, "disagreement.png": common.disagreement}
+        pictures = {
+            "coverage.png": common.coverage / len(spool.names),
+            "disagreement.png": common.disagreement,
+        }
     return PersonResult(
         scan=RawScan(shape.vertices, shape.faces, name=takes.name),
         registration=None,

@@ -140,7 +140,7 @@ class CandidateSearch:
 
     def of_first_rounds(self) -> Candidates:
         """Return the candidates of two rounds, best first, faces or not."""
-        candidates = Candidates()
+        candidates = list[Candidate]()
         for round_ in islice(self.rounds(), 2):
             candidates = self._refined(round_.poses, candidates)
         return self._looked_at(candidates)
@@ -173,7 +173,7 @@ class CandidateSearch:
     def _agreement(self, pose: Similarity) -> ReliefAgreement:
         return self.template.image.agreement(self.scan.vertices, self.scan.faces, pose.inverse())
 
-    def _refined(self, starts: Poses, known: Candidates) -> list[Candidate]:
+    def _refined(self, starts: Poses, known: Sequence[Candidate]) -> list[Candidate]:
         """Return the known candidates, and every start refined with the face's size.
 
         A start at a known candidate is dropped; one is refined however small the budget is.
