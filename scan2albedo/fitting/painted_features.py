@@ -25,7 +25,7 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.compiled import compiled
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import LANDMARK_LEVELS
-from scan2albedo.face_model.appearance import light_basis
+from scan2albedo.face_model.materials import light_basis
 from scan2albedo.fitting.landmark_pull import SHOWN_BY_COLOR, STILL, LandmarkPull
 from scan2albedo.geometry.rasterization import FrontPicture, front_picture, polyline_distance
 

@@ -18,7 +18,7 @@ from scan2albedo.core.arrays import Values
 from scan2albedo.core.first_run import compiled_beside
 from scan2albedo.core.raw_scan import is_folder_name, scan_name
 from scan2albedo.errors import memory_errors_named
-from scan2albedo.face_model.appearance import CLASSES
+from scan2albedo.face_model.materials import CLASSES
 from scan2albedo.fitting import FittedFace, fit
 from scan2albedo.fitting.linear_model import LinearModelFit, fit_linear_model
 from scan2albedo.fitting.plausibility import doubts, face_coverage

@@ -15,7 +15,7 @@ from scan2albedo.albedo import AlbedoEstimate
 from scan2albedo.albedo.result import shade_image
 from scan2albedo.core import GeometryImage, RawScan
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, row_sums
-from scan2albedo.face_model.appearance import PATCH_MM, beyond_chart
+from scan2albedo.face_model.materials import materials_beyond_chart
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.closest_points import surface_query
 from scan2albedo.geometry.mesh import adjacency, neighbour_mean, thinned, usual_edge, vertex_normals
@@ -191,14 +191,14 @@ class SurfaceLight:
         few &= image.mask if image.on_face is None else image.mask & image.on_face
         if image.face_chart is not None and few.any():
             closest = cKDTree(image.position[few]).query(self._points)[1]
-            shares = beyond_chart(
+            shares = materials_beyond_chart(
                 self._log_color - self._log_lit,
                 normals,
                 self._skin,
                 image.face_chart[few][closest],
                 self._points - image.position[few][closest],
                 self._mean,
-                (self._edge_mm / PATCH_MM) ** 2,
+                self._edge_mm,
             )
             hair, other = shares[-2], shares[-2:].sum(0)
         return _Materials(hair, np.where(apart, 1.0, other), apart)

@@ -1,0 +1,1 @@
+"""What several stages take from statistics: linear models of what people differ by, and their fits."""
