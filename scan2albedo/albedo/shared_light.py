@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,6 +13,7 @@ from scipy.linalg import block_diag, cho_factor, cho_solve
 from scipy.linalg.blas import dtrsm
 
 from scan2albedo.albedo import node_field
+from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.posterior import EXTRA, FREEDOM, NOISE, Point, cell_trust, descend, robust_weights
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray, IntArray
@@ -147,23 +148,32 @@ class SharedLight:
         return np.sqrt(np.maximum(variance, 0.0))
 
 
-def shared_lights(
-    points: Sequence[Point], numbers: Sequence[IntArray], meter: Meter
-) -> tuple[list[Point], FloatArray, IntArray]:
-    """Return the lights of images of one albedo, the deviation (C,) of its log, and its cells' numbers (C,).
+@dataclass(frozen=True)
+class SharedLights:
+    """The lights of K images of one albedo, and how well they tell it."""
 
-    `points` are the images' own optima, `numbers` (N_k,) those of their cells on one chart.
-    """
+    points: list[Point]
+    """Of each image."""
+    deviation: tuple[Level, FloatArray]
+    """The C cells that any image has, and the standard deviation (C,) of the log of their albedo."""
+
+
+def shared_lights(points: Sequence[Point], width: int, meter: Meter) -> SharedLights:
+    """Return the lights of images of one albedo from their own optima; `width` is that of the chart."""
+    first = points[0].problem
+    level, prior = first.level, first.prior
+    across = -(-width // level.factor)
+    numbers = [point.problem.level.cell @ (across, 1) for point in points]
     every = np.unique(np.concatenate(numbers))
     cells = [np.searchsorted(every, number) for number in numbers]
     places = np.empty((len(every), 2))
     for point, cell in zip(points, cells, strict=True):
         places[cell] = point.problem.places
-    prior = points[0].problem.prior
     weights = prior.node_weights(places)
     used = np.flatnonzero(np.asarray(weights.sum(0)).ravel() > 0)
     logs = np.mean([np.log(point.known.scales) for point in points], 0)
-    scales, likeness = node_field.Scales(*np.exp(logs)), float(np.mean([point.x[-1] for point in points]))
+    scales = node_field.Scales(*np.exp(logs))
+    likeness = float(np.mean([point.x[-1] for point in points]))
     covariance = scales.albedo**2 * prior.covariance(0)[np.ix_(used, used)]
     precision = node_field.inverse(np.asarray(np.linalg.cholesky(covariance), float))
     starts = [p.problem.at(p.model, np.append(p.x[:-1], likeness), p.known, fixed=True) for p in points]
@@ -172,4 +182,5 @@ def shared_lights(
         shared = descend(shared, 10, meter).rescaled()
     albedos = [shared.u[np.searchsorted(used, point.problem.field.used)] for point in shared.points]
     found = [replace(point, shared=u) for point, u in zip(shared.points, albedos, strict=True)]
-    return found, shared.deviation(), every
+    at = replace(level, cell=np.stack(np.divmod(every, across), 1))
+    return SharedLights(found, (at, shared.deviation()))

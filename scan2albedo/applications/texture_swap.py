@@ -147,10 +147,8 @@ def continued(
         for _ in range(2):
             total = uniform_filter(total, (side, side, 1), mode="mirror")
         feature = np.where(both[..., None], values - total[..., :3] / np.maximum(total[..., 3:], 1e-9), 0.0)
-        weight = both / (1 + (np.abs(feature).max(-1) / _UNLIKE) ** 2) ** 2
-    filled = filled_over_grid(field - feature, missing, known, across=across, down=down)
         weight = both * geman_mcclure_weights(np.abs(feature).max(-1), _UNLIKE)
-    filled = integrate_gradients(field - feature, missing, known, across, down)
+    filled = filled_over_grid(field - feature, missing, known, across=across, down=down)
     border = field[row, column]
     raised = filled + feature[row, column] * np.exp(-((distance / _MARGIN) ** 2))[..., None]
     faded = np.clip(raised, np.minimum(filled, border), np.maximum(filled, border))

@@ -270,15 +270,14 @@ class _Run:
             share, tuning = clock.share("fit"), options.stages.fit
             fitted = fit(self.scan, model, pose, share, options=tuning, on_progress=self.on_progress)
             if self.registration is not None:
-                pose, scale = fitted.model_from_scan, fitted.metrics["scale"]
+                pose, scale = fitted.model_from_scan, fitted.scale
                 refined = refined_registration(self.registration, self.scan, model, pose, scale)
-                figures = fitted.metrics
-                told = (
-                    f"its edges are stretched by {100 * figures['strain']:.0f} % (RMS), half of it lies "
-                    f"within {figures['residual_median_mm']:.2f} mm of the scan, a twentieth of it more than "
-                    f"{figures['residual_p95_mm']:.1f} mm away"
+                near_mm, far_mm = np.nanpercentile(fitted.residual_mm, (50, 95))
+                figures = (
+                    f"its edges are stretched by {100 * fitted.strain:.0f} % (RMS), half of it lies within "
+                    f"{near_mm:.2f} mm of the scan, a twentieth of it more than {far_mm:.1f} mm away"
                 )
-                self.registration = judged_with_fit(refined, self.scan, figures["face_log_odds"], told)
+                self.registration = judged_with_fit(refined, self.scan, fitted.face_log_odds, figures)
                 self.plan["register"] = _register_rows(self.registration)
         self.fitted = fitted
         self.plan["fit"] = [*steps, *_fit_rows(options, self.scan, fitted)]
@@ -373,7 +372,7 @@ def _fit_rows(options: ProcessOptions, scan: RawScan, fitted: FittedFace) -> lis
     evidence = f"{np.nanmean(fitted.residual_mm):.3f} mm mean"
     rows.append(PlanStep("fit", True, "the model is deformed onto the scan", evidence))
     evidence = ""
-    if (area_mm2 := fitted.metrics["covered_mm2"]) > 0:
+    if (area_mm2 := fitted.covered_mm2) > 0:
         reason = "some of the scan stands far before the eyes, as glasses do"
         evidence = f"{area_mm2 / 100:.0f} cm2 left out"
     elif not options.stages.fit.covers:

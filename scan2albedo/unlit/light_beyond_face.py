@@ -66,8 +66,14 @@ class LightBeyond:
 
     def interpolated(self, interpolate: Callable[[FloatArray], FloatArray]) -> Self:
         """Return the same of other places, whose values are linear in those of these."""
-        fields = {name: value for name, value in vars(self).items() if np.ndim(value)}
-        return replace(self, **{name: interpolate(values) for name, values in fields.items()})
+        return replace(
+            self,
+            log_light=interpolate(self.log_light),
+            taken_off=interpolate(self.taken_off),
+            skin=interpolate(self.skin),
+            steepness=interpolate(self.steepness),
+            hair_log_odds=interpolate(self.hair_log_odds),
+        )
 
 
 @dataclass(frozen=True)
