@@ -9,9 +9,6 @@ from helpers.records import files_in
 from PIL import Image
 from worlds.files import write_obj
 
-from scan2albedo.face_model import default_model
-from scan2albedo.io.linear_model_files import LinearFaceModel
-
 
 @pytest.mark.slow
 def test_a_scan_is_shown_beside_itself_without_its_light(coarse_scan, tmp_path, monkeypatch):
@@ -25,27 +22,6 @@ def test_a_scan_is_shown_beside_itself_without_its_light(coarse_scan, tmp_path, 
     # Four panels, each with a face on white.
     for panel in np.array_split(pixels[: make_gallery.HEIGHT], 4, axis=1):
         assert 0.2 < (panel.min(-1) < 240).mean() < 0.95
-
-
-def test_the_jaw_of_the_synthetic_model_parts_the_lips(tmp_path):
-    make_gallery.write_linear_model(tmp_path / "people.npz")
-    linear, model = LinearFaceModel.load(tmp_path / "people.npz"), default_model()
-    fine = model.subdivision(3)
-    upper, lower = (
-        np.unique(fine.faces[model.region[fine.parent] == model.regions[name].index])
-        for name in ("upper_lip", "lower_lip")
-    )
-    middle = np.abs(linear.mean[:, 0]) < 5
-    coefficients = np.zeros(linear.components)
-    coefficients[linear.shapes + linear.names.index("jawOpen")] = 1
-    down = linear.mean[:, 1] - linear.at(coefficients)[:, 1]
-    jaw = -make_gallery.JAW_MM[1]
-    assert down[upper[middle[upper]]].max() < 0.1 * jaw
-    assert down[lower[middle[lower]]].min() > 0.9 * jaw
-    assert np.abs(down[linear.mean[:, 1] > 20]).max() < 0.1 * jaw
-    # Nothing but the corners of the mouth holds the lips together.
-    joined = linear.faces[np.isin(linear.faces, upper).any(1) & np.isin(linear.faces, lower).any(1)]
-    assert np.abs(linear.mean[joined, 0]).min(initial=np.inf) > 15
 
 
 @pytest.mark.slow
