@@ -24,9 +24,10 @@ from scan2albedo.io.load_scan import load_scan_with
 from scan2albedo.io.npz import write_npz
 from scan2albedo.io.run_folder import RunFolder
 from scan2albedo.pipeline.options import ProcessOptions
-from scan2albedo.pipeline.process import WHOLE_FACE, process
-from scan2albedo.pipeline.result import FILES, SURE, ProcessResult, write_result
+from scan2albedo.pipeline.process import FILES, process, write_result
+from scan2albedo.pipeline.result import SURE, ProcessResult
 from scan2albedo.pipeline.scale_search import registered_outward
+from scan2albedo.pipeline.stages import WHOLE_FACE
 from scan2albedo.registration import register
 from scan2albedo.templates import chosen_model
 
