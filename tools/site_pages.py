@@ -11,7 +11,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "scan2albedo"
-HIDDEN = ("cli", "core", "io", "optimization", "report.html")
+HIDDEN = ("cli", "core", "io", "optimization", "report.html", "statistics")
 """Packages whose names the others have, or that are called from the shell alone."""
 MOVED = {
     "README.md": "index.md",

@@ -1,7 +1,7 @@
 """`estimate_common_albedo`: one albedo from several images of a surface or person, each in its own light."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -28,7 +28,7 @@ from scan2albedo.core import (
     PlanStep,
     Trace,
 )
-from scan2albedo.core.arrays import Float32Array, FloatArray, NDArray
+from scan2albedo.core.arrays import Float32Array, FloatArray, NDArray, on_grid
 from scan2albedo.errors import LightingError
 
 _PASSES = 6
@@ -110,43 +110,43 @@ def estimate_common_albedo(
     if brdf == "spherical-harmonics" or options.objective != "residual":
         raise ValueError("a common albedo is found with lamps and the objective 'residual'")
     meter = Meter("albedo", "perplexity a cell", budget, on_progress)
+    plan = Plan()
+    searched = list[LightFound]()
+    charts = set[tuple[int, ...]]()
 
     def scene_of(image: GeometryImage) -> tuple[LitImage, Plan]:
         return lit_image(image, brdf, (0.0, 0.0, 1.0), options, meter)
 
     # The systems are small: further threads of BLAS would wait for work.
     with threadpool_limits(1, "blas"):
-        plan, searched, best, charts = Plan(), list[LightFound](), list[Point](), set[tuple[int, ...]]()
         for image in images:
             scene, steps = scene_of(image)
-            searched.append(LightSearch(scene).run(None if lights == "auto" else int(lights)))
-            told = searched[-1].explanation
-            assert told is not None
-            best.append(told.best)
+            found = LightSearch(scene).run(None if lights == "auto" else int(lights))
+            searched.append(found)
             plan += steps
-            charts.add((*image.shape, told.best.problem.level.factor))
-        if not best:
+            charts.add((*image.shape, _best(found).problem.level.factor))
+        if not searched:
             raise LightingError("no image was given: give one or more geometry images with a texture")
         if len(charts) > 1:
             raise LightingError("the images lie on different charts: process all with one model and size")
-        (_, width, factor), light_sd = charts.pop(), None
-        if len(best) > 1:
-            across = -(-width // factor)
-            numbers = [point.problem.level.cell @ (across, 1) for point in best]
-            best, deviation, every = shared_lights(best, numbers, meter)
-            cells = np.stack(np.divmod(every, across), 1)
-            light_sd = replace(best[0].problem.level, cell=cells), deviation[:, None]
         reason = "the lights of one albedo, found together"
-        plan += [PlanStep("albedo.shared", len(best) > 1, reason, f"{len(best)} image(s)")]
+        plan += [PlanStep("albedo.shared", len(searched) > 1, reason, f"{len(searched)} image(s)")]
+        light_deviation = None
+        if len(searched) > 1:
+            shared = shared_lights([_best(found) for found in searched], image.shape[1], meter)
+            searched = [
+                _with_shared(found, point, options)
+                for found, point in zip(searched, shared.points, strict=True)
+            ]
+            light_deviation = shared.deviation
         estimates = list[AlbedoEstimate]()
-        logs, weights = list[Float32Array](), list[FloatArray]()
+        logs = list[Float32Array]()
+        weights = list[FloatArray]()
         errors = list[Float32Array]()
-        for k, (image, found, point) in enumerate(zip(images, searched, best, strict=True)):
+        for number, (image, found) in enumerate(zip(images, searched, strict=True)):
             scene, _ = scene_of(image)
-            mask, alone = image.mask, found
-            if point.shared is not None:
-                alone = _with_shared(found, point, options)
-            estimate = divided(scene, light_on_texels(scene, alone), alone, Plan(), seed)
+            mask = image.mask
+            estimate = divided(scene, light_on_texels(scene, found), found, Plan(), seed)
             assert estimate.expected_error is not None
             light = np.maximum(estimate.shading.mean(-1), TINY)
             # Light that no part stands for is a share of the lamps': an image that is mostly dark knows less.
@@ -159,14 +159,18 @@ def estimate_common_albedo(
             if on_estimate is None:
                 estimates.append(estimate)
             else:
-                on_estimate(k, estimate)
-    light_variance = None if light_sd is None else cell_field(*light_sd, mask)[:, 0] ** 2
-    fields, gains = _fields(np.array(logs), np.array(weights), np.array(errors), light_variance)
-    for name, values in fields.items():
-        fields[name] = np.zeros((*mask.shape, *values.shape[1:]), values.dtype)
-        fields[name][mask] = values
+                on_estimate(number, estimate)
+    mean, gains, weight, spread = _averaged(np.array(logs), np.array(weights))
+    variance = ((weight * np.array(errors)) ** 2).sum(0) / weight.sum(0) ** 2
+    if light_deviation is not None:
+        level, deviation = light_deviation
+        variance += cell_field(level, deviation[:, None], mask)[:, 0] ** 2
+    shown = (np.array(weights) > 1).sum(0)
     return CommonAlbedo(
-        **fields,
+        albedo_linear=on_grid(mask, np.exp(mean).astype(np.float32)),
+        expected_error=on_grid(mask, np.minimum(np.sqrt(variance), 1).astype(np.float32)),
+        coverage=on_grid(mask, shown.astype(np.uint16)),
+        disagreement=on_grid(mask, np.where(shown > 1, spread, 0).astype(np.float32)),
         gains=gains,
         estimates=tuple(estimates),
         plan=plan,
@@ -175,36 +179,16 @@ def estimate_common_albedo(
     )
 
 
-def _fields(
-    logs: Float32Array,
-    weights: FloatArray,
-    errors: Float32Array,
-    light_variance: FloatArray | None,
-) -> tuple[dict[str, NDArray], FloatArray]:
-    """Return the images of a `CommonAlbedo` as values of the N texels, and the gains (K, 3).
-
-    `logs` (K, N, 3), `weights` and `errors` (K, N) are of each image's own albedo, `light_variance` (N,) is
-    that of the light that all share.
-    """
-    mean, gains, weight, chi = _averaged(logs, weights)
-    error = ((weight * errors) ** 2).sum(0) / weight.sum(0) ** 2
-    if light_variance is not None:
-        error += light_variance
-    shown = (weights > 1.0).sum(0)
-    fields: dict[str, NDArray] = {
-        "albedo_linear": np.exp(mean).astype(np.float32),
-        "expected_error": np.minimum(np.sqrt(error), 1.0).astype(np.float32),
-        "coverage": shown.astype(np.uint16),
-        "disagreement": np.where(shown > 1, chi, 0).astype(np.float32),
-    }
-    return fields, gains
+def _best(found: LightFound) -> Point:
+    assert found.explanation is not None
+    return found.explanation.best
 
 
 def _with_shared(found: LightFound, point: Point, options: EstimateOptions) -> LightFound:
     """Return what a search found with the light of `point`, which knows the albedo of all images."""
     colours = light_colours(point, options.choice("albedo.light_colour"))
     rows = parts_steps(point.model, point.x, point.covariance(), point.prior.rows, options)
-    cells = len(point.light)
+    cells = len(point.cells.light)
     explained = Explanation(point, colours, point.problem.level, np.zeros((cells, 3)), np.zeros(cells))
     # Shadows, lamps and their sizes stay as they were.
     steps = [*found.steps[:3], *rows, colours.step]
@@ -231,9 +215,9 @@ def _averaged(
             right = np.array([weight @ (mean - log) for weight, log in zip(robust, logs, strict=True)])
             gains = np.linalg.solve(system, right)
         mean += np.einsum("kn,kc->nc", robust / total, gains)
-        beside = [log + gain - mean for log, gain in zip(logs, gains, strict=True)]
-        square = np.array([(apart**2).mean(-1) for apart in beside])
-        bright = again >= _PASSES and np.array([apart.mean(-1) > 0 for apart in beside])
+        residual = [log + gain - mean for log, gain in zip(logs, gains, strict=True)]
+        square = np.array([(each**2).mean(-1) for each in residual])
+        bright = again >= _PASSES and np.array([each.mean(-1) > 0 for each in residual])
         robust = robust_weights(np.sqrt(square), 1 / weights, 1.0, bright)
     spread = np.sqrt((weights * square).sum(0) / weights.sum(0))
     return mean, np.exp(gains), robust, spread

@@ -1,12 +1,11 @@
-"""Exemplar synthesis of texels whose colour a highlight has wiped out, and fields rebuilt from gradients."""
+"""Exemplar synthesis of texels whose colour a highlight has wiped out, and smooth gaps of an albedo."""
 
 import numpy as np
-from scipy.sparse import csr_matrix, identity
-from scipy.sparse.linalg import splu
 
 from scan2albedo.albedo.node_field import FAINT
 from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, NDArray, finite_rows
 from scan2albedo.core.compiled import compiled
+from scan2albedo.geometry.fields import filled_over_grid
 
 _HOLD = 1e-4
 """Weight by which a copy keeps its own level: felt from 100 texels on, where gradients add up to drift."""
@@ -64,7 +63,7 @@ def resynthesize(
     given = field, order, copies, around, offsets, np.argwhere(copies), jumps
     filled, came_from = _fill(*given, steep, rng)
     across, down = (copied_steps(filled, field, came_from, around, axis) for axis in (1, 0))
-    filled = integrate_gradients(filled, inside, around, across, down, _HOLD)
+    filled = filled_over_grid(filled, inside, around, across=across, down=down, pull=_HOLD)
     result = albedo.copy()
     new = np.exp(filled[inside], dtype=np.float64)
     result[window][target[window]] = np.clip(new, albedo[known].min(0), albedo[known].max(0))
@@ -75,8 +74,7 @@ def continued_smoothly(albedo: NDArray, gaps: BoolArray, known: BoolArray) -> Fl
     """Return an albedo (H, W, 3) whose logarithm goes on from `known` into `gaps` by Laplace's equation."""
     floor = max(FAINT * float(albedo.mean()), float(np.finfo(np.float32).tiny))
     field = np.log(np.maximum(albedo.astype(float), floor))
-    still = np.zeros_like(field)
-    filled = integrate_gradients(field, gaps, known, still[:, 1:], still[1:])
+    filled = filled_over_grid(field, gaps, known)
     return np.where(gaps[..., None], np.exp(filled), albedo).astype(np.float32)
 
 
@@ -192,47 +190,3 @@ def copied_steps(
         steps[good] = there[place[good][:, 0], place[good][:, 1]]
     steps[both] = (steps + own)[both] / 2
     return steps
-
-
-_ANCHOR = 1e-9
-"""It decides only where a region touches nothing known."""
-
-
-def integrate_gradients(
-    field: FloatArray,
-    region: BoolArray,
-    known: BoolArray,
-    across: FloatArray,
-    down: FloatArray,
-    anchor: float = _ANCHOR,
-) -> FloatArray:
-    """Return `field` (H, W) with `region` replaced by the least-squares integral of a gradient [1]_.
-
-    Minimises sum (u_j - u_i - g_ij)^2 over neighbours i, j of which one at least lies in `region` and the
-    other in `region` or `known`; u = field on `known`. The system is L u = div g, one row a texel. `across`
-    (H, W - 1) and `down` (H - 1, W) are the wanted forward differences; with channels (..., C), all share one
-    factorisation. `anchor` is the weight of the old value.
-
-    .. [1] P. Perez, M. Gangnet, A. Blake, "Poisson image editing", SIGGRAPH 2003.
-    """
-    if not region.any():
-        return field
-    number, usable = np.arange(region.size).reshape(region.shape), region | known
-    values, pairs, steps = field.reshape(region.size, -1).astype(float), [], []
-    for axis, wanted in ((1, across), (0, down)):
-        here, there = ((slice(None),) * axis + (part,) for part in (slice(None, -1), slice(1, None)))
-        joined = usable[here] & usable[there] & (region[here] | region[there])
-        pairs.append(np.stack([number[here][joined], number[there][joined]]))
-        steps.append(wanted[joined].reshape(-1, values.shape[1]))
-    # One row a pair of neighbours: the step from the first one to the second.
-    columns = np.concatenate(pairs, axis=1)
-    each = np.arange(columns.shape[1])
-    signs = np.repeat([-1.0, 1.0], len(each))
-    step = csr_matrix((signs, (np.tile(each, 2), columns.ravel())), (len(each), region.size))
-    outside = np.where(region.reshape(-1, 1), 0.0, values)
-    inside, free = values[region.ravel()], step.tocsc()[:, region.ravel()]
-    right = free.T @ (np.concatenate(steps) - step @ outside) + anchor * inside
-    result = field.copy()
-    system = free.T @ free + anchor * identity(len(inside), format="csc")
-    result[region] = splu(system.tocsc()).solve(right).reshape(result[region].shape)
-    return result

@@ -93,7 +93,8 @@ class LightSearch:
                 others.append(Alternative(other.lights(), round(first - value, 3)))
         if not self.meter.exhausted:
             largest = self._posterior(2, best.problem.blur)
-            fine = Point(largest, best.model, best.x, largest.started(best.known.scales)).rescaled()
+            known = largest.started(best.known.scales)
+            fine = largest.at(best.model, best.x, known).rescaled()
             best = descend(fine, _STEPS, self.meter).rescaled()
         self._record()
         colours = light_colours(best, self.options.choice("albedo.light_colour"))
@@ -110,7 +111,7 @@ class LightSearch:
         values, fields, tints = list[float](), list[FloatArray](), list[FloatArray]()
         for value, point in wanted:
             # What is left of V without the highlight and the light is albedo.
-            field = np.log(point.light) - np.log(point.left_of_highlight())
+            field = np.log(point.cells.light) - np.log(point.left_of_highlight())
             field -= np.average(field, weights=point.problem.level.weight)
             # Descents from several starts meet.
             if all(np.std(field - other) > NOISE for other in fields):
@@ -137,7 +138,7 @@ class LightSearch:
         for radius in (6.0, 12.0, 20.0, 30.0):
             model = replace(point.model, radius_deg=radius)
             known = point.problem.started(point.known.scales, point.robust)
-            tried = descend(Point(point.problem, model, point.x, known), _STEPS, self.meter)
+            tried = descend(point.problem.at(model, point.x, known), _STEPS, self.meter)
             if tried.cost > best.cost:
                 break
             best = tried
@@ -167,7 +168,7 @@ class LightSearch:
             if self.meter.exhausted:
                 break
             x = np.append(point.model.extend(point.light_x, model), point.x[-EXTRA:])
-            found.append(self._settled(Point(where, model, x, where.started(point.known.scales))))
+            found.append(self._settled(where.at(model, x, where.started(point.known.scales))))
         return found
 
     def _with_one_more(self, base: Point) -> list[Point]:
@@ -181,7 +182,7 @@ class LightSearch:
             if found and meter.exhausted:
                 break
             x = np.append(model.extend(start.light_x, full), start.x[-EXTRA:])
-            point = Point(base.problem, full, x, base.problem.started(start.known.scales))
+            point = base.problem.at(full, x, base.problem.started(start.known.scales))
             found.append(point if meter.exhausted else self._settled(point))
         return sorted(found, key=lambda point: -point.log_evidence())
 
@@ -209,7 +210,7 @@ class LightSearch:
             lamps = model.decode(x[:-EXTRA])
             if not any(_alike(lamps, other, _SAME_COSINE) for other in followed):
                 followed.append(lamps)
-                found.append(descend(Point(point.problem, model, x, known), _STEPS, meter))
+                found.append(descend(point.problem.at(model, x, known), _STEPS, meter))
         return sorted(found, key=lambda point: point.cost)
 
     def _starts(self, base: Point, model: LightModel, dark: bool, known: Start) -> Iterator[Point]:
@@ -227,7 +228,7 @@ class LightSearch:
             if dark:
                 yield coarse.start(model, x, known)
             else:
-                yield Point(coarse, model, np.append(x, base.x[-EXTRA:]), known, fixed=True)
+                yield coarse.at(model, np.append(x, base.x[-EXTRA:]), known, fixed=True)
 
     def _settled(self, point: Point) -> Point:
         """Return the optimum near a point, with the scales that the image has there."""

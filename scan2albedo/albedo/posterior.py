@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import copy
 import math
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -13,33 +14,38 @@ from scipy.linalg.blas import dtrsm
 from scan2albedo.albedo import node_field
 from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.light_parameters import HARMONICS, LightModel, Solution
-from scan2albedo.albedo.light_priors import light_prior
+from scan2albedo.albedo.light_priors import PriorOfLight, light_prior
 from scan2albedo.albedo.shadows import ShadowLattice
 from scan2albedo.albedo.soft_terms import DARKEST, SoftTerms
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.lighting.shading import FreeLamps, LitPoints, log_rows, shade_with_derivatives
 from scan2albedo.optimization.least_squares import Damping, LeastSquaresPoint, NormalEquations, minimize
+from scan2albedo.statistics.effective_count import effective_count, independent_area_mm2
+from scan2albedo.statistics.robust import student_t_loss, student_t_weights
 
 FREEDOM = 4.0
-"""Degrees of freedom of Student's t of what single cells err by [1]_: hair, an outline, a mole are rare.
-
-.. [1] K. Lange, R. Little, J. Taylor, "Robust statistical modeling using the t distribution", JASA 84, 1989.
-"""
-_INDEPENDENT = 530.0
-"""Cells of a whole chart that err independently. It has some 1,250 at 1/40 of its side; on path-traced faces
-that were left out light is found best where two or three count as one: what fits and lamps err by correlates
-farther than texture does."""
-TEMPER = 0.25
+"""Degrees of freedom of Student's t of what single cells err by: hair, an outline, a mole are rare."""
+FACE_MM2 = 38_500.0
+"""Area of a face on the chart: scans have 35,000 to 39,000."""
+CELLS_MM = 3.4
+"""Correlation length of what single cells err by beside the nodes' field. The residuals of scans, two real
+and two path-traced, have 2.5 to 3.1; light and albedo of path-traced faces are found best at this."""
+LIGHT_MM = 6.8
+"""The same of what a whole light errs by, which no single cell shows: path-traced faces err so much that two
+texels in three stay below the error that is stated. A search with this length for the cells errs more (9.4 %
+in place of 8.4 %)."""
+TEMPER = independent_area_mm2(CELLS_MM) / independent_area_mm2(LIGHT_MM)
 """What the log odds of explanations are multiplied by where they are averaged [1]_, and the precision of the
-light where errors are told: texels of faces that were left out err some two times as much as the posterior
-says, as if four cells were one.
+light where errors are stated.
 
 .. [1] C. Holmes, S. Walker, "Assigning a value to a power likelihood in a general Bayesian model", Biometrika
    104(2), 2017.
 """
-_ALBEDOS = 0.1, 0.8
-"""Of skin, dark and pale, in red."""
+_DARKEST_SKIN = 0.1
+"""Albedo in red."""
+_PALEST_SKIN = 0.8
+"""The same."""
 NOISE = 0.02
 """Relative noise of a cell, that of pictures of 8 bits: below this part of the median V says nothing."""
 _LEAST_GRAIN = 0.1
@@ -83,12 +89,14 @@ class Posterior:
         self.mean = self.prior.mean_at(self.places)[:, 0]
         self.value = np.log(np.maximum(level.value, node_field.FAINT))
         self.variance = (self.prior.deviation_at(self.places)[:, 0] ** 2 + NOISE**2) / cell_trust(level)
-        self.repeats = max(1.0, len(self.value) / _INDEPENDENT)
+        independent = round(effective_count(FACE_MM2, CELLS_MM))
+        self.repeats = max(1.0, len(self.value) / independent)
         color = np.average(level.color, axis=0, weights=level.weight)
-        self.lead, (red, green, _) = int(np.argmax(color)), color
+        red, green, _ = color
+        self.lead = int(np.argmax(color))
         offset, slope, self.level_sd = self.prior.level
         level_here = offset + slope * math.log(max(green, NOISE) / max(red, NOISE))
-        self.log_level = float(np.clip(level_here, *np.log(_ALBEDOS)))
+        self.log_level = float(np.clip(level_here, math.log(_DARKEST_SKIN), math.log(_PALEST_SKIN)))
 
     def started(self, scales: node_field.Scales, weight: FloatArray | None = None) -> Start:
         """Return `weight` (N,) of the cells, that of points far from an optimum when None, and its factor."""
@@ -99,7 +107,73 @@ class Posterior:
 
     def start(self, model: LightModel, x: FloatArray, known: Start) -> Point:
         """Return the point of a light x (P,), at the albedo's scale that fits best."""
-        return Point(self, model, np.append(x, [math.nan, 1.0]), known, fixed=True)
+        return self.at(model, np.append(x, [math.nan, 1.0]), known, fixed=True)
+
+    def at(self, model: LightModel, x: FloatArray, known: Start, *, fixed: bool = False) -> Point:
+        """Return the point at x: one counted evaluation.
+
+        The cells are weighed once more by what they err by under `known`, or have its weights when `fixed`.
+        """
+        self.meter.count()
+        return self._lit(model, x).settled(known, fixed)
+
+    def _lit(self, model: LightModel, x: FloatArray) -> LitCells:
+        """Return the cells under a light, with the albedo's scale that fits best where it is NaN."""
+        light_x, (scale, likeness) = np.clip(x[:-EXTRA], *model.bounds), x[-EXTRA:]
+        level, found = self.level, model.decode(light_x)
+        visible, visible_slope = self.lattice.visibility(model, light_x, self.blur)
+        points = LitPoints(level.position, level.normal, visible, visible_slope, level.toward, level.scale)
+        lamps = FreeLamps(found.rows, model.tangents(light_x), model.radius_mm, model.has("near"))
+        free = {"rough": model.has("rough"), "glossy": model.has("specular")}
+        light, specular, slopes = shade_with_derivatives(points, lamps, found.reflectance, model.size, **free)
+        # The derivative by the log of a lamp's intensity is the lamp's own part.
+        parts, highlights = slopes[..., 2 : 3 * model.lights : 3].transpose(0, 2, 1).copy()
+        self.soft.add(model, light_x, light, slopes[0])
+        if math.isnan(scale):
+            scale = np.median(self.value - np.log(np.exp(likeness * self.mean) * light + specular))
+        rows = np.empty((len(light), len(x) + 1))
+        log_rows(self.value, self.mean, light, specular, *slopes, scale, likeness, rows)
+        x = np.concatenate([light_x, [scale, likeness]])
+        return LitCells(self, model, x, light, specular, parts, highlights, rows)
+
+
+@dataclass(frozen=True)
+class LitCells:
+    """The N cells under the light of x = [light, scale, likeness].
+
+    `light` (N,) is I, `specular` (N,) I_s, `lamps` and `highlights` (L, N) are each lamp's parts of them.
+    `rows` (N, P + 1) are the derivatives of log(A I + I_s) by x, and last what it leaves of log V.
+    """
+
+    problem: Posterior
+    model: LightModel
+    x: FloatArray
+    light: FloatArray
+    specular: FloatArray
+    lamps: FloatArray
+    highlights: FloatArray
+    rows: FloatArray
+
+    @cached_property
+    def left(self) -> FloatArray:
+        """(N,) log V less the log of what light and mean albedo make of it."""
+        return self.rows[:, -1].copy()
+
+    def settled(self, known: Start, fixed: bool = False) -> Point:
+        """Return the posterior with the nodes' field for robust weights, for those `known` when `fixed`."""
+        p, variance = self.problem, self.problem.variance * known.scales.grain**2
+        u, error = self._field(known)
+        if fixed:
+            return Point(self, known, u, error, known.weight)
+        known = p.started(known.scales, robust_weights(error, variance, p.repeats))
+        u, error = self._field(known)
+        return Point(self, known, u, error, robust_weights(error, variance, p.repeats))
+
+    def _field(self, known: Start) -> tuple[FloatArray, FloatArray]:
+        """Return the nodes' best field (M,), and what it leaves of the cells (N,)."""
+        p = self.problem
+        u = node_field.solved(known.factor, p.onto_nodes @ (known.weight * self.left))
+        return u, self.left - p.nodes @ u
 
 
 class Start(NamedTuple):
@@ -123,91 +197,87 @@ def robust_weights(
     Errors of a sign that is `frequent` (N,) have the tails of one degree of freedom, Cauchy's.
     """
     square = error**2 / variance * np.where(frequent, FREEDOM, 1.0)
-    return (FREEDOM + 1) / (FREEDOM + square) / (variance * repeats)
+    return student_t_weights(square, FREEDOM) / (variance * repeats)
 
 
+@dataclass(frozen=True)
 class Point:
-    """The posterior at x = [light, scale, likeness]: one counted evaluation. NaN is the scale that fits best.
+    """The posterior at the x of its `cells`.
 
-    The cells are weighed once more by what they err by under `known`, or have its weights when `fixed`.
-    `u` (M,) is the nodes' best field, `shared` (M,) that of several images of one albedo.
+    `u` (M,) is the nodes' best field under the weights of `known`, `error` (N,) what it leaves, and `robust`
+    (N,) the weights that follow from it.
     """
 
+    cells: LitCells
+    known: Start
+    u: FloatArray
+    error: FloatArray
+    robust: FloatArray
     shared: FloatArray | None = None
+    """(M,) the field of several images of one albedo."""
 
-    def __init__(
-        self, problem: Posterior, model: LightModel, x: FloatArray, known: Start, *, fixed: bool = False
-    ) -> None:
-        problem.meter.count()
-        self.problem, self.model = problem, model
-        lower, upper = model.bounds
-        self.x = np.concatenate([np.clip(x[:-EXTRA], lower, upper), x[-EXTRA:]])
-        p, light_x = problem, self.light_x
-        level, found, cells = p.level, model.decode(light_x), len(p.value)
-        visible, visible_slope = p.lattice.visibility(model, light_x, p.blur)
-        points = LitPoints(level.position, level.normal, visible, visible_slope, level.toward, level.scale)
-        lamps = FreeLamps(found.rows, model.tangents(light_x), model.radius_mm, model.has("near"))
-        free = {"rough": model.has("rough"), "glossy": model.has("specular")}
-        light, specular, slopes = shade_with_derivatives(points, lamps, found.reflectance, model.size, **free)
-        self.lamps, self.highlights = slopes[..., 2 : 3 * model.lights : 3].transpose(0, 2, 1).copy()
-        p.soft.add(model, light_x, light, slopes[0])
-        self.light, self.specular = light, specular
-        if math.isnan(self.x[-EXTRA]):
-            self.x[-EXTRA] = np.median(p.value - np.log(np.exp(self.x[-1] * p.mean) * light + specular))
-        self.rows = np.empty((cells, model.size + EXTRA + 1))
-        log_rows(p.value, p.mean, light, specular, *slopes, *self.x[-EXTRA:], self.rows)
-        self.left = self.rows[:, -1].copy()
-        self._settle(known, fixed)
+    @property
+    def problem(self) -> Posterior:
+        """Of the cells."""
+        return self.cells.problem
 
-    def _settle(self, known: Start, fixed: bool) -> None:
-        """Estimate the nodes' field for robust weights; the cost follows."""
-        self._quadratic: tuple[FloatArray, FloatArray] | None = None
-        self.robust: FloatArray
-        p, (albedo, light, grain, soft) = self.problem, known.scales
-        variance, free = p.variance * grain**2, FREEDOM
-        for again in range(1 if fixed else 2):
-            self.known = p.started(known.scales, self.robust) if again else known
-            self.u = node_field.solved(self.known.factor, p.onto_nodes @ (self.known.weight * self.left))
-            self.error = self.left - p.nodes @ self.u
-            self.robust = known.weight if fixed else robust_weights(self.error, variance, p.repeats)
-        misfit = (free + 1) / 2 * np.log1p(self.error**2 / (free * variance)).sum()
-        self.prior = light_prior(self.model, self.x, p.log_level, p.level_sd, p.prior.face, soft)
-        far = sum(math.log(scale) ** 2 for scale in (albedo, grain)) / (2 * _MISFIT_SD**2)
-        far += sum(math.log(scale) ** 2 for scale in (light, soft)) / (2 * _LIGHT_SD**2)
-        sizes = p.field.log_determinant(known.scales) / 2 + len(self.error) / p.repeats * math.log(grain)
-        rough = float(p.field.own(known.scales) @ (self.u @ p.field.basis) ** 2) / 2
-        self.cost = float(misfit) / p.repeats + rough + self.prior.cost + far + sizes
+    @property
+    def model(self) -> LightModel:
+        """Of the light."""
+        return self.cells.model
+
+    @property
+    def x(self) -> FloatArray:
+        """Light, scale, likeness (P,)."""
+        return self.cells.x
 
     @property
     def light_x(self) -> FloatArray:
         """The light's part of x."""
         return self.x[:-EXTRA]
 
+    @cached_property
+    def prior(self) -> PriorOfLight:
+        """The prior of x."""
+        p, soft = self.problem, self.known.scales.soft
+        return light_prior(self.model, self.x, p.log_level, p.level_sd, p.prior.face, soft)
+
+    @cached_property
+    def cost(self) -> float:
+        """Minus the log of the posterior, but for constants."""
+        p, scales = self.problem, self.known.scales
+        misfit = student_t_loss(self.error**2 / (p.variance * scales.grain**2), FREEDOM).sum()
+        far = sum(math.log(scale) ** 2 for scale in (scales.albedo, scales.grain)) / (2 * _MISFIT_SD**2)
+        far += sum(math.log(scale) ** 2 for scale in (scales.light, scales.soft)) / (2 * _LIGHT_SD**2)
+        sizes = p.field.log_determinant(scales) / 2 + len(self.error) / p.repeats * math.log(scales.grain)
+        rough = float(p.field.own(scales) @ (self.u @ p.field.basis) ** 2) / 2
+        return float(misfit) / p.repeats + rough + self.prior.cost + far + sizes
+
     def left_of_highlight(self) -> FloatArray:
         """Return (N,) V without the highlight, which leaves some of it."""
         value = np.exp(self.problem.value)
-        return np.maximum(value - self.specular, DARKEST * value)
+        return np.maximum(value - self.cells.specular, DARKEST * value)
 
     def bounced(self) -> FloatArray:
         """Return (N,) the light that the surface throws onto itself."""
         soft, (_, albedo, waves) = self.problem.soft, self.model.soft(self.light_x)
         if soft.bounce is None:
-            return np.zeros(len(self.light))
-        return albedo * soft.bounce(self.lamps.sum(0) + soft.transfer[:, 1:] @ waves)
+            return np.zeros_like(self.error)
+        return albedo * soft.bounce(self.cells.lamps.sum(0) + soft.transfer[:, 1:] @ waves)
 
+    @cached_property
     def quadratic(self) -> tuple[FloatArray, FloatArray]:
-        """Return matrix (P, P) and gradient (P,) of the cost in x, the nodes' field following each step."""
-        if self._quadratic is None:
-            weighted = self.rows * self.known.weight[:, None]
-            nodes = dtrsm(1.0, self.known.factor, self.problem.onto_nodes @ weighted, lower=1)
-            inner = self.rows.T @ weighted - nodes.T @ nodes
-            matrix = inner[:-1, :-1] + np.diag(self.prior.curvature)
-            self._quadratic = matrix, self.prior.slope - inner[:-1, -1]
-        return self._quadratic
+        """Matrix (P, P) and gradient (P,) of the cost in x, the nodes' field following each step."""
+        rows = self.cells.rows
+        weighted = rows * self.known.weight[:, None]
+        nodes = dtrsm(1.0, self.known.factor, self.problem.onto_nodes @ weighted, lower=1)
+        inner = rows.T @ weighted - nodes.T @ nodes
+        matrix = inner[:-1, :-1] + np.diag(self.prior.curvature)
+        return matrix, self.prior.slope - inner[:-1, -1]
 
     def normal_equations(self) -> NormalEquations:
         """Return the quadratic model with the bounds of a step."""
-        (matrix, gradient), (lower, upper) = self.quadratic(), self.model.bounds
+        (matrix, gradient), (lower, upper) = self.quadratic, self.model.bounds
         x, longest, free = self.light_x, 3 * self.model.steps(), np.ones(EXTRA)
         least = np.concatenate([np.maximum(lower - x, -longest), -free])
         most = np.concatenate([np.minimum(upper - x, longest), free])
@@ -216,7 +286,7 @@ class Point:
     def moved(self, step: FloatArray) -> Point:
         """Return the point at x + `step`."""
         known = self.problem.started(self.known.scales, self.robust)
-        return Point(self.problem, self.model, self.x + step, known)
+        return self.problem.at(self.model, self.x + step, known)
 
     def rescaled(self) -> Point:
         """Return the point nearer to the scales at which the evidence is largest: one step of its iteration.
@@ -240,10 +310,9 @@ class Point:
             expected = self.x[at] ** 2 + np.diag(self.covariance())[at]
             square = float((expected * self.prior.curvature[at]).mean()) * soft**2
             soft = _shrunk(square, HARMONICS, _LIGHT_SD)
-        other = copy.copy(self)
         grain = max(_shrunk(rough, len(self.error) / p.repeats, _MISFIT_SD), _LEAST_GRAIN)
-        other._settle(p.started(node_field.Scales(parts[0], parts[1], grain, soft), self.robust), False)
-        return other
+        scales = node_field.Scales(parts[0], parts[1], grain, soft)
+        return self.cells.settled(p.started(scales, self.robust))
 
     def log_evidence(self) -> float:
         """Return the log of the model's evidence by Laplace's method [1]_.
@@ -251,14 +320,14 @@ class Point:
         .. [1] L. Tierney, J. Kadane, "Accurate approximations for posterior moments and marginal densities",
            JASA 81, 1986.
         """
-        matrix = self.quadratic()[0]
+        matrix = self.quadratic[0]
         nodes = 2 * float(np.log(np.diag(self.known.factor)).sum())
         x = float(np.linalg.slogdet(matrix)[1]) - len(matrix) * math.log(2 * math.pi)
         return -self.cost - (nodes + x) / 2
 
     def covariance(self) -> FloatArray:
         """Return (P, P) the covariance of x."""
-        return np.asarray(np.linalg.pinv(self.quadratic()[0], hermitian=True))
+        return np.asarray(np.linalg.pinv(self.quadratic[0], hermitian=True))
 
     def light_deviation(self) -> FloatArray:
         """Return (N,) the standard deviation of log light: of x, and of light that is not modelled."""
@@ -266,7 +335,8 @@ class Point:
         light = self.known.scales.light**2 * p.field.light_covariance
         own = light @ p.field.precision(self.known.scales)
         nodes = light - own @ light + own @ node_field.inverse(self.known.factor) @ own.T
-        slopes = self.rows[:, : self.model.size] - self.rows[:, : self.model.size].mean(0)
+        slopes = self.cells.rows[:, : self.model.size]
+        slopes = slopes - slopes.mean(0)
         # What x changes, the nodes' part of light partly takes back.
         taken = node_field.solved(self.known.factor, p.onto_nodes @ (slopes * self.known.weight[:, None]))
         slopes = slopes - p.nodes @ (own @ taken)
@@ -283,12 +353,12 @@ class Point:
         """
         if self.shared is not None:
             return float(self.x[-EXTRA]), self.shared
-        p, scales = self.problem, self.known.scales
-        dark = scales.light * node_field.deviation_of_light(self.light, float(np.median(self.light)))
+        p, scales, lit = self.problem, self.known.scales, self.cells.light
+        dark = scales.light * node_field.deviation_of_light(lit, float(np.median(lit)))
         albedo = scales.albedo**2 * p.field.albedo_covariance
         total = albedo + p.field.light_error(p.onto_nodes, dark)
         precision = cho_solve(cho_factor(total, lower=True), np.eye(len(total)))
-        left = self.left + self.x[-EXTRA]
+        left = self.cells.left + self.x[-EXTRA]
         weight = self.known.weight
         level = 0.0
         for _ in range(3):

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,6 +13,7 @@ from scipy.linalg import block_diag, cho_factor, cho_solve
 from scipy.linalg.blas import dtrsm
 
 from scan2albedo.albedo import node_field
+from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.posterior import EXTRA, FREEDOM, NOISE, Point, cell_trust, descend, robust_weights
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray, IntArray
@@ -47,7 +48,7 @@ class SharedLight:
             self.own[cell] = self.repeats * (scales.grain * deviation) ** 2
         dark = [
             point.known.scales.light
-            * node_field.deviation_of_light(point.light, float(np.median(point.light)))
+            * node_field.deviation_of_light(point.cells.light, float(np.median(point.cells.light)))
             for point in points
         ]
         self.variance = [
@@ -63,13 +64,15 @@ class SharedLight:
             self.weights, (known, top) = weights, np.zeros((2, len(self.own)))
             for point, cell, weight in zip(self.points, self.cells, weights, strict=True):
                 known[cell] += weight
-                top[cell] += weight * point.left
+                top[cell] += weight * point.cells.left
             share = 1 / (1 + known * self.own)
             self.factor = node_field.posterior_factor(self.nodes, known * share, self.precision)
             self.u = node_field.solved(self.factor, onto @ (top * share))
             self.total, smooth = known + 1 / self.own, self.nodes @ self.u
             beside = (top - known * smooth) / self.total
-            self.error = [p.left - (smooth + beside)[c] for p, c in zip(self.points, self.cells, strict=True)]
+            self.error = [
+                p.cells.left - (smooth + beside)[c] for p, c in zip(self.points, self.cells, strict=True)
+            ]
             pairs = list(zip(self.error, self.variance, strict=True))
             weights = [robust_weights(e, v, repeats, e < 0) for e, v in pairs]
         misfit = 0.0
@@ -83,7 +86,7 @@ class SharedLight:
     @cached_property
     def _equations(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Matrix (P, P) and gradient (P,) of all x for a known smooth albedo, and what u adds (M, P)."""
-        rows = [point.rows[:, :-EXTRA] for point in self.points]
+        rows = [point.cells.rows[:, :-EXTRA] for point in self.points]
         blocks, gradients, onto_cells = list[FloatArray](), list[FloatArray](), list[FloatArray]()
         each = zip(self.points, self.cells, rows, self.weights, self.error, strict=True)
         for point, cell, row, weight, error in each:
@@ -117,7 +120,7 @@ class SharedLight:
         for point in self.points:
             size = point.model.size + 1
             x = point.x + np.append(step[first : first + size], 0.0)
-            points.append(Point(point.problem, point.model, x, point.known, fixed=True))
+            points.append(point.problem.at(point.model, x, point.known, fixed=True))
             first += size
         return SharedLight(points, self.cells, self.prior, self.noise, self.weights)
 
@@ -145,30 +148,39 @@ class SharedLight:
         return np.sqrt(np.maximum(variance, 0.0))
 
 
-def shared_lights(
-    points: Sequence[Point], numbers: Sequence[IntArray], meter: Meter
-) -> tuple[list[Point], FloatArray, IntArray]:
-    """Return the lights of images of one albedo, the deviation (C,) of its log, and its cells' numbers (C,).
+@dataclass(frozen=True)
+class SharedLights:
+    """The lights of K images of one albedo, and how well they tell it."""
 
-    `points` are the images' own optima, `numbers` (N_k,) those of their cells on one chart.
-    """
+    points: list[Point]
+    """Of each image."""
+    deviation: tuple[Level, FloatArray]
+    """The C cells that any image has, and the standard deviation (C,) of the log of their albedo."""
+
+
+def shared_lights(points: Sequence[Point], width: int, meter: Meter) -> SharedLights:
+    """Return the lights of images of one albedo from their own optima; `width` is that of the chart."""
+    first = points[0].problem
+    level, prior = first.level, first.prior
+    across = -(-width // level.factor)
+    numbers = [point.problem.level.cell @ (across, 1) for point in points]
     every = np.unique(np.concatenate(numbers))
     cells = [np.searchsorted(every, number) for number in numbers]
     places = np.empty((len(every), 2))
     for point, cell in zip(points, cells, strict=True):
         places[cell] = point.problem.places
-    prior = points[0].problem.prior
     weights = prior.node_weights(places)
     used = np.flatnonzero(np.asarray(weights.sum(0)).ravel() > 0)
     logs = np.mean([np.log(point.known.scales) for point in points], 0)
-    scales, likeness = node_field.Scales(*np.exp(logs)), float(np.mean([point.x[-1] for point in points]))
+    scales = node_field.Scales(*np.exp(logs))
+    likeness = float(np.mean([point.x[-1] for point in points]))
     covariance = scales.albedo**2 * prior.covariance(0)[np.ix_(used, used)]
     precision = node_field.inverse(np.asarray(np.linalg.cholesky(covariance), float))
-    starts = [Point(p.problem, p.model, np.append(p.x[:-1], likeness), p.known, fixed=True) for p in points]
+    starts = [p.problem.at(p.model, np.append(p.x[:-1], likeness), p.known, fixed=True) for p in points]
     shared = SharedLight(starts, cells, (weights[:, used].tocsr(), precision, scales))
     for _ in range(3):
         shared = descend(shared, 10, meter).rescaled()
-    found = [copy.copy(point) for point in shared.points]
-    for point in found:
-        point.shared = shared.u[np.searchsorted(used, point.problem.field.used)]
-    return found, shared.deviation(), every
+    albedos = [shared.u[np.searchsorted(used, point.problem.field.used)] for point in shared.points]
+    found = [replace(point, shared=u) for point, u in zip(shared.points, albedos, strict=True)]
+    at = replace(level, cell=np.stack(np.divmod(every, across), 1))
+    return SharedLights(found, (at, shared.deviation()))

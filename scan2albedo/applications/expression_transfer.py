@@ -16,6 +16,7 @@ from scan2albedo.fitting.dynamics import factorized
 from scan2albedo.fitting.mouth_opening import ANGLES_DEG, JawHinge
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision
 from scan2albedo.geometry.rigid import procrustes, transform_points
+from scan2albedo.statistics.robust import geman_mcclure_weights
 from scan2albedo.unlit.processed_face import SAME_PLACE_MM, FaceMesh, ProcessedFace, on_common_chart
 
 Correspondence = Literal["auto", "refined", "as-fitted"]
@@ -125,14 +126,14 @@ def level_to_refine(
 def laid_on_what_is_still(moved: FloatArray, rest: FloatArray) -> FloatArray:
     """Return `moved` (V, 3) rigidly aligned to `rest` by the vertices that did not move.
 
-    Iteratively reweighted least squares with Geman and McClure's weights 1 / (1 + (r / s)^2)^2, s the lower
+    Iteratively reweighted least squares with Geman and McClure's weights, their scale the lower
     quartile of the distances of the round before: a smile leaves a quarter of the face still.
     """
     placed = moved
     for _ in range(20):
         distance = norms(placed - rest)
         scale = max(float(np.percentile(distance, 25)), 2 * SAME_PLACE_MM)
-        weights = 1 / (1 + (distance / scale) ** 2) ** 2
+        weights = geman_mcclure_weights(distance, scale)
         before, placed = placed, transform_points(procrustes(moved, rest, weights=weights), moved)
         if np.abs(placed - before).max() < 1e-4:
             break

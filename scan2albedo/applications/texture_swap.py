@@ -5,10 +5,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import distance_transform_edt, maximum_filter, uniform_filter
 
-from scan2albedo.albedo.inpainting import integrate_gradients
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
 from scan2albedo.face_model import AnnotatedSurface
+from scan2albedo.geometry.fields import filled_over_grid
+from scan2albedo.statistics.robust import geman_mcclure_weights
 from scan2albedo.unlit import face_features
 from scan2albedo.unlit.face_features import AROUND, blurred_inside, feature_texels, grown
 from scan2albedo.unlit.processed_face import ProcessedFace, on_common_chart
@@ -135,8 +136,8 @@ def continued(
     across, down = np.diff(log_other, axis=1), np.diff(log_other, axis=0)
     across[(source[:, 1:] != source[:, :-1]) | (source[:, 1:] == 0)] = 0
     down[(source[1:] != source[:-1]) | (source[1:] == 0)] = 0
-    # The faces' difference less its local mean, that of a box taken twice, reweighted by Geman and McClure's
-    # 1 / (1 + (r / s)^2)^2.
+    # The faces' difference less its local mean, that of a box taken twice, reweighted by Geman and
+    # McClure's.
     both = known & (source == 1) & ~grown(whole, AROUND)
     side = 2 * round(face_features.LOCAL * max(known.shape)) + 1
     values = np.where(both[..., None], field - log_other, 0.0)
@@ -146,8 +147,8 @@ def continued(
         for _ in range(2):
             total = uniform_filter(total, (side, side, 1), mode="mirror")
         feature = np.where(both[..., None], values - total[..., :3] / np.maximum(total[..., 3:], 1e-9), 0.0)
-        weight = both / (1 + (np.abs(feature).max(-1) / _UNLIKE) ** 2) ** 2
-    filled = integrate_gradients(field - feature, missing, known, across, down)
+        weight = both * geman_mcclure_weights(np.abs(feature).max(-1), _UNLIKE)
+    filled = filled_over_grid(field - feature, missing, known, across=across, down=down)
     border = field[row, column]
     raised = filled + feature[row, column] * np.exp(-((distance / _MARGIN) ** 2))[..., None]
     faded = np.clip(raised, np.minimum(filled, border), np.maximum(filled, border))

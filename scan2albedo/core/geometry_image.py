@@ -86,7 +86,7 @@ class GeometryImage:
     """(H, W): how surely a texel is skin, 0 to 1; 0 on hair, brows, eyes, lips, cloth and glasses, and where
     nothing was seen. When None it was not computed: every seen texel counts as 1."""
     labels: ByteArray | None = None
-    """(H, W): what each texel is, by number in `scan2albedo.face_model.appearance.CLASSES`; 0 is unseen."""
+    """(H, W): what each texel is, by number in `scan2albedo.face_model.materials.CLASSES`; 0 is unseen."""
     camera: ByteArray | None = None
     """(H, W): number of the camera that took each texel; `NO_CAMERA` where it is not known."""
     camera_positions: FloatArray | None = None

@@ -23,6 +23,7 @@ from scan2albedo.geometry.alignment import Alignment, Pairs, align
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import face_normals, normalized
 from scan2albedo.geometry.rigid import Similarity, compose, procrustes, rotation_angle_rad, transform_points
+from scan2albedo.statistics.robust import tukey_weights
 
 _TEMPLES = [np.flatnonzero(~FRONT & [n.startswith(side) for n in KEY_POINT_NAMES]) for side in SIDES]
 """Numbers of the left and the right temple's key points, from the hinge to the tip."""
@@ -94,9 +95,9 @@ def front_halves(
 
     def pairs(_: Alignment, placed: FloatArray) -> Pairs:
         hits = query.query(placed[held == 0])
-        # Tukey's weights: what one rim has and the other lacks does not pull.
+        # What one rim has and the other lacks does not pull.
         reach = 3 * float(np.median(hits.distance))
-        trust = np.clip(1 - (hits.distance / max(reach, SMALLEST)) ** 2, 0, None) ** 2
+        trust = tukey_weights(hits.distance, max(reach, SMALLEST))
         pull = np.full(len(source), _LABEL_SHARE * trust.sum() / len(source))
         goal = np.concatenate([hits.points, target])
         normal = np.concatenate([normals[hits.face], np.zeros_like(source)])

@@ -60,22 +60,23 @@ def aligned(
         nonlocal forces
         if now.steps and meter.exhausted:
             return None
-        start, on_face = forces if rim is None else None, points[: len(weight)]
-        forces = found = scan_forces(
-            scan, on_face, samples.normals(on_face), gates(now.steps), start, rim=rim
-        )
+        on_face = points[: len(weight)]
+        start = forces if rim is None else None
+        forces = scan_forces(scan, on_face, samples.normals(on_face), gates(now.steps), start, rim=rim)
         meter.count()
-        meter.record(found.mean_distance_mm(samples.area))
-        if not found.weight.any():
+        meter.record(forces.mean_distance_mm(samples.area))
+        if not forces.weight.any():
             return None
+        along = np.full(len(weight), forces.tangential)
+        found = Pairs(forces.offset, forces.normal, forces.weight, along, NOISE_MM)
         if landmarks is None:
-            return Pairs(found.offset, found.normal, found.weight, found.tangential, NOISE_MM)
+            return found
         offset = landmarks.seen_offsets(points[len(weight) :])
         return Pairs(
             np.vstack([found.offset, offset]),
             np.vstack([found.normal, np.zeros_like(offset)]),
-            np.concatenate([found.weight, landmarks.person_weight(offset)]),
-            np.concatenate([np.full(len(weight), found.tangential), np.ones(len(offset))]),
+            np.concatenate([found.trust, landmarks.person_weight(offset)]),
+            np.concatenate([along, np.ones(len(offset))]),
             NOISE_MM,
         )
 
@@ -123,6 +124,17 @@ def proportioned(
         return ForceGates(gate_mm, options.tangential, between((3.0, 1.5), progress))
 
     precision = block_diag(1.0, one, one, one)
-    given = scan, samples, reference, samples.area * samples.rigidity, gates, precision
-    found = aligned(*given, steps=steps, meter=meter, modes=modes, landmarks=landmarks, rim=samples.rim)
+    found = aligned(
+        scan,
+        samples,
+        reference,
+        samples.area * samples.rigidity,
+        gates,
+        precision,
+        steps=steps,
+        meter=meter,
+        modes=modes,
+        landmarks=landmarks,
+        rim=samples.rim,
+    )
     return found.pose.apply(reference + modes @ found.coefficients)

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 
@@ -10,8 +9,8 @@ from scan2albedo.core.arrays import EPSILON, SMALLEST, FloatArray, IntArray, ide
 from scan2albedo.face_model.annotation import AnnotatedSurface
 from scan2albedo.face_model.variation import expression_variance, identity_modes, similarity_modes
 from scan2albedo.fitting.result import NEAR_MM, UNSEEN_MM, FittedFace
+from scan2albedo.geometry.fields import surface_diffusion
 from scan2albedo.geometry.mesh import vertex_areas, vertex_normals
-from scan2albedo.geometry.operators import surface_diffusion
 from scan2albedo.geometry.rigid import procrustes, transform_points
 
 FIT_MM = 0.6
@@ -61,8 +60,9 @@ def common_shape(fits: Iterable[FittedFace]) -> PersonShape:
     `fits` are walked through once; of each, control points and weights are kept: 70 kB with the default
     model. Raises ValueError without fits, or when their models have different triangles.
     """
-    takes = _Takes.of(fits)
-    model, points, shown = takes.model, takes.points, takes.shown
+    first, kept = _kept(fits)
+    model = first.model
+    points, shown = (np.array(of_all) for of_all in zip(*kept, strict=True))
     rest, area = model.control_vertices, vertex_areas(model.control_vertices, model.control_faces)
     around = surface_diffusion(rest, model.control_faces, NEAR_MM)
     patches, loose = area / (4 * np.pi * NEAR_MM**2), UNSEEN_MM**2
@@ -105,13 +105,14 @@ def common_shape(fits: Iterable[FittedFace]) -> PersonShape:
         two = same + PEOPLE_MM**2
         other[k] = patches @ (np.log(same / two) / 2 + np.log1p(square / same) - np.log1p(square / two))
     poses[:, :3] /= size
-    control, subdivision = neutral / size, model.subdivision(takes.levels)
+    neutral = neutral / size
+    subdivision = model.subdivision(first.levels)
     return PersonShape(
         model=model,
-        control_points=control,
-        vertices=subdivision.matrix @ control,
+        control_points=neutral,
+        vertices=subdivision.matrix @ neutral,
         faces=subdivision.faces,
-        landmarks=model.landmarks_of(control),
+        landmarks=model.landmarks_of(neutral),
         deviation_mm=np.sqrt(subdivision.matrix @ (1 / known)) / size,
         common_from_fit=poses,
         expression=expression / size,
@@ -120,33 +121,20 @@ def common_shape(fits: Iterable[FittedFace]) -> PersonShape:
     )
 
 
-@dataclass(frozen=True)
-class _Takes:
-    """What is kept of K fits: `points` (K, C, 3), and the part (K, C) around each that has scan near."""
-
-    model: AnnotatedSurface
-    levels: int
-    points: FloatArray
-    shown: FloatArray
-
-    @classmethod
-    def of(cls, fits: Iterable[FittedFace]) -> Self:
-        """Walk through the fits; ValueError without any, or for models of different triangles."""
-        points = list[FloatArray]()
-        shown = list[FloatArray]()
-        model = None
-        levels = 0
-        for fit in fits:
-            model, levels = model or fit.model, fit.levels
-            if not np.array_equal(fit.model.control_faces, model.control_faces):
-                raise ValueError(
-                    f"fit {len(points)} is of {fit.model.name!r}, the first of {model.name!r}, whose "
-                    "triangles are others; fit all scans with one model"
-                )
-            area, spread = vertex_areas(fit.vertices, fit.faces), model.subdivision(levels).matrix.T
-            points.append(fit.control_points)
-            around_mm2 = np.maximum(spread @ area, SMALLEST)
-            shown.append(spread @ (area * ~np.isnan(fit.residual_mm)) / around_mm2)
-        if model is None:
-            raise ValueError("no fits were given; common_shape needs one or more")
-        return cls(model, levels, np.array(points), np.array(shown))
+def _kept(fits: Iterable[FittedFace]) -> tuple[FittedFace, list[tuple[FloatArray, FloatArray]]]:
+    """Return the first fit, and of each its control points (C, 3) and the part (C,) around with scan near."""
+    first = None
+    kept = list[tuple[FloatArray, FloatArray]]()
+    for fit in fits:
+        first = first or fit
+        if not np.array_equal(fit.model.control_faces, first.model.control_faces):
+            raise ValueError(
+                f"fit {len(kept)} is of {fit.model.name!r}, the first of {first.model.name!r}, whose "
+                "triangles are others; fit all scans with one model"
+            )
+        area, spread = vertex_areas(fit.vertices, fit.faces), fit.model.subdivision(fit.levels).matrix.T
+        near = spread @ (area * ~np.isnan(fit.residual_mm))
+        kept.append((fit.control_points, near / np.maximum(spread @ area, SMALLEST)))
+    if first is None:
+        raise ValueError("no fits were given; common_shape needs one or more")
+    return first, kept

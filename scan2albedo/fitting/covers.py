@@ -20,6 +20,7 @@ from scan2albedo.fitting.samples import SurfaceSamples, surface_normals
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.geometry import mesh
 from scan2albedo.geometry.alignment import Alignment, Pairs, align
+from scan2albedo.statistics.robust import geman_mcclure_weights
 
 STEPS = 10
 """Iterations of the alignment with a person's face."""
@@ -46,23 +47,21 @@ RARE = 7.0
 
 def uncovered(
     scan: ScanSurface, model: AnnotatedSurface, reference: FloatArray, meter: Meter
-) -> tuple[ScanSurface, ScanSurface | None, float]:
-    """Return the scan without what stands far before the eyes (lenses with their frame, a visor), what does,
-    if anything, and its area in mm^2.
+) -> tuple[ScanSurface, ScanSurface | None]:
+    """Return the scan without what stands far before the eyes (lenses with their frame, a visor), and that.
 
     `reference` (C, 3) are control points at rest, in the scan's frame and about of its size. Models without
     landmarks, which do not say where eyes are, get the scan as it is.
     """
     if model.landmark_points is None or meter.exhausted or not _covers(scan, model, reference).any():
-        return scan, None, 0.0
+        return scan, None
     cover = _covers(scan, model, persons_face(scan, model, reference))
     meter.count(STEPS)
     gone = np.any(cover[scan.faces], axis=1)
     if not gone.any() or gone.all():
-        return scan, None, 0.0
+        return scan, None
     border = mesh.vertex_mask(len(cover), scan.faces[gone])
-    covered_mm2 = float(mesh.face_areas(scan.vertices, scan.faces[gone]).sum())
-    return _part(scan, ~gone, border), _part(scan, gone, border), covered_mm2
+    return _part(scan, ~gone, border), _part(scan, gone, border)
 
 
 def _part(scan: ScanSurface, chosen: BoolArray, border: BoolArray) -> ScanSurface:
@@ -85,9 +84,9 @@ def persons_face(scan: ScanSurface, model: AnnotatedSurface, reference: FloatArr
             return None
         gap = dots(forces.offset, forces.normal)
         before = dots(forces.offset, normals) > 0
-        # Of Geman and McClure's weights: 12 mm at first, 2 mm at last for scan before the face, 6 mm behind.
+        # 12 mm at first, 2 mm at last for scan before the face, 6 mm behind.
         scale = np.where(before, *(between((12.0, last), now.steps / (STEPS - 1)) for last in (2.0, 6.0)))
-        trust = (forces.weight > 0) / (1 + (gap / scale) ** 2) ** 2
+        trust = (forces.weight > 0) * geman_mcclure_weights(gap, scale)
         return Pairs(forces.offset, forces.normal, trust, noise=NOISE_MM)
 
     rest, weights = samples.matrix @ reference, samples.area * samples.rigidity
@@ -122,13 +121,13 @@ def _covers(scan: ScanSurface, model: AnnotatedSurface, person: FloatArray) -> B
         return cover
     # Heights are normal about a face that the modes make, and even before covers and other faces.
     odds = -np.log(FARTHEST_MM) - norm.logpdf(before_mm[cover], scale=deviation_mm)
-    told = float(mesh.vertex_areas(scan.vertices, scan.faces)[cover] @ odds) / EYE_MM**2
+    by_heights = float(mesh.vertex_areas(scan.vertices, scan.faces)[cover] @ odds) / EYE_MM**2
     # A cover ends as a thing does: at the scan's border, or by jumps. A brow rises gradually.
     edges, _ = mesh.edges_with_faces(scan.faces)
     one, other = edges[cover[edges[:, 0]] != cover[edges[:, 1]]].T
     length_mm = norms(scan.vertices[one] - scan.vertices[other])
     jumps = np.abs(before_mm[one] - before_mm[other]) > STEEP * length_mm
     share = np.append(jumps, np.ones(1 + np.count_nonzero(scan.boundary & cover))).mean()
-    log_odds = min(told - RARE, 0.0) + PER_JUMPS * (share - JUMPS_AT_END)
+    log_odds = min(by_heights - RARE, 0.0) + PER_JUMPS * (share - JUMPS_AT_END)
     cover[edges[cover[edges].any(1)]] = True
     return cover & (log_odds > 0)

@@ -21,6 +21,7 @@ from scan2albedo.fitting.result import FittedFace, fitted_face
 from scan2albedo.fitting.samples import SurfaceSamples
 from scan2albedo.fitting.scan_surface import ScanSurface, scan_near_model
 from scan2albedo.fitting.stages import Deformation, run_stages
+from scan2albedo.geometry.mesh import face_areas
 from scan2albedo.geometry.rigid import invert_rigid, is_rigid, transform_points
 
 CROP_MARGIN = 0.35
@@ -82,27 +83,27 @@ def fit(
     require_type(model, AnnotatedSurface, "fit: model", "AnnotatedFaceModel.default() returns one")
     require_type(options, (FitOptions, type(None)), "fit: options", "make them with FitOptions()")
     chosen = options or FitOptions()
-    if not isinstance(reg, np.ndarray) and not hasattr(reg, "model_from_scan"):
-        raise TypeError(
-            f"fit: reg is {described(reg)}, expected a Registration or a (4, 4) array; register(scan, model) "
-            "returns one"
-        )
-    pose = np.asarray(reg if isinstance(reg, np.ndarray) else reg.model_from_scan, float)
-    if pose.shape != (4, 4):
-        raise ValueError(f"model_from_scan has shape {pose.shape}, expected (4, 4)")
-    if not is_rigid(pose, 1e-3):
-        raise ValueError("model_from_scan must be a rigid transform (rotation and translation, no scale)")
+    pose = _rigid_pose(reg)
     meter = Meter("fit", "mm", budget, on_progress)
     samples = SurfaceSamples.of(model, model.control_vertices, 0)
-    surface = scan_beside(scan, samples, model.control_vertices, pose, chosen)
+    surface = scan_near(scan, samples, model.control_vertices, pose, chosen)
     placed, seen = LandmarkPull.of(model, scan.landmarks, pose), openings(surface, model)
     pull = seen if placed is None else placed.with_more(seen)
     # Cheeks and forehead fit at many poses and sizes; nose, lids and lips do not.
     weight = samples.area * samples.rigidity * samples.relief(samples.matrix @ model.control_vertices)
     gates = ForceGates(GATE_MM[0], chosen.tangential, MIN_ROBUST_MM[1])
-    given = surface, samples, model.control_vertices, weight, lambda step: gates, np.array([[SIZE_SD**-2]])
-    many, scales = chosen.rigid_iterations, chosen.scale_range
-    similarity = aligned(*given, steps=many, scale_range=scales, meter=meter, landmarks=pull).pose
+    similarity = aligned(
+        surface,
+        samples,
+        model.control_vertices,
+        weight,
+        lambda step: gates,
+        np.array([[SIZE_SD**-2]]),
+        steps=chosen.rigid_iterations,
+        scale_range=chosen.scale_range,
+        meter=meter,
+        landmarks=pull,
+    ).pose
     hits = surface.nearest.query(similarity.apply(samples.matrix @ model.control_vertices))
     reached = (hits.distance < GATE_MM[0]) & ~surface.on_boundary(hits)
     share = float(samples.area[reached].sum() / samples.area.sum())
@@ -117,22 +118,19 @@ def fit(
     pull = None if pull is None else pull.moved(correction)
     reference = model.front + similarity.scale * (model.control_vertices - model.front)
     steps = list[PlanStep]()
-    bare = surface
-    covers = None
+    bare, covers = uncovered(surface, model, reference, meter) if chosen.covers else (surface, None)
+    covered = np.zeros(len(scan.faces), bool)
     covered_mm2 = 0.0
-    if chosen.covers:
-        bare, covers, covered_mm2 = uncovered(surface, model, reference, meter)
-    if covered_mm2 > 0:
+    if covers is not None:
+        covered_mm2 = float(face_areas(covers.vertices, covers.faces).sum())
         reason = (
             f"{covered_mm2 / 100:.0f} cm2 of the scan lie far before the eyes, as glasses do; they are "
             "left out, and the model's own shape stands there"
         )
         steps.append(PlanStep.doubt("fit.covers", reason))
-    covered = np.zeros(len(scan.faces), bool)
-    if covers is not None:
         points = transform_points(pose, scan.vertices)
-        apart, beside = (part.nearest.query(points).distance for part in (covers, bare))
-        covered = np.any((apart <= beside)[scan.faces], axis=1)
+        apart, behind = (part.nearest.query(points).distance for part in (covers, bare))
+        covered = np.any((apart <= behind)[scan.faces], axis=1)
     deformation = Deformation(model, reference, bare, chosen, meter, covered_mm2=covered_mm2)
     deformation = corners_pulled(mouth_opened(deformation, pull))
     if chosen.colors and not meter.exhausted:
@@ -162,7 +160,23 @@ def fit(
     )
 
 
-def scan_beside(
+def _rigid_pose(reg: Posed | FloatArray) -> FloatArray:
+    """Return the pose (4, 4) of a registration; TypeError and ValueError for what is none."""
+    pose = reg if isinstance(reg, np.ndarray) else getattr(reg, "model_from_scan", None)
+    if pose is None:
+        raise TypeError(
+            f"fit: reg is {described(reg)}, expected a Registration or a (4, 4) array; register(scan, model) "
+            "returns one"
+        )
+    pose = np.asarray(pose, float)
+    if pose.shape != (4, 4):
+        raise ValueError(f"model_from_scan has shape {pose.shape}, expected (4, 4)")
+    if not is_rigid(pose, 1e-3):
+        raise ValueError("model_from_scan must be a rigid transform (rotation and translation, no scale)")
+    return pose
+
+
+def scan_near(
     scan: RawScan, samples: SurfaceSamples, control_points: FloatArray, pose: FloatArray, options: FitOptions
 ) -> ScanSurface:
     """Return the scan near control points (C, 3), in their frame, facing outward; FitError for none."""

@@ -12,6 +12,7 @@ from scan2albedo.fitting.options import GATE_MM, FitOptions, between
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.geometry.closest_points import mixed, nearest_around, walk_downhill
 from scan2albedo.geometry.rigid import dot
+from scan2albedo.statistics.robust import geman_mcclure_weights
 
 MIN_NORMAL_COSINE = 0.6
 """Least cosine between the normals of model and scan where a force acts."""
@@ -122,14 +123,11 @@ def robust_weights(
     if not used.any():
         return np.zeros(len(residual))
     spread = 1.4826 * float(np.median(np.abs(residual[used])))
-
-    def geman_mcclure(least_mm: float) -> FloatArray:
-        return 1.0 / (1.0 + (residual / (ROBUST_SCALE * max(spread, least_mm))) ** 2) ** 2
-
-    weight = geman_mcclure(gates.min_robust_mm)
+    weight = geman_mcclure_weights(residual, ROBUST_SCALE * max(spread, gates.min_robust_mm))
     if rim is None or gates.min_robust_mm <= RIM_ROBUST_MM:
         return weight
-    return np.where(residual > 0, (1 - rim) * weight + rim * geman_mcclure(RIM_ROBUST_MM), weight)
+    strict = geman_mcclure_weights(residual, ROBUST_SCALE * max(spread, RIM_ROBUST_MM))
+    return np.where(residual > 0, (1 - rim) * weight + rim * strict, weight)
 
 
 @compiled

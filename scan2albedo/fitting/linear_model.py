@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -18,11 +19,13 @@ from scan2albedo.fitting.result import NEAR_MM, RESIDUAL_GATE_MM, FittedFace
 from scan2albedo.fitting.scan_surface import ScanSurface, scan_near_model
 from scan2albedo.geometry.loop_subdivision import SurfacePoints
 from scan2albedo.geometry.mesh import normalized, vertex_areas, vertex_normals
+from scan2albedo.geometry.operators import cross_matrices
 from scan2albedo.geometry.rigid import Similarity, procrustes, rotation_from_vector
 from scan2albedo.io.linear_model_files import LinearFaceModel
 from scan2albedo.io.records import plain_json
 from scan2albedo.io.result_records import LinearModelRecord
-from scan2albedo.optimization.least_squares import NormalEquations, minimize
+from scan2albedo.optimization.least_squares import LocalTerm, NormalEquations, map_equations, minimize
+from scan2albedo.statistics.linear_model import Posterior
 
 FREEDOM = 4.0
 """Degrees of freedom of Student's t (Lange, Little, Taylor, "Robust statistical modeling using the t
@@ -75,13 +78,15 @@ class LinearModelFit:
     def neutral_and_targets(self) -> tuple[FloatArray, dict[str, FloatArray], FloatArray]:
         """Return the face without expression (V, 3), by ARKit's names how far each blendshape moves its
         vertices (V, 3), and their weights (S,); mm."""
-        model, shares, coefficients = self.model, self.model.arkit(), self.coefficients.copy()
-        coefficients[model.shapes :] = 0.0
-        neutral, targets = self.pose.apply(model.at(coefficients, self.rotations)), dict[str, FloatArray]()
-        for name, share in shares.items():
-            coefficients[model.shapes :] = share
-            targets[name] = self.pose.apply(model.at(coefficients, self.rotations)) - neutral
-        weights = [share @ self.coefficients[model.shapes :] / share.sum() for share in shares.values()]
+        shape, expression = np.split(self.coefficients, [self.model.shapes])
+
+        def face(weights: FloatArray) -> FloatArray:
+            return self.pose.apply(self.model.at(np.append(shape, weights), self.rotations))
+
+        neutral = face(np.zeros(len(expression)))
+        shares = self.model.arkit()
+        targets = {name: face(share) - neutral for name, share in shares.items()}
+        weights = [share @ expression / share.sum() for share in shares.values()]
         return neutral, targets, np.array(weights)
 
     def record(self, scan_from_here: FloatArray) -> LinearModelRecord:
@@ -89,7 +94,7 @@ class LinearModelFit:
         model, free = self.model, [name for name in FREE_JOINTS if name in self.model.joints]
         pose, turns, deviation = np.split(self.deviation, [7, 7 + 3 * len(free)])
         shape, expression = np.split(np.stack([self.coefficients, deviation]), [model.shapes], axis=1)
-        positions = model.joint_mean + model.joint_basis @ self.coefficients
+        positions = model.joint_places.at(self.coefficients)
         _, targets, weights = self.neutral_and_targets()
         content = {
             "model": model.name,
@@ -134,7 +139,21 @@ class _Term:
     def trust(self, square: FloatArray) -> FloatArray:
         return (FREEDOM + self.axes.shape[1]) / (FREEDOM + square / self.scale**2)
 
-    def settled(self, points: FloatArray, counts: FloatArray) -> _Term:
+    def cost(self, points: FloatArray) -> float:
+        """Return minus the logarithm of the likelihood."""
+        square = self.residuals(points)[1] / self.scale**2
+        freedom = (FREEDOM + self.axes.shape[1]) / 2
+        return self.share * freedom * float(self.weight @ np.log1p(square / FREEDOM))
+
+    def linearized(self, points: FloatArray, motion: FloatArray) -> LocalTerm:
+        """Return the term as weighted squares by what moves the points, `motion` (V, 3, P)."""
+        residual, square = self.residuals(points)
+        curvature = self.share / self.scale**2 * self.weight * self.trust(square)
+        curvature = np.repeat(curvature, self.axes.shape[1])
+        jacobian = (self.axes @ motion[self.index]).reshape(residual.size, -1)
+        return LocalTerm(jacobian, curvature * residual.ravel(), curvature)
+
+    def with_scale_of(self, points: FloatArray, counts: FloatArray) -> _Term:
         """Return the term with the scale likeliest by `counts` (N,) and the share that correlations leave."""
         residual, square = self.residuals(points)
         level = max(float(np.sqrt(counts @ square / counts.sum())), EPSILON)
@@ -145,7 +164,8 @@ class _Term:
         # Correlation of the influences over distance, summed to where it first vanishes.
         there = np.flatnonzero(counts > 0)
         near = there[np.unique(np.linspace(0, len(there) - 1, 1500).astype(int))]  # 10^6 pairs
-        where, pull = points[self.index[near]], (term.trust(square)[:, None] * residual)[near]
+        where = points[self.index[near]]
+        pull = (term.trust(square)[:, None] * residual)[near]
         first, second = np.triu_indices(len(near), 1)
         spacing = np.median(cKDTree(where).query(where, k=2)[0][:, 1])
         bins = (pdist(where) / spacing).astype(int)
@@ -170,79 +190,73 @@ class _State:
     terms: tuple[_Term, ...] = ()
 
     @cached_property
-    def _posed(self) -> tuple[FloatArray, ...]:
-        return self.model.posed(self.coefficients, self.rotations)
-
-    @cached_property
     def points(self) -> FloatArray:
-        return self.pose.apply(self._posed[0])
+        return self.of(self.model)
 
     def of(self, model: LinearFaceModel) -> FloatArray:
-        """Return all vertices (V, 3) of the whole model in this state."""
+        """Return the vertices of the fitted model, or all (V, 3) of the whole one, in this state."""
         return self.pose.apply(model.at(self.coefficients, self.rotations))
 
     @cached_property
     def _prior(self) -> tuple[FloatArray, FloatArray]:
-        """Precision and value of each parameter but the motion."""
-        size, turns = np.log(self.pose.scale / self.model.mm_per_unit), self.rotations[self.free].ravel()
-        tight = [SIZE_SD**-2], np.full(len(turns), JOINT_SD_RAD**-2), np.ones(len(self.coefficients))
-        return np.concatenate(tight), np.concatenate([[size], turns, self.coefficients])
+        """Precision and value of each parameter; the motion has no prior."""
+        size = np.log(self.pose.scale / self.model.mm_per_unit)
+        turns = self.rotations[self.free].ravel()
+        tight = [np.zeros(6), [SIZE_SD**-2], np.full(len(turns), JOINT_SD_RAD**-2)]
+        precision = np.concatenate([*tight, np.ones(len(self.coefficients))])
+        return precision, np.concatenate([np.zeros(6), [size], turns, self.coefficients])
 
     @cached_property
     def cost(self) -> float:
         """Minus the logarithm of the posterior."""
-        precision, value = self._prior
-        total = float(precision @ value**2) / 2
-        for term in self.terms:
-            square = term.residuals(self.points)[1] / term.scale**2
-            freedom = (FREEDOM + term.axes.shape[1]) / 2
-            total += term.share * freedom * float(term.weight @ np.log1p(square / FREEDOM))
         self.meter.count()
-        return total
-
-    def normal_equations(self) -> NormalEquations:
-        """Return the quadratic model, the prior in it."""
         precision, value = self._prior
-        matrix = np.diag(np.concatenate([np.zeros(6), precision]))
-        gradient = np.concatenate([np.zeros(6), precision * value])
-        _, blend, slopes = self._posed
-        turns, small = list[FloatArray](), np.cbrt(EPSILON)  # rad; truncation and rounding alike
-        for joint, axis in [(joint, axis) for joint in self.free for axis in range(3)]:
+        return sum((term.cost(self.points) for term in self.terms), start=float(precision @ value**2) / 2)
+
+    def _motion(self) -> FloatArray:
+        """Return the derivatives (V, 3, P) of the points by turn, shift, log scale, joints, coefficients."""
+        away = self.points - self.pose.translation
+        small = np.cbrt(EPSILON)  # rad; truncation and rounding alike
+        turns = list[FloatArray]()
+        for joint, axis in itertools.product(self.free, range(3)):
             moved = self.rotations.copy()
             moved[joint, axis] += small
             turns.append((replace(self, rotations=moved).points - self.points) / small)
-        for term in self.terms:
-            (residual, square), each = term.residuals(self.points), term.axes.shape[1]
-            index, axes = np.repeat(term.index, each), term.axes.reshape(-1, 3)
-            weight = np.repeat(term.share / term.scale**2 * term.weight * term.trust(square), each)
-            away = self.points[index] - self.pose.translation
-            own = self.pose.scale * axes @ self.pose.rotation
-            shape = (np.einsum("nij,ni->nj", blend[index], own)[:, None] @ self.model.basis[index])[:, 0]
-            for skin, slope in zip(self.model.weights[index].T, slopes, strict=True):
-                shape += skin[:, None] * (own @ slope)
-            single = [np.sum(by * axes, axis=1)[:, None] for by in (away, *(turn[index] for turn in turns))]
-            rows = np.hstack([np.cross(away, axes), axes, *single, shape])
-            weighted = weight[:, None] * rows
-            matrix += weighted.T @ rows
-            gradient += weighted.T @ residual.ravel()
-        lower, upper = np.full(len(gradient), -np.inf), np.full(len(gradient), np.inf)
-        if self.model.names:  # blendshapes
-            weights = self.coefficients[self.model.shapes :]
-            lower[-len(weights) :], upper[-len(weights) :] = -weights, 1 - weights
-        return NormalEquations(matrix, gradient, lower, upper)
+        shape = self.model.turned(self.rotations).basis.transpose(1, 2, 0)
+        shift = np.broadcast_to(np.eye(3), (len(away), 3, 3))
+        single = np.stack([away, *turns], axis=2)
+        by_shape = self.pose.scale * self.pose.rotation @ shape
+        return np.concatenate([-cross_matrices(away), shift, single, by_shape], axis=2)
+
+    def normal_equations(self) -> NormalEquations:
+        """Return the quadratic model, the prior in it; weights of blendshapes stay between 0 and 1."""
+        motion = self._motion()
+        terms = (term.linearized(self.points, motion) for term in self.terms)
+        equations = map_equations(terms, *self._prior)
+        if not self.model.names:
+            return equations
+        weights = self.coefficients[self.model.shapes :]
+        lower = np.full(len(equations.gradient), -np.inf)
+        upper = np.full(len(equations.gradient), np.inf)
+        lower[-len(weights) :] = -weights
+        upper[-len(weights) :] = 1 - weights
+        return replace(equations, lower=lower, upper=upper)
 
     @cached_property
     def deviation(self) -> FloatArray:
-        return np.sqrt(np.diag(np.linalg.inv(self.normal_equations().matrix)))
+        equations = self.normal_equations()
+        return Posterior(equations.matrix, -equations.gradient).deviation
 
     def moved(self, step: FloatArray) -> _State:
         """Return the state after a step: turn, shift, log scale, joints, coefficients."""
         turn, shift, size, joints, more = np.split(step, [3, 6, 7, 7 + 3 * len(self.free)])
-        scale = self.pose.scale * float(np.exp(size[0]))
-        rotation, translation = rotation_from_vector(turn) @ self.pose.rotation, self.pose.translation + shift
+        pose = Similarity(
+            rotation_from_vector(turn) @ self.pose.rotation,
+            self.pose.translation + shift,
+            self.pose.scale * float(np.exp(size[0])),
+        )
         rotations = self.rotations.copy()
         rotations[self.free] += joints.reshape(-1, 3)
-        pose = Similarity(rotation, translation, scale)
         return replace(self, pose=pose, rotations=rotations, coefficients=self.coefficients + more)
 
 
@@ -283,25 +297,7 @@ def fit_linear_model(
     task = _Task.of(scan, fitted, model, places, weight)
     state, along = task.placed(meter)
     surface = task.scan_around(scan, fitted, state)
-    converged, falls, across = False, True, replace(along, scale=np.inf, share=1.0)
-    for _ in range(60):
-        last, nearest = across, task.closest(surface, state)
-        if nearest is None:
-            break
-        certain = task.counts[nearest.index] * task.known[nearest.index]
-        across = nearest.settled(state.points, certain)
-        # What a poor fit leaves is correlated, too, and would excuse it: independent while errors fall.
-        falls = falls and across.scale < (1 - SMALL) * last.scale
-        across = replace(across, share=1.0 if falls else float(np.sqrt(across.share * last.share)))
-        off = np.sqrt(across.residuals(state.points)[1])
-        meter.record(float(np.average(off, weights=certain)))
-        if meter.exhausted:
-            break
-        before = replace(state, terms=(across, along))
-        state = minimize(before, steps=3, trials=6, meter=meter).best
-        change = (state.coefficients - before.coefficients) / state.deviation[-len(state.coefficients) :]
-        if converged := bool(not falls and np.mean(change**2) < SMALL**2):
-            break
+    state, across, converged = task.descended(surface, state, along)
     vertices = state.of(model)
     normals = vertex_normals(vertices, model.faces)
     hits = surface.nearest.query(vertices)
@@ -395,7 +391,7 @@ class _Task:
             free,
             meter,
             Similarity(start[:3, :3], start[:3, 3], unit),
-            np.zeros(model.basis.shape[2]),
+            np.zeros(model.components),
             np.zeros((len(model.joints), 3)),
             (along,),
         )
@@ -417,6 +413,30 @@ class _Task:
         assert near is not None  # the face was fitted to it
         normals = vertex_normals(whole, self.model.faces)[self.index]
         return near.turned_outward(points, normals, GATE_MM[0])
+
+    def descended(self, surface: ScanSurface, state: _State, along: _Term) -> tuple[_State, _Term, bool]:
+        """Return where the scan leads, the term of its closest points, and whether that has converged."""
+        across = replace(along, scale=np.inf, share=1.0)
+        falls = True
+        for _ in range(60):
+            nearest = self.closest(surface, state)
+            if nearest is None:
+                break
+            certain = self.counts[nearest.index] * self.known[nearest.index]
+            last, across = across, nearest.with_scale_of(state.points, certain)
+            # What a poor fit leaves is correlated, too, and would excuse it: independent while errors fall.
+            falls = falls and across.scale < (1 - SMALL) * last.scale
+            across = replace(across, share=1.0 if falls else float(np.sqrt(across.share * last.share)))
+            off = np.sqrt(across.residuals(state.points)[1])
+            state.meter.record(float(np.average(off, weights=certain)))
+            if state.meter.exhausted:
+                break
+            before = replace(state, terms=(across, along))
+            state = minimize(before, steps=3, trials=6, meter=state.meter).best
+            change = (state.coefficients - before.coefficients) / state.deviation[-len(state.coefficients) :]
+            if not falls and np.mean(change**2) < SMALL**2:
+                return state, across, True
+        return state, across, False
 
     def closest(self, surface: ScanSurface, state: _State) -> _Term | None:
         """Return the term of the scan's closest points; None where no vertex with a place has one."""

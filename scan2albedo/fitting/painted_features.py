@@ -25,9 +25,10 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.core.compiled import compiled
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.face_model.annotation import LANDMARK_LEVELS
-from scan2albedo.face_model.appearance import light_basis
+from scan2albedo.face_model.materials import light_basis
 from scan2albedo.fitting.landmark_pull import SHOWN_BY_COLOR, STILL, LandmarkPull
 from scan2albedo.geometry.rasterization import FrontPicture, front_picture, polyline_distance
+from scan2albedo.statistics.robust import cauchy_weights
 
 _STEP_MM = 0.8
 """Side of the picture's squares."""
@@ -244,7 +245,7 @@ def evenly_lit(picture: FrontPicture, brightness: FloatArray) -> FloatArray:
         weighted = rows * weight[:, None]
         light = np.linalg.solve(weighted.T @ rows + 1e-4 * len(values) * np.eye(9), weighted.T @ values)
         off = np.abs(values - rows @ light) / np.maximum(rows @ light, darkest)
-        weight = 1 / (1 + (off / max(1.5 * float(np.median(off)), _EVEN)) ** 2)
+        weight = cauchy_weights(off, max(1.5 * float(np.median(off)), _EVEN))
     return np.where(picture.seen, brightness / np.maximum(basis @ light, darkest), 0.0)
 
 

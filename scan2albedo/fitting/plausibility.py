@@ -55,7 +55,7 @@ def doubts(fitted: FittedFace) -> Iterator[PlanStep]:
     if found is not None and found[0] > 1:
         reason = "asymmetry exceeds that of real faces; the scan may be merged from two people"
         yield PlanStep.doubt("fit.asymmetry", reason, found[1])
-    if fitted.metrics["mirror_mm"] < SYMMETRIC_MM:
+    if fitted.mirror_mm < SYMMETRIC_MM:
         reason = "one half of the scan may be a copy of the other: no face is so nearly its own mirror image"
         evidence = f"{fitted.metrics['mirror_mm']:.3f} mm from it, scanned faces 0.18 mm and more"
         yield PlanStep.doubt("fit.symmetry", reason, evidence)
@@ -65,7 +65,7 @@ def face_coverage(fitted: FittedFace) -> float:
     """Return the part of the face with scan near it; of a whole head only what is annotated counts."""
     counted = fitted.model.face_regions()[fitted.region]
     if counted.all():
-        return fitted.metrics["coverage"]
+        return fitted.coverage
     area = face_areas(fitted.vertices, fitted.faces) * counted
     return float(area @ (~np.isnan(fitted.residual_mm))[fitted.faces].mean(1) / max(area.sum(), SMALLEST))
 
@@ -137,7 +137,7 @@ def asymmetry(fitted: FittedFace) -> tuple[float, str] | None:
     # Differences are averaged over patches, against noise.
     upper_mm, middle_mm = unlike_mm(upper, 22.0), unlike_mm(middle, 26.0)
     both_mm, step_mm = min(upper_mm, middle_mm), unlike_mm(strip, 22.0)
-    noise_mm = max(fitted.metrics["residual_mean_mm"] - CLEAN_MM, 0.0)
+    noise_mm = max(float(np.nanmean(fitted.residual_mm)) - CLEAN_MM, 0.0)
     step = step_mm / (UNLIKE_MM + 4 * noise_mm) if both_mm > 0 else 0.0
     parts = f"{upper_mm:.1f} mm in the upper part, {middle_mm:.1f} mm in the middle"
     excess = max(both_mm / (UNLIKE_MM + 2 * noise_mm), step)

@@ -62,13 +62,23 @@ class FittedFace(FittedSurface):
     """Steps taken."""
     trace: Trace
     """Stage "fit", mm."""
+    scale: float = 1.0
+    """Size of the face relative to the model."""
+    coverage: float = 1.0
+    """Part of the surface with scan near."""
+    strain: float = 0.0
+    """RMS logarithm of how the edges of the control mesh were stretched."""
+    mirror_mm: float = np.inf
+    """Median distance of the scan to its mirror image."""
+    covered_mm2: float = 0.0
+    """Area of the scan that was left out because it stands far before the eyes."""
+    face_log_odds: float = 0.0
+    """What speaks against a face there, at most 0."""
     metrics: dict[str, float] = field(default_factory=dict)
-    """For result.json: mean, median, p95 residual, coverage, flipped faces; how far the surface would still
-    move (``imbalance_mm``), the RMS logarithm of how its edges were stretched (``strain``), how far the scan
-    is from its mirror image in the median (``mirror_mm``), holes of the scan taken for open eyes and mouth
+    """All figures for result.json. Beside those above: mean, median, p95 residual, flipped faces; how far the
+    surface would still move (``imbalance_mm``), holes of the scan taken for open eyes and mouth
     (``openings``), landmarks that its colours draw (``painted_landmarks``), the jaw's angle (``jaw_deg``) and
-    how far the mouth's corners were drawn back; what was left out of the scan because it stands far before
-    the eyes (``covered_mm2``); what speaks against a face there (``face_log_odds``)."""
+    how far the mouth's corners were drawn back."""
     plan: Plan = Plan()
     """What is doubtful about the fit: "fit.<step>"."""
     covered_faces: BoolArray | None = None
@@ -92,42 +102,29 @@ def fitted_face(
     exact = not deformation.meter.out_of_time
     residual = residuals_mm(deformation.scan, vertices, faces, RESIDUAL_GATE_MM, exact=exact)
     area, seen = vertex_areas(vertices, faces), ~np.isnan(residual)
-    known = residual[seen] if seen.any() else np.array([np.nan])
-    # The strain is the RMS logarithm of how the edges of the control mesh were stretched.
-    edges, _ = edges_with_faces(model.control_faces)
-    before, after = (
-        norms(points[edges[:, 0]] - points[edges[:, 1]]) for points in (deformation.reference, control)
-    )
-    floor = 1e-6 * float(before.mean())
-    strain = rms(np.log(np.maximum(after, floor) / np.maximum(before, floor)))
-    metrics = {
-        "residual_mean_mm": float(known.mean()),
-        "residual_median_mm": float(np.median(known)),
-        "residual_p95_mm": float(np.percentile(known, 95)),
-        "coverage": float(area[seen].sum() / max(area.sum(), SMALLEST)),
-        "imbalance_mm": imbalance_mm(deformation, q),
-        "openings": 0.0 if held is None else float(held.openings),
-        "painted_landmarks": 0.0 if held is None else float(held.painted),
-        "jaw_deg": deformation.jaw_deg,
-        "corner_right_mm": deformation.corners_mm[0],
-        "corner_left_mm": deformation.corners_mm[1],
-        "covered_mm2": deformation.covered_mm2,
-        "strain": strain,
-        "flipped_faces": float(len(deformation.folds.find(vertices))),
-        "scale": scale,
-    }
-    # Other models than the default one may have to bend as far to faces.
-    judged = ran and model.control_vertices is default_model().control_vertices
-    metrics["face_log_odds"] = face_log_odds(metrics) if judged else 0.0
-    if metrics["coverage"] < MIN_COVERAGE:
+    coverage = float(area[seen].sum() / max(area.sum(), SMALLEST))
+    if coverage < MIN_COVERAGE:
         raise FitError(
-            f"{name}: only {100 * metrics['coverage']:.1f} % of the fitted model has scan within "
+            f"{name}: only {100 * coverage:.1f} % of the fitted model has scan within "
             f"{RESIDUAL_GATE_MM:.0f} mm, at least {100 * MIN_COVERAGE:.0f} % needed; "
             "the pose is wrong, or the scan holds too little of a face"
         )
+    known = residual[seen]
+    median_mm, p95_mm = float(np.median(known)), float(np.percentile(known, 95))
+    strain = edge_strain(model.control_faces, deformation.reference, control)
+    # Other models than the default one may have to bend as far to faces.
+    judged = ran and model.control_vertices is default_model().control_vertices
     # Vertices of a coarser refinement come first.
     coarse = slice(len(model.surface(1)[0]))
-    metrics["mirror_mm"] = mirror_distance_mm(deformation.scan, vertices[coarse][seen[coarse]])
+    figures = {
+        "coverage": coverage,
+        "covered_mm2": deformation.covered_mm2,
+        "strain": strain,
+        "scale": scale,
+        "face_log_odds": face_log_odds(strain, median_mm, p95_mm) if judged else 0.0,
+        "mirror_mm": mirror_distance_mm(deformation.scan, vertices[coarse][seen[coarse]]),
+    }
+    imbalance = imbalance_mm(deformation, q)
     plan = Plan()
     if strain > MOST_STRAIN:
         reason = (
@@ -152,28 +149,54 @@ def fitted_face(
         model_from_scan=model_from_scan,
         template_vertices=model.template_of(control),
         levels=RESULT_LEVELS,
-        converged=ran and metrics["imbalance_mm"] <= MOST_IMBALANCE_MM,
+        converged=ran and imbalance <= MOST_IMBALANCE_MM,
         iterations=deformation.meter.evaluations,
         trace=deformation.meter.trace,
         model=model,
-        metrics=metrics,
+        scale=scale,
+        coverage=coverage,
+        strain=strain,
+        mirror_mm=figures["mirror_mm"],
+        covered_mm2=deformation.covered_mm2,
+        face_log_odds=figures["face_log_odds"],
+        metrics={
+            **figures,
+            "residual_mean_mm": float(known.mean()),
+            "residual_median_mm": median_mm,
+            "residual_p95_mm": p95_mm,
+            "imbalance_mm": imbalance,
+            "openings": 0.0 if held is None else float(held.openings),
+            "painted_landmarks": 0.0 if held is None else float(held.painted),
+            "jaw_deg": deformation.jaw_deg,
+            "corner_right_mm": deformation.corners_mm[0],
+            "corner_left_mm": deformation.corners_mm[1],
+            "flipped_faces": float(len(deformation.folds.find(vertices))),
+        },
         plan=plan,
         landmark_deviation_mm=deviation,
     )
 
 
-def face_log_odds(metrics: dict[str, float]) -> float:
-    """Return the log odds of a face under the model, given the figures of its fit: at most 0.
+def edge_strain(faces: IntArray, rest: FloatArray, moved: FloatArray) -> float:
+    """Return the RMS logarithm of how the edges of faces (F, 3) were stretched from `rest` (V, 3)."""
+    edges, _ = edges_with_faces(faces)
+    before, after = (norms(points[edges[:, 0]] - points[edges[:, 1]]) for points in (rest, moved))
+    floor = EPSILON * float(before.mean())
+    return rms(np.log(np.maximum(after, floor) / np.maximum(before, floor)))
+
+
+def face_log_odds(strain: float, median_mm: float, p95_mm: float) -> float:
+    """Return the log odds of a face under the model, given the strain and distances of its fit: at most 0.
 
     The model bends onto anything that is smooth, so that a good fit speaks for nothing. What speaks against a
     face is how far its edges had to be stretched, and what of the scan it did not reach all the same: of a
     scanner's errors, which have heavy tails, 95 % are below `_P95_MEDIANS` medians; of the steps and edges of
     other things far fewer are.
     """
-    beyond_mm = max(metrics["residual_p95_mm"] - _P95_MEDIANS * metrics["residual_median_mm"], 0.0)
+    beyond_mm = max(p95_mm - _P95_MEDIANS * median_mm, 0.0)
     odds = (
         _FACE_ODDS["intercept"]
-        + _FACE_ODDS["strain"] * float(np.log(max(metrics["strain"], _LEAST_STRAIN)))
+        + _FACE_ODDS["strain"] * float(np.log(max(strain, _LEAST_STRAIN)))
         + _FACE_ODDS["unreached"] * float(np.log(beyond_mm + _REACHED_MM))
     )
     return min(odds, 0.0)

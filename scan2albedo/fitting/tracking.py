@@ -10,7 +10,7 @@ from scan2albedo.core import Budget, Meter, OnProgress, RawScan
 from scan2albedo.core.arrays import SMALLEST, BoolArray, FloatArray
 from scan2albedo.errors import FitError
 from scan2albedo.fitting.alignment import aligned
-from scan2albedo.fitting.fit import scan_beside
+from scan2albedo.fitting.fit import scan_near
 from scan2albedo.fitting.forces import MIN_ROBUST_MM, ForceGates, scan_forces
 from scan2albedo.fitting.mouth_opening import JawHinge, corner_moves
 from scan2albedo.fitting.options import GATE_MM, FitOptions
@@ -27,7 +27,7 @@ class TrackedFace:
     `mouth` (3,) is how far beside the first frame the jaw is turned, degrees, and the right and left corner
     of the mouth drawn back, mm. Control points `seen` (C,) have scan near; that is the part `coverage` of the
     surface, at a mean distance of `residual_mm`. `odds` are mean log odds of a sample that the last shape,
-    before it bends, lies on the face, not beside it.
+    before it bends, lies on the face, not beside it; it was `found_again` when that is a new registration.
     """
 
     control_points: FloatArray
@@ -37,6 +37,7 @@ class TrackedFace:
     residual_mm: float
     coverage: float
     odds: float
+    found_again: bool = False
 
 
 class FaceTracker:
@@ -57,14 +58,14 @@ class FaceTracker:
         self._hinge, self._corners, self._on_progress = hinge, corners, on_progress
         self._weight = samples.area * samples.rigidity * samples.relief(samples.matrix @ self._rest)
         near = ~np.isnan(first.residual_mm[: len(self._rest)])
-        figures = (first.metrics["residual_mean_mm"], first.metrics["coverage"], np.inf)
+        figures = (float(np.nanmean(first.residual_mm)), first.coverage, np.inf)
         self.start = TrackedFace(self._rest, first.model_from_scan, np.zeros(3), near, *figures)
 
     def follow(self, scan: RawScan, last: TrackedFace) -> TrackedFace:
         """Return the face in the next frame, `last` being where it was; FitError where no scan is near."""
         model, options, samples = self._model, self._options, self._samples
         meter = Meter("track", "mm", Budget(), self._on_progress)
-        surface = scan_beside(scan, samples, last.control_points, last.model_from_scan, options)
+        surface = scan_near(scan, samples, last.control_points, last.model_from_scan, options)
         gates = ForceGates(GATE_MM[0], options.tangential, MIN_ROBUST_MM[1])
         # What a frame turns the jaw by is small, so that the turn is linear. Its prior has a deviation of 3
         # degrees a frame, and of 10 mm for each corner: a jaw opens in a quarter of a second, smiles sooner.

@@ -1,12 +1,9 @@
-"""Sparse operators on a triangle mesh: Laplacians, their energies, diffusion, derivatives of normals."""
-
-from collections.abc import Callable
+"""Sparse operators on a triangle mesh: Laplacians, their energies, derivatives of normals."""
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import splu, spsolve
 
-from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray, all_finite, dots, norms, row_sums
+from scan2albedo.core.arrays import FloatArray, IntArray, dots, norms, row_sums
 from scan2albedo.geometry import mesh
 from scan2albedo.geometry.loop_subdivision import refine
 
@@ -83,77 +80,6 @@ def linear_refinement(vertex_count: int, faces: IntArray, levels: int) -> sparse
         matrix = sparse.vstack([sparse.identity(count), halves]).tocsr() @ matrix
         current = refine(count, current)[1]
     return matrix
-
-
-def surface_diffusion(
-    vertices: FloatArray, faces: IntArray, deviation_mm: float
-) -> Callable[[ArrayLike], FloatArray]:
-    """Return a function that spreads values (V, ...) over the surface by one implicit step of diffusion [1]_.
-
-        (M + t L) y = M x,   t = deviation_mm^2 / 2,
-
-    with M the vertices' areas and L the cotangent Laplacian. A peak spreads to a bump of this standard
-    deviation along each direction of the surface, 0 or more. The integral over the surface stays, constants
-    do too, and no value leaves the range of those given. Vertices without area around them keep their values.
-
-    Raises ValueError when `deviation_mm` is negative or not finite, values have another length than V, or
-    vertices or values are not finite.
-
-    .. [1] M. Desbrun, M. Meyer, P. Schroeder, A. Barr, "Implicit fairing of irregular meshes using diffusion
-       and curvature flow", SIGGRAPH 1999, section 2.3.
-
-    >>> corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
-    >>> spread = surface_diffusion(corners, np.array([[0, 1, 2], [2, 1, 3]]), 50.0)
-    >>> spread([[0.0], [3.0], [0.0], [0.0]]).round(2).ravel().tolist()
-    [1.0, 1.0, 1.0, 1.0]
-    """
-    if not (np.isfinite(deviation_mm) and deviation_mm >= 0):
-        raise ValueError(f"deviation_mm must be finite and 0 or more, got {deviation_mm}")
-    if not all_finite(vertices):
-        raise ValueError(f"{int((~np.isfinite(vertices)).any(1).sum())} vertices are NaN or infinite")
-    area = mesh.vertex_areas(vertices, faces)
-    # Far beyond the surface's size everything is its mean already, and L would drown M in rounding.
-    deviation = min(float(deviation_mm), 1e3 * float(np.ptp(vertices, axis=0).max(initial=0.0)))
-    mass = np.where(area > 0, area, 1.0)
-    system = sparse.diags(mass) + deviation**2 / 2 * laplacian(vertices, faces)
-    factor = splu(system.tocsc(), permc_spec="COLAMD")
-
-    def spread(values: ArrayLike) -> FloatArray:
-        given = np.asarray(values, float)
-        if given.ndim == 0 or len(given) != len(vertices):
-            raise ValueError(f"values have shape {given.shape}, expected ({len(vertices)}, ...)")
-        if not all_finite(given):
-            raise ValueError(f"{int((~np.isfinite(given)).sum())} values are not finite, and would spread")
-        flat = given.reshape(len(given), int(np.prod(given.shape[1:])))
-        if deviation_mm == 0:
-            return given.copy()
-        return np.asarray(factor.solve(mass[:, None] * flat)).reshape(given.shape)
-
-    return spread
-
-
-def filled_over_mesh(values: ArrayLike, known: ArrayLike, faces: IntArray) -> FloatArray:
-    """Return values (V, C) where those of unknown vertices are the means of their neighbours.
-
-    Values that are not `known` (V,) may be anything. Parts of the mesh without any known vertex get the mean
-    of all known values; ValueError when no vertex is known.
-
-    >>> strip = np.array([[0, 1, 2], [1, 2, 3]])
-    >>> filled_over_mesh([[0.0], [np.nan], [np.nan], [1.0]], [True, False, False, True], strip).ravel()
-    array([0. , 0.5, 0.5, 1. ])
-    """
-    given, there = np.asarray(values, float), np.asarray(known, np.bool_)
-    if not there.any():
-        raise ValueError("no vertex is known: there is nothing to fill from")
-    result = np.where(there[:, None], given, given[there].mean(0))
-    part = mesh.vertex_components(len(given), faces)
-    rows = np.flatnonzero(~there & (np.bincount(part, there) > 0)[part])
-    if len(rows):
-        links = mesh.adjacency(len(given), faces)
-        inner = sparse.diags(row_sums(links)[rows]) - links[rows][:, rows]
-        right = links[rows][:, np.flatnonzero(there)] @ given[there]
-        result[rows] = spsolve(inner.tocsc(), right).reshape(len(rows), -1)
-    return result
 
 
 def vertex_normal_jacobian(vertices: FloatArray, faces: IntArray) -> sparse.bsr_matrix:

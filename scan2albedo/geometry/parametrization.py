@@ -5,7 +5,7 @@ import numpy as np
 from scan2albedo.core.arrays import FloatArray, IntArray, norms
 from scan2albedo.errors import ModelError
 from scan2albedo.geometry import mesh
-from scan2albedo.geometry.operators import filled_over_mesh
+from scan2albedo.geometry.fields import filled_over_mesh
 
 SQUARENESS = 2.5
 """Exponent p of the boundary curve ``|x|^p + |y|^p = 1``: 2 is a circle (78 % of the square), 2.5 fills 85 %,

@@ -14,6 +14,7 @@ from scipy.io import loadmat
 from scipy.io.matlab import MatReadError
 
 from scan2albedo.core.arrays import (
+    ArrayLike,
     Float32Array,
     FloatArray,
     IntArray,
@@ -28,6 +29,7 @@ from scan2albedo.geometry.rigid import rotation_from_vector
 from scan2albedo.io import limits
 from scan2albedo.io.load_scan import file_sha256
 from scan2albedo.io.npz import read_npz
+from scan2albedo.statistics.linear_model import LinearModel
 
 _LAYOUTS = """mean v_template shapeMU shape/model/mean, basis shapedirs shapePC shape/model/pcaBasis,
 deviation shapeEV, variance shape/model/pcaVariance, faces f, cells shape/representer/cells, tl,
@@ -49,21 +51,19 @@ ARKIT_NAMES = (*(name + side for name in _SIDED.split() for side in ("Left", "Ri
 
 
 @dataclass(frozen=True, eq=False)
-class LinearFaceModel:
-    """Faces x = mean + basis c of V vertices, coefficients c (K,) of unit variance, in any axes and unit.
+class LinearFaceModel(LinearModel):
+    """Faces of V vertices, a mean (V, 3) and directions (K, V, 3), in any axes and unit.
 
-    `mean` is (V, 3), `basis` (V, 3, K) float32 with the `shapes` directions of identity first, then those of
-    expression; `faces` (F, 3), `uv` (F, 3, 2) of corners or None. The face may be posed by linear blend
-    skinning about J `joints` with `parents` (J,), -1 for none, and `weights` (V, J): what a row lacks to 1
-    stays. They lie at joint_mean + joint_basis c, (J, 3) and (J, 3, K); `pose_basis` (V, 3, 9 (J - 1)) are
+    The first `shapes` directions are of identity, those after them of expression; `faces` (F, 3), `uv`
+    (F, 3, 2) of corners or None. The face may be posed by linear blend skinning about J `joints` with
+    `parents` (J,), -1 for none, and `weights` (V, J): what a row lacks to 1 stays. Their places have the mean
+    `joint_mean` (J, 3) and the directions `joint_basis` (K, J, 3); `pose_basis` (V, 3, 9 (J - 1)) are
     displacements by the entries of R - 1 of all joints but the first. Raises `ModelError` for shapes that
     disagree, numbers that are not finite, and indices beyond the vertices.
     """
 
     name: str
     sha256: str
-    mean: FloatArray
-    basis: RealArray
     shapes: int
     faces: IntArray
     uv: FloatArray | None = None
@@ -78,53 +78,76 @@ class LinearFaceModel:
     """Found where the mean is placed on a face."""
 
     def __post_init__(self) -> None:
-        count, joints, size = len(self.mean), len(self.joints), self.basis.shape[-1]
-        expected: dict[str, tuple[int, ...]] = {"weights": (count, joints), "joint_basis": (joints, 3, size)}
-        for name, shape in expected.items():
+        count = len(self.mean)
+        joints = len(self.joints)
+        expected: dict[str, tuple[int, ...]] = {
+            "mean": (count, 3),
+            "basis": (self.components, count, 3),
+            "faces": (len(self.faces), 3),
+            "uv": (len(self.faces), 3, 2),
+            "parents": (joints,),
+            "weights": (count, joints),
+            "joint_mean": (joints, 3),
+            "joint_basis": (self.components, joints, 3),
+            "pose_basis": (count, 3, 9 * (joints - 1)),
+        }
+        for name in ("weights", "joint_basis"):
             if getattr(self, name) is None:
-                object.__setattr__(self, name, np.zeros(shape))
-        expected |= {"mean": (count, 3), "basis": (count, 3, size), "faces": (len(self.faces), 3)}
-        expected |= {"parents": (joints,), "joint_mean": (joints, 3), "uv": (len(self.faces), 3, 2)}
-        for name, shape in {**expected, "pose_basis": (count, 3, 9 * (joints - 1))}.items():
-            if (array := getattr(self, name)) is not None:
-                if array.shape != shape:
-                    raise ModelError(f"{name} has shape {array.shape}, expected {shape}")
-                if not all_finite(array):
-                    raise ModelError(f"{name} holds NaN or infinite values")
-        if (most := int(self.faces.max(initial=0))) >= count or not size * len(self.faces):
-            said = f"{size} directions and {len(self.faces)} faces that point up to vertex {most}"
+                object.__setattr__(self, name, np.zeros(expected[name]))
+        for name, shape in expected.items():
+            array = getattr(self, name)
+            if array is not None and array.shape != shape:
+                raise ModelError(f"{name} has shape {array.shape}, expected {shape}")
+            if array is not None and not all_finite(array):
+                raise ModelError(f"{name} holds NaN or infinite values")
+        most = int(self.faces.max(initial=0))
+        if most >= count or not self.components * len(self.faces):
+            said = f"{self.components} directions and {len(self.faces)} faces that point up to vertex {most}"
             raise ModelError(f"has {said}; expected some of both, and vertices 0 ... {count - 1}")
-        if len(self.names) not in (0, size - self.shapes):
-            raise ModelError(f"expression_names has {len(self.names)}, expected {size - self.shapes}")
+        expressions = self.components - self.shapes
+        if len(self.names) not in (0, expressions):
+            raise ModelError(f"expression_names has {len(self.names)}, expected {expressions}")
         if not (self.parents < np.arange(joints)).all():
             raise ModelError(f"parents of joints must come before them, got {self.parents.tolist()}")
 
-    def at(self, coefficients: FloatArray, rotations: FloatArray | None = None) -> FloatArray:
+    @property
+    def joint_places(self) -> LinearModel:
+        """Of the joints, (J, 3), in the face at rest."""
+        return LinearModel(self.joint_mean, self.joint_basis)
+
+    def at(self, coefficients: ArrayLike, rotations: FloatArray | None = None) -> FloatArray:
         """Return vertices (V, 3) by coefficients (K,) and rotation vectors (J, 3) of the joints [rad]."""
-        turns = np.zeros((len(self.joints), 3)) if rotations is None else rotations
-        return self.posed(coefficients, turns)[0]
+        shape = super().at(coefficients)
+        if rotations is None:
+            return shape
+        return self._skinned(self._bent(shape, rotations), self.joint_places.at(coefficients), rotations)
 
-    def posed(self, coefficients: FloatArray, rotations: FloatArray) -> tuple[FloatArray, ...]:
-        """Return vertices x, T (V, 3, 3) and the slopes (J, 3, K) of the joints' shifts b by c.
+    def turned(self, rotations: FloatArray) -> LinearModel:
+        """Return the linear model that this one is while its joints are turned by vectors (J, 3) [rad]."""
+        basis = self._skinned(_by_vertex(self.basis), _by_vertex(self.joint_basis), rotations)
+        mean = self._skinned(self._bent(self.mean, rotations), self.joint_mean, rotations)
+        return LinearModel(mean, basis.transpose(2, 0, 1))
 
-        x_i = T_i v_i + sum_k w_ik b_k with v the shape, T_i = 1 + sum_k w_ik (R_k - 1), R_k the product of
-        the rotations down to joint k, and b_k = b_p + (R_p - R_k) j_k with the parent p and the place j_k.
+    def _bent(self, shape: FloatArray, rotations: FloatArray) -> FloatArray:
+        if self.pose_basis is None:
+            return shape
+        turns = np.array([rotation_from_vector(vector) for vector in rotations[1:]])
+        return shape + self.pose_basis @ (turns - np.eye(3)).ravel()
+
+    def _skinned(self, shape: RealArray, places: RealArray, rotations: FloatArray) -> FloatArray:
+        """Return vertices (V, 3, ...), with joints at `places` (J, 3, ...), after linear blend skinning.
+
+        x_i = T_i v_i + sum_k w_ik b_k with T_i = 1 + sum_k w_ik (R_k - 1), R_k the product of the rotations
+        down to joint k, and b_k = b_p + (R_p - R_k) j_k with the parent p and the place j_k.
         """
-        size = len(self.joints) + 1
-        turn, shift = identities(size, 3), np.zeros((size, 3))  # the last: no parent
-        slopes = np.zeros((size, 3, len(coefficients)))
-        shape = self.mean + self.basis @ coefficients.astype(self.basis.dtype)  # no copy of a large basis
-        places = self.joint_mean + self.joint_basis @ coefficients
-        local = np.array([rotation_from_vector(vector) for vector in rotations]).reshape(-1, 3, 3)
+        size = len(self.joints) + 1  # the last: no parent
+        turns = identities(size, 3)
+        shifts = np.zeros((size, *places.shape[1:]))
         for joint, parent in enumerate(self.parents):
-            turn[joint] = turn[parent] @ local[joint]
-            left = turn[parent] - turn[joint]
-            shift[joint] = shift[parent] + left @ places[joint]
-            slopes[joint] = slopes[parent] + left @ self.joint_basis[joint]
-        if self.pose_basis is not None:
-            shape = shape + self.pose_basis @ (local[1:] - np.eye(3)).ravel()
-        blend = np.eye(3) + np.tensordot(self.weights, turn[:-1] - np.eye(3), 1)
-        return np.einsum("nij,nj->ni", blend, shape) + self.weights @ shift[:-1], blend, slopes[:-1]
+            turns[joint] = turns[parent] @ rotation_from_vector(rotations[joint])
+            shifts[joint] = shifts[parent] + (turns[parent] - turns[joint]) @ places[joint]
+        blend = np.eye(3) + np.tensordot(self.weights, turns[:-1] - np.eye(3), 1)
+        return np.einsum("nij,nj...->ni...", blend, shape) + np.tensordot(self.weights, shifts[:-1], 1)
 
     def arkit(self) -> dict[str, FloatArray]:
         """Return ARKit's names of the model's blendshapes, in ARKit's order, with shares (K - shapes,).
@@ -143,10 +166,17 @@ class LinearFaceModel:
         return dict(sorted(shares.items(), key=lambda entry: (*ARKIT_NAMES, entry[0]).index(entry[0])))
 
     def of_vertices(self, index: IntArray) -> Self:
-        """Return the model of some vertices (N,), with a face that means nothing."""
-        names = ("mean", "basis", "weights") + ("pose_basis",) * (self.pose_basis is not None)
-        parts: Values = {name: getattr(self, name)[index].astype(float) for name in names}
-        return replace(self, **parts, faces=np.zeros((1, 3), int), uv=None)
+        """Return the model of some vertices (N,) in double precision, with a face that means nothing."""
+        rows = np.ascontiguousarray(_by_vertex(self.basis)[index], float)
+        return replace(
+            self,
+            mean=self.mean[index],
+            basis=rows.transpose(2, 0, 1),  # read vertex by vertex, all coefficients at once
+            weights=self.weights[index],
+            pose_basis=None if self.pose_basis is None else self.pose_basis[index],
+            faces=np.zeros((1, 3), int),
+            uv=None,
+        )
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -168,6 +198,11 @@ class LinearFaceModel:
         return cls(name=file.stem, sha256=file_sha256(file), **model_fields(stored_arrays(file)))
 
 
+def _by_vertex(basis: RealArray) -> RealArray:
+    """Return directions (K, V, 3) as (V, 3, K)."""
+    return basis.transpose(1, 2, 0)
+
+
 def model_fields(values: Values) -> Values:
     """Return a model's fields from the `values` of any layout; ModelError where one is missing or wrong."""
     found = {_NAMES[name]: value for name, value in values.items() if name in _NAMES and value is not None}
@@ -175,53 +210,65 @@ def model_fields(values: Values) -> Values:
         found["faces"] = _numbers(found, "tl") - 1
     if "cells" in found:
         found["faces"] = _numbers(found, "cells").T
-    if "identity_basis" in found:  # `MorphableShapeModel`: (K, V, 3), of unit variance
-        found["basis"] = np.moveaxis(_numbers(found, "identity_basis"), 0, -1)
-        found["expression_basis"] = np.moveaxis(_numbers(found, "expression_basis"), 0, -1)
     mean = _numbers(found, "mean").reshape(-1, 3)
-    parts = []
-    for own in ("", "expression_"):
-        if own and "expression_basis" not in found:
-            continue
-        basis = _numbers(found, f"{own}basis")
-        if basis.size % mean.size or len(basis) not in (mean.size, len(mean)):
-            raise ModelError(f"{own}basis has shape {basis.shape}, expected ({len(mean)}, 3, K) as the mean")
-        basis = basis.reshape(*mean.shape, -1)
-        wanted, name = basis.shape[2:], f"{own}deviation"
-        if f"{own}variance" in found:
-            found[name] = np.sqrt(_numbers(found, f"{own}variance"))
-        deviation = _numbers({name: np.ones(wanted), **found}, name).ravel()
-        if deviation.shape != wanted or not (deviation >= 0).all():
-            raise ModelError(f"{name} has shape {deviation.shape}, expected {wanted}, 0 or more")
-        parts.append((basis * deviation).astype(np.float32))
+    basis = _scaled_basis(found, mean, "")
+    shapes = len(basis)
+    if "expression_basis" in found:
+        basis = np.concatenate([basis, _scaled_basis(found, mean, "expression_")])
+    elif "v_template" in values:  # FLAME's expressions follow its shapes
+        shapes = min(shapes, 300)
     if "expression_mean" in found:  # Basel 2017: the mean face has the mean expression
         mean = mean + _numbers(found, "expression_mean").reshape(-1, 3)
-    fields: Values = {"mean": mean, "basis": np.concatenate(parts, axis=2), "shapes": parts[0].shape[2]}
-    if "v_template" in values:  # FLAME's expressions follow its shapes
-        fields["shapes"] = min(fields["shapes"], 300)
+    faces = _numbers(found, "faces", whole=True)
+    fields: Values = {"mean": mean, "basis": basis, "shapes": shapes, "faces": faces}
     fields["names"] = _texts(found.get("expression_names", ()))
-    faces = fields["faces"] = _numbers(found, "faces", whole=True)
     if "uv" in found:
-        fields["uv"] = uv = _numbers(found, "uv")
-        if uv.ndim == 2:
-            fields["uv"] = uv[_numbers({"uv_faces": faces, **found}, "uv_faces", whole=True)]
+        uv = _numbers(found, "uv")
+        corners = _numbers({"uv_faces": faces, **found}, "uv_faces", whole=True)
+        fields["uv"] = uv[corners] if uv.ndim == 2 else uv
+    return fields | _joint_fields(found, mean, basis)
+
+
+def _scaled_basis(found: Values, mean: FloatArray, prefix: str) -> Float32Array:
+    """Return the directions (K, V, 3) of unit variance, of identity or with the `prefix` of expressions."""
+    if "identity_basis" in found:  # `MorphableShapeModel`: (K, V, 3), of unit variance
+        return _numbers(found, f"{prefix or 'identity_'}basis").astype(np.float32)
+    stored = _numbers(found, f"{prefix}basis")
+    if stored.size % mean.size or len(stored) not in (mean.size, len(mean)):
+        raise ModelError(f"{prefix}basis has shape {stored.shape}, expected ({len(mean)}, 3, K) as the mean")
+    basis = np.moveaxis(stored.reshape(*mean.shape, -1), -1, 0)
+    deviation = np.ones(len(basis))
+    if f"{prefix}variance" in found:
+        deviation = np.sqrt(_numbers(found, f"{prefix}variance")).ravel()
+    elif f"{prefix}deviation" in found:
+        deviation = _numbers(found, f"{prefix}deviation").ravel()
+    if deviation.shape != basis.shape[:1] or not (deviation >= 0).all():
+        raise ModelError(
+            f"{prefix}deviation has shape {deviation.shape}, expected {basis.shape[:1]}, 0 or more"
+        )
+    return (basis * deviation[:, None, None]).astype(np.float32)
+
+
+def _joint_fields(found: Values, mean: FloatArray, basis: Float32Array) -> Values:
+    """Return the fields of joints, none where the model has no joints."""
     if "kintree_table" in found:
         parents = _numbers(found, "kintree_table")[0]
         found["joint_parents"] = np.where(parents < len(parents), parents, -1)
-        flame = "root", "neck", "jaw", "left_eye", "right_eye"
+        flame = ("root", "neck", "jaw", "left_eye", "right_eye")
         found["joints"] = flame if len(parents) == len(flame) else range(len(parents))
-    if "joints" in found:
-        joints = fields["joints"] = _texts(found["joints"])
-        fields["parents"] = np.ravel(found.get("joint_parents", np.full(len(joints), -1))).astype(int)
-        fields["weights"] = _numbers(found, "skinning_weights")
-        if "joint_regressor" in found:
-            regressor = _numbers(found, "joint_regressor")
-            fields["joint_mean"] = regressor @ mean
-            fields["joint_basis"] = np.tensordot(regressor, fields["basis"], 1)
-        else:
-            fields["joint_mean"] = _numbers(found, "joint_positions")
-        if "pose_basis" in found:
-            fields["pose_basis"] = _numbers(found, "pose_basis")
+    if "joints" not in found:
+        return {}
+    joints = _texts(found["joints"])
+    fields: Values = {"joints": joints, "weights": _numbers(found, "skinning_weights")}
+    fields["parents"] = np.ravel(found.get("joint_parents", np.full(len(joints), -1))).astype(int)
+    if "joint_regressor" in found:
+        regressor = _numbers(found, "joint_regressor")
+        fields["joint_mean"] = regressor @ mean
+        fields["joint_basis"] = regressor @ basis
+    else:
+        fields["joint_mean"] = _numbers(found, "joint_positions")
+    if "pose_basis" in found:
+        fields["pose_basis"] = _numbers(found, "pose_basis")
     return fields
 
 

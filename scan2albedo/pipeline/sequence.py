@@ -1,6 +1,5 @@
 """`process_sequence`: the frames of one take, the same vertices throughout."""
 
-import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -12,24 +11,20 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from scan2albedo.core import OnProgress, Plan, PlanStep, RawScan
-from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, Values, identities, norms
+from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, Values, identities, norms, rms
 from scan2albedo.core.first_run import compiled_beside
-from scan2albedo.core.raw_scan import is_folder_name
-from scan2albedo.errors import FitError, RegistrationError, Scan2AlbedoError, one_line
+from scan2albedo.errors import FitError, RegistrationError
 from scan2albedo.fitting.tracking import FaceTracker, TrackedFace, smoothed_in_time
 from scan2albedo.geometry.rigid import invert_rigid
-from scan2albedo.io.atomic import check_writable
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.load_scan import load_scan_with
 from scan2albedo.io.npz import write_npz
-from scan2albedo.io.run_folder import RunFolder
 from scan2albedo.pipeline.options import ProcessOptions
-from scan2albedo.pipeline.process import FILES, process, write_result
 from scan2albedo.pipeline.result import SURE, ProcessResult
 from scan2albedo.pipeline.scale_search import registered_outward
 from scan2albedo.pipeline.stages import WHOLE_FACE
+from scan2albedo.pipeline.takes import Source, Takes
 from scan2albedo.registration import register
-from scan2albedo.templates import chosen_model
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,7 +94,7 @@ class SequenceResult(ProcessResult):
 
 
 def process_sequence(
-    frames: Sequence[str | Path | RawScan],
+    frames: Sequence[Source],
     out: str | Path | None = None,
     *,
     name: str,
@@ -132,91 +127,98 @@ def process_sequence(
     **options
         Those of `process`, whose budget holds for the first frame; draft without albedo when omitted.
     """
-    chosen = ProcessOptions(**{"quality": "draft", "skip": ("albedo",), **options})
-    model = chosen_model(chosen.model)
-    if chosen.linear_model is not None:
-        raise ValueError("linear_model is fitted to single scans: process frames with it one by one")
     if isinstance(frames, str | Path) or not len(frames):
         raise ValueError("frames is empty or a path, expected a list of the take's scans")
-    if not is_folder_name(name) or not 0 < fps < np.inf:
-        raise ValueError(f"name {name!r}, fps {fps}: expected a folder's name, and frames a second above 0")
-    if model is None or model.landmark_points is None:
-        raise ValueError("a sequence needs the model of a face with landmarks, as the default one is")
-    if out is not None:
-        RunFolder(Path(out) / name, FILES).check()
-        check_writable(Path(out))
-    found, rows, first = list[TrackedFace](), list[Values](), None
-    arguments = chosen.arguments() | {"model": model}
+    if not 0 < fps < np.inf:
+        raise ValueError(f"fps {fps}: expected frames a second above 0")
+    chosen = ProcessOptions(**{"quality": "draft", "skip": ("albedo",), **options})
+    takes = Takes(name, out, chosen, on_progress, timed=True)
+    motion = _Motion(takes)
+    rows = list[Values]()
+    files = [source.name if isinstance(source, RawScan) else str(source) for source in frames]
     with compiled_beside():
-        for number, source in enumerate(frames):
-            begin, face, anew, notes = time.process_time(), None, False, list[str]()
-            try:
-                if first is None:
-                    first = process(source, name=name, on_progress=on_progress, **arguments)
-                    assert first.fitted is not None
-                    tracker = FaceTracker(first.fitted, chosen.stages.fit, on_progress)
-                    face = tracker.start
-                else:
-                    face, anew = followed(source, first, tracker, found[-1], chosen)
-                found.append(face)
-            except Scan2AlbedoError as error:
-                if not found and number + 1 == len(frames):
-                    raise
-                notes.append(f"left out, and filled in from the frames around it: {one_line(error)}")
-            if anew:
+        for take in takes.each(zip(files, frames, strict=True), motion.fit):
+            face = take.fit
+            if take.error is not None and not motion.faces and len(rows) + 1 == len(files):
+                raise take.error
+            notes = list[str]()
+            if face is None:
+                notes.append(f"left out, and filled in from the frames around it: {take.reason}")
+            elif face.found_again:
                 notes.append("the face was lost, and found again by a new registration")
             if face is not None and face.coverage < WHOLE_FACE:
                 near = f"only {100 * face.coverage:.0f} % of the face has scan near it"
                 notes.append(f"{near}, the rest is filled in from the frames around")
-            row = {figure: getattr(face, figure, None) for figure in ("residual_mm", "coverage")}
-            row |= {"file": source.name if isinstance(source, RawScan) else str(source), "found_again": anew}
-            row |= {"used": face is not None, "cpu_s": time.process_time() - begin, "notes": tuple(notes)}
+            takes.doubt("sequence.frame", f"frame {len(rows) + 1}, {take.name}", *notes)
+            row = {
+                "residual_mm": None if face is None else face.residual_mm,
+                "coverage": None if face is None else face.coverage,
+                "file": take.name,
+                "found_again": face is not None and face.found_again,
+                "used": face is not None,
+                "cpu_s": take.cpu_s,
+                "notes": tuple(notes),
+            }
             rows.append(row)
+    first = motion.first
     assert first is not None
     used = np.array([row["used"] for row in rows])
-    control, poses, deviation = smoothed_take(found, used)
+    control, poses, deviation = smoothed_take(motion.faces, used)
     for row, sd in zip(rows, deviation, strict=True):
         row["deviation_mm"] = float(sd) if np.isfinite(sd) else None
-    moved_mm = np.sqrt(np.mean(np.sum((control[used] - [face.control_points for face in found]) ** 2, 2)))
+    moved = norms(control[used] - [face.control_points for face in motion.faces])
     reason = "frames go on from the last; smooth in time, by the noise and the motion that they show"
-    plan = [*first.plan, PlanStep("sequence", True, reason, f"points moved by {moved_mm:.2f} mm (RMS)")]
-    for number, row in enumerate(rows, 1):
-        told = f"frame {number}, {row['file']}: "
-        plan += [PlanStep.doubt("sequence.frame", told + note) for note in row["notes"]]
+    step = PlanStep("sequence", True, reason, f"points moved by {rms(moved):.2f} mm (RMS)")
+    plan = Plan((*first.plan, step, *takes.doubts))
     timings = {**first.timings_s, "frames": sum(row["cpu_s"] for row in rows[1:])}
-    whole = vars(replace(first, plan=Plan(tuple(plan)), timings_s=timings))
+    whole = vars(replace(first, plan=plan, timings_s=timings))
     result = SequenceResult(**whole, control_points=control, poses=poses, frames=tuple(rows), fps=fps)
-    if out is None:
-        return result
-    return replace(result, out=write_result(result, Path(out), files=chosen.files, pictures=chosen.pictures))
+    return result if takes.out is None else replace(result, out=takes.write(result, takes.out))
 
 
-def followed(
-    source: str | Path | RawScan,
-    first: ProcessResult,
-    tracker: FaceTracker,
-    last: TrackedFace,
-    options: ProcessOptions,
-) -> tuple[TrackedFace, bool]:
-    """Return the face in a frame, and whether it had to be registered anew."""
-    scan, mm = source, first.scan.mm_per_unit
-    if not isinstance(scan, RawScan):
-        scan = load_scan_with(scan, lambda mesh, parts: (mm, f"unit: 1 unit is {mm:.4g} mm, as in the first"))
-    with suppress(FitError):  # nothing is near the last pose
-        face = tracker.follow(scan, last)
-        if face.odds > 0:
-            return face, False
-    assert first.fitted is not None
-    model, stage = first.fitted.model, options.of_registration()
-    scan, pose = registered_outward(scan, partial(register, model=model, seed=options.seed, options=stage))
-    if pose.confidence < SURE:
-        raise RegistrationError(
-            f"{scan.name}: no face where the last frame had it, and none elsewhere beyond doubt (confidence "
-            f"{pose.confidence:.2f}); look at the scan"
-        )
-    # The shape is that of before the gap: twice, the second time from nearer.
-    anew = tracker.follow(scan, replace(last, model_from_scan=pose.model_from_scan))
-    return tracker.follow(scan, anew), True
+class _Motion:
+    """The face from frame to frame: the `first` as `process` finds it, each other from the last."""
+
+    def __init__(self, takes: Takes) -> None:
+        self.takes = takes
+        self.faces = list[TrackedFace]()
+        self.first: ProcessResult | None = None
+
+    def fit(self, name: str, source: Source) -> TrackedFace:
+        """Return the face in the next frame."""
+        takes = self.takes
+        if self.first is None:
+            first = takes.processed(source, takes.name)
+            assert first.fitted is not None
+            self.first = first
+            self.tracker = FaceTracker(first.fitted, takes.options.stages.fit, takes.on_progress)
+            face = self.tracker.start
+        else:
+            face = self._followed(source, self.first)
+        self.faces.append(face)
+        return face
+
+    def _followed(self, source: Source, first: ProcessResult) -> TrackedFace:
+        scan, mm = source, first.scan.mm_per_unit
+        if not isinstance(scan, RawScan):
+            unit = f"unit: 1 unit is {mm:.4g} mm, as in the first"
+            scan = load_scan_with(scan, lambda mesh, parts: (mm, unit))
+        tracker, last = self.tracker, self.faces[-1]
+        with suppress(FitError):  # nothing is near the last pose
+            face = tracker.follow(scan, last)
+            if face.odds > 0:
+                return face
+        options = self.takes.options
+        find = partial(register, model=self.takes.model, seed=options.seed, options=options.of_registration())
+        scan, pose = registered_outward(scan, find)
+        if pose.confidence < SURE:
+            raise RegistrationError(
+                f"{scan.name}: no face where the last frame had it, and none elsewhere beyond doubt "
+                f"(confidence {pose.confidence:.2f}); look at the scan"
+            )
+        # The shape is that of before the gap: twice, the second time from nearer.
+        near = tracker.follow(scan, replace(last, model_from_scan=pose.model_from_scan))
+        return replace(tracker.follow(scan, near), found_again=True)
 
 
 def smoothed_take(found: list[TrackedFace], used: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -12,7 +12,7 @@ import numpy as np
 from scan2albedo.albedo import estimate_albedo
 from scan2albedo.core import PlanStep, RawScan
 from scan2albedo.core.arrays import Texts
-from scan2albedo.face_model.appearance import CLASSES
+from scan2albedo.face_model.materials import CLASSES
 from scan2albedo.fitting import FittedFace, fit
 from scan2albedo.fitting.linear_model import fit_linear_model
 from scan2albedo.fitting.plausibility import doubts, face_coverage
@@ -374,14 +374,13 @@ def _judged(
     found: Registration, scan: RawScan, model: AnnotatedFaceModel, fitted: FittedFace
 ) -> Registration:
     """Return a registration with the pose of the fit, and as sure as the fit makes it."""
-    figures = fitted.metrics
-    refined = refined_registration(found, scan, model, fitted.model_from_scan, figures["scale"])
-    evidence = (
-        f"its edges are stretched by {100 * figures['strain']:.0f} % (RMS), half of it lies "
-        f"within {figures['residual_median_mm']:.2f} mm of the scan, a twentieth of it more than "
-        f"{figures['residual_p95_mm']:.1f} mm away"
+    refined = refined_registration(found, scan, model, fitted.model_from_scan, fitted.scale)
+    near_mm, far_mm = np.nanpercentile(fitted.residual_mm, (50, 95))
+    figures = (
+        f"its edges are stretched by {100 * fitted.strain:.0f} % (RMS), half of it lies within "
+        f"{near_mm:.2f} mm of the scan, a twentieth of it more than {far_mm:.1f} mm away"
     )
-    return judged_with_fit(refined, scan, figures["face_log_odds"], evidence)
+    return judged_with_fit(refined, scan, fitted.face_log_odds, figures)
 
 
 def _fit_rows(options: ProcessOptions, scan: RawScan, fitted: FittedFace) -> list[PlanStep]:
@@ -392,7 +391,7 @@ def _fit_rows(options: ProcessOptions, scan: RawScan, fitted: FittedFace) -> lis
     evidence = f"{np.nanmean(fitted.residual_mm):.3f} mm mean"
     rows.append(PlanStep("fit", True, "the model is deformed onto the scan", evidence))
     evidence = ""
-    if (area_mm2 := fitted.metrics["covered_mm2"]) > 0:
+    if (area_mm2 := fitted.covered_mm2) > 0:
         reason = "some of the scan stands far before the eyes, as glasses do"
         evidence = f"{area_mm2 / 100:.0f} cm2 left out"
     elif not options.stages.fit.covers:

@@ -17,7 +17,6 @@ from scan2albedo.reflectance.finetune import FineTuning, finetune
 from scan2albedo.reflectance.geometry_fit import GeometryFit, refine_geometry
 from scan2albedo.reflectance.image_fit import ImageFit, fit_image
 from scan2albedo.reflectance.lighting_model import LightingModel
-from scan2albedo.reflectance.linear_model import LinearModel
 from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
 from scan2albedo.reflectance.olat import OlatImages, OlatOptions, extract_olat
 from scan2albedo.reflectance.photograph import ImageObservation, light_transfer, observe_photograph
@@ -44,6 +43,7 @@ from scan2albedo.reflectance.vertex_samples import (
     rig_of_head_poses,
     sample_vertices,
 )
+from scan2albedo.statistics.linear_model import LinearModel
 
 __all__ = [
     "EXPONENTS",

@@ -12,8 +12,7 @@ from scan2albedo.core.arrays import EPSILON, ArrayLike, FloatArray, all_finite, 
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.lighting.harmonics import harmonic_degrees, harmonics, harmonics_gradient
-from scan2albedo.reflectance.linear_model import checked_coefficients
-from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance
+from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance, checked_coefficients
 
 Lobe = Literal["tilted", "full"]
 """`tilted`: the true lobe of each view, averaged around its mean direction. `full`, as Han, Wang and Xu

@@ -12,14 +12,13 @@ from numpy.typing import ArrayLike
 from scan2albedo.core import Budget, BudgetLike, Meter, OnProgress, Trace
 from scan2albedo.core.arrays import FloatArray, checked_mesh
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.geometry.operators import surface_diffusion
+from scan2albedo.geometry.fields import surface_diffusion
 from scan2albedo.geometry.rays import blocks
 from scan2albedo.reflectance.image_fit import ImageFit, common_vertices, fit_image
 from scan2albedo.reflectance.lighting_model import LightingModel
-from scan2albedo.reflectance.linear_model import require_one_topology
 from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
 from scan2albedo.reflectance.photograph import ImageObservation
-from scan2albedo.reflectance.vertex_reflectance import BLOCK
+from scan2albedo.reflectance.vertex_reflectance import BLOCK, require_one_topology
 
 ROUNDS = 10
 """Most rounds of fitting all images and changing the model."""
@@ -202,37 +201,50 @@ def best_change(
     a system of 3 M equations for M images. Cost: V (3 M)^3 / 3. The `fits` may be those of another model with
     the same directions.
     """
-    count, images = len(model.known), len(fits)
     scores = np.stack([fit.face.coefficients for fit in fits])
-    features = np.concatenate([np.ones((images, 1)), basis_change * scores], axis=1)
-    # Rows that are not used are zero with variance 1, so that they have no effect.
-    diffuse, specular, off = np.zeros((3, count, images, 3))
-    noise = np.ones((count, images, 3))
-    for i, (observation, fit) in enumerate(zip(observations, fits, strict=True)):
-        used, b = common_vertices(observation, model), fit.face.coefficients
-        response = observation.response(used)
-        diffuse[used, i] = response.diffuse @ fit.light
-        albedo, total, share = np.split(model.at(b)[used], [3, 4], axis=1)
-        specular[used, i] = np.einsum("vk,vkj->vj", share, response.specular @ fit.light)
-        colors = observation.observed_linear[used]
-        error = colors - albedo * diffuse[used, i] - total * specular[used, i]
-        off[used, i] = error
-        spread = max(1.4826 * float(np.median(np.abs(error))), 1e-6 * float(np.abs(colors).mean()))
-        # Large differences count by their size rather than its square, as in the fit.
-        noise[used, i] = spread * np.maximum(np.abs(error), spread)
+    features = np.concatenate([np.ones((len(fits), 1)), basis_change * scores], axis=1)
+    diffuse, specular, off, noise = _images_linearized(model, observations, fits)
     of_diffuse = mean_change * float(model.mean[model.known, :3].mean())
     of_sum = mean_change * float(model.mean[model.known, 3].mean())
-    kernel, size = features @ features.T, 3 * images
-    same_channel, any_channel = np.kron(kernel, np.eye(3)), np.kron(kernel, np.ones((3, 3)))
-    solution = np.empty((count, size))
-    for block in blocks(count, BLOCK):
-        d, h = (of_diffuse * diffuse[block]).reshape(-1, size), (of_sum * specular[block]).reshape(-1, size)
+    diffuse *= of_diffuse
+    specular *= of_sum
+    kernel = features @ features.T
+    same_channel = np.kron(kernel, np.eye(3))
+    any_channel = np.kron(kernel, np.ones((3, 3)))
+    size = 3 * len(fits)
+    dual = np.empty_like(off)
+    for block in blocks(len(off), BLOCK):
+        d = diffuse[block].reshape(-1, size)
+        h = specular[block].reshape(-1, size)
         system = same_channel * (d[:, :, None] * d[:, None]) + any_channel * (h[:, :, None] * h[:, None])
         system[:, np.arange(size), np.arange(size)] += noise[block].reshape(-1, size)
-        solution[block] = np.linalg.solve(system, off[block].reshape(-1, size, 1))[..., 0]
-    dual = solution.reshape(off.shape)
-    albedo = np.einsum("in,vij->nvj", features, of_diffuse**2 * diffuse * dual)
-    total = np.einsum("in,vij->nv", features, of_sum**2 * specular * dual)
+        solution = np.linalg.solve(system, off[block].reshape(-1, size, 1))
+        dual[block] = solution.reshape(-1, len(fits), 3)
+    albedo = np.einsum("in,vij->nvj", features, of_diffuse * diffuse * dual)
+    total = np.einsum("in,vij->nv", features, of_sum * specular * dual)
     change = np.concatenate([albedo, total[..., None]], axis=2)
     change[1:] *= basis_change
     return change
+
+
+def _images_linearized(
+    model: MorphableReflectanceModel, observations: Sequence[ImageObservation], fits: Sequence[ImageFit]
+) -> FloatArray:
+    """Return (4, V, M, 3): of M images the light on the diffuse part and on the lobes, what the model leaves
+    of the colours, and the variance of their noise; 0 and a variance of 1 where an image shows no vertex.
+    """
+    found = np.zeros((4, len(model.known), len(fits), 3))
+    found[3] = 1.0
+    for i, (observation, fit) in enumerate(zip(observations, fits, strict=True)):
+        used = common_vertices(observation, model)
+        response = observation.response(used)
+        albedo, total, share = np.split(model.at(fit.face.coefficients)[used], [3, 4], axis=1)
+        diffuse = response.diffuse @ fit.light
+        specular = np.einsum("vk,vkj->vj", share, response.specular @ fit.light)
+        colors = observation.observed_linear[used]
+        error = colors - albedo * diffuse - total * specular
+        spread = max(1.4826 * float(np.median(np.abs(error))), 1e-6 * float(np.abs(colors).mean()))
+        # Large differences count by their size rather than its square, as in the fit.
+        noise = spread * np.maximum(np.abs(error), spread)
+        found[:, used, i] = diffuse, specular, error, noise
+    return found

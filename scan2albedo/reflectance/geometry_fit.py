@@ -19,9 +19,12 @@ from scan2albedo.reflectance import geometry_terms as terms
 from scan2albedo.reflectance.environment_shading import HARMONICS
 from scan2albedo.reflectance.geometry_terms import GeometryPoint, PhotometricTerm
 from scan2albedo.reflectance.image_fit import MOST_UNEXPLAINED
-from scan2albedo.reflectance.linear_model import checked_coefficients, require_one_topology
 from scan2albedo.reflectance.shape_model import LANDMARKS, MorphableShapeModel
-from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
+from scan2albedo.reflectance.vertex_reflectance import (
+    VertexReflectance,
+    checked_coefficients,
+    require_one_topology,
+)
 
 BLUR_EDGES = 0.3
 """Standard deviation of the image's smoothing, in mean edges of the mesh: vertices hold nothing finer."""

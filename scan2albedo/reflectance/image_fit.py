@@ -1,7 +1,7 @@
 """Find a face's reflectance and the light of one image with morphable models of both."""
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,10 +13,9 @@ from scan2albedo.core.arrays import FloatArray, IntArray, checked_array
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.optimization.least_squares import LocalTerm, NormalEquations, map_equations, minimize
 from scan2albedo.reflectance.lighting_model import LightingModel
-from scan2albedo.reflectance.linear_model import require_one_topology
 from scan2albedo.reflectance.morphable_model import ModelReflectance, MorphableReflectanceModel
 from scan2albedo.reflectance.photograph import ImageObservation
-from scan2albedo.reflectance.vertex_reflectance import among_all
+from scan2albedo.reflectance.vertex_reflectance import among_all, require_one_topology
 
 PerceptualDistance = Callable[[FloatArray, FloatArray], tuple[float, ArrayLike]]
 """See `fit_image`."""
@@ -185,8 +184,9 @@ class Prediction:
 
     def moved(self, step: FloatArray) -> "Prediction":
         """Return the prediction a step (P,) on."""
-        limited = np.clip(step[-3:], -5, 5)  # a longer one would overflow in the exponential
-        return self.terms.predict(self.parameters + np.append(step[:-3], limited), self)
+        limited = step.copy()
+        limited[-3:] = np.clip(step[-3:], -5, 5)  # a longer one would overflow in the exponential
+        return self.terms.predict(self.parameters + limited, self)
 
 
 class ImageTerms:
@@ -198,8 +198,8 @@ class ImageTerms:
         I_vj = c_v(b)_j D_v . L_j + sum_k s_v(b) w'_vk(b) S_vk . L_j,
         L_j = exp(t_j) (mean + sum g_i basis_i)_j.
 
-    `prior` (P,) are second derivatives of the prior; log scale_rgb has none. `mean` (U, 7) and
-    `basis` (U, 7, N), directions last, are those of the model at the vertices `used`.
+    `prior` (P,) are second derivatives of the prior; log scale_rgb has none. `model` is that of the vertices
+    `used`.
     """
 
     def __init__(
@@ -213,9 +213,10 @@ class ImageTerms:
         self.used = common_vertices(observation, model)
         self.observed = observation.observed_linear[self.used]
         self.response = observation.response(self.used)
-        self.mean = model.mean[self.used]
-        self.basis = np.ascontiguousarray(np.moveaxis(model.basis[:, self.used], 0, -1))
-        self.lighting, self.perceptual, self.count = lighting, perceptual, len(model.known)
+        self.model = model.of(self.used)
+        self.lighting = lighting
+        self.perceptual = perceptual
+        self.count = len(model.known)
         self.meter = meter
         weight = 2 * PRIOR_WEIGHT[observation.transfer is not None]
         self.prior = np.append(np.full(model.components + lighting.components, weight), np.zeros(3))
@@ -226,67 +227,73 @@ class ImageTerms:
         grey = np.abs(self.observed).mean(1)
         return float(np.median(grey)) or float(grey.mean())
 
-    def split(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def split(self, parameters: FloatArray) -> list[FloatArray]:
         """Return b, g and t of parameters."""
-        first = self.basis.shape[2]
-        return parameters[:first], parameters[first:-3], parameters[-3:]
+        return np.split(parameters, [self.model.components, -3])
 
     def light(self, parameters: FloatArray) -> FloatArray:
         """Return the harmonics (81, 3) of the light of parameters (P,)."""
         _, g, t = self.split(parameters)
         return self.lighting.light(g, scale_rgb=np.exp(t))
 
-    def factors(self, parameters: FloatArray) -> Iterator[FloatArray]:
-        """Yield c (U, 3), s (U, 1), w' (U, 3), and radiances of a white surface and of lobes (U, 3, 3)."""
-        b, light = self.split(parameters)[0], self.light(parameters)
-        yield from np.split(self.mean + self.basis @ b, [3, 4], axis=1)
-        yield from (self.response.diffuse @ light, self.response.specular @ light)
+    def reflected(self, parameters: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the reflectance's values c, s, w' (U, 7), and the colours' derivatives (U, 3, 7) by them."""
+        light = self.light(parameters)
+        values = self.model.at(self.split(parameters)[0])
+        lobes = self.response.specular @ light
+        by_values = np.zeros((len(values), 3, 7))
+        by_values[:, range(3), range(3)] = self.response.diffuse @ light
+        by_values[:, :, 3] = np.einsum("vk,vkj->vj", values[:, 4:], lobes)
+        by_values[:, :, 4:] = values[:, 3, None, None] * lobes.transpose(0, 2, 1)
+        return values, by_values
 
     def predict(self, parameters: FloatArray, before: Prediction | None = None) -> Prediction:
         """Return the colours of parameters (P,), reached by a step from `before`."""
-        diffuse, total, share, diffuse_light, lobe_light = self.factors(parameters)
-        color = diffuse * diffuse_light + total * np.einsum("vk,vkj->vj", share, lobe_light)
+        values, by_values = self.reflected(parameters)
+        color = np.einsum("vjc,vc->vj", by_values[:, :, :4], values[:, :4])
         if self.perceptual is None:
             return Prediction(self, parameters, color)
+        distance, gradient = self._perceived(self.perceptual, color)
+        if before is not None and before.gradient is not None:
+            step = color - before.color
+            length = float(np.sum(step**2))
+            bend = float(np.sum((gradient - before.gradient) * step))
+            curvature = max(bend / length, 0.0) if length > 0 else 0.0
+        else:
+            curvature = float(np.sum(gradient**2)) / (2 * abs(distance)) if distance else 0.0
+        return Prediction(self, parameters, color, distance, gradient, curvature)
+
+    def _perceived(self, perceptual: PerceptualDistance, color: FloatArray) -> tuple[float, FloatArray]:
+        """Return what the caller's function says of colours (U, 3): a distance and its gradient (U, 3)."""
         # Arrays of their own, so that a function that writes into its arguments harms nobody.
-        predicted, observed = np.full((2, self.count, 3), np.nan)
-        predicted[self.used], observed[self.used] = color, self.observed
-        answer = self.perceptual(predicted, observed)
+        predicted = among_all(self.used, self.count, color)
+        answer = perceptual(predicted, among_all(self.used, self.count, self.observed))
         try:
             distance = float(answer[0])
-            whole = checked_array(answer[1], (self.count, 3), "the gradient")
+            gradient = checked_array(answer[1], (self.count, 3), "the gradient")[self.used]
         except (TypeError, ValueError, IndexError) as error:
             raise ReflectanceError(
                 f"the perceptual function returned {type(answer).__name__}, expected a number and its "
                 f"gradient ({self.count}, 3) by the predicted colours ({error})"
             ) from error
-        gradient = whole[self.used]
         bad = ~np.isfinite(gradient).all(1)
         if not np.isfinite(distance) or bad.any():
             raise ReflectanceError(
                 f"the perceptual function returned the value {distance} and no gradient at {bad.sum()} "
                 "vertices; it must leave out vertices that are NaN in the predicted colours"
             )
-        if before is not None and before.gradient is not None:
-            step = color - before.color
-            length, bend = float(np.sum(step**2)), float(np.sum((gradient - before.gradient) * step))
-            curvature = max(bend / length, 0.0) if length > 0 else 0.0
-        else:
-            curvature = float(np.sum(gradient**2)) / (2 * abs(distance)) if distance else 0.0
-        return Prediction(self, parameters, color, distance, gradient, curvature)
+        return distance, gradient
 
     def jacobian(self, at: Prediction) -> FloatArray:
         """Return the derivatives (U, 3, P) of the colours by the parameters."""
-        _, _, t = self.split(at.parameters)
-        diffuse, total, share, diffuse_light, lobe_light = self.factors(at.parameters)
-        by_diffuse, by_total, by_share = np.split(self.basis, [3, 4], axis=1)
-        weights = by_total * share[..., None] + total[:, None] * by_share
-        by_b = by_diffuse * diffuse_light[..., None] + np.swapaxes(lobe_light, 1, 2) @ weights
-        specular = np.einsum("vk,vkh->vh", total * share, self.response.specular)
+        values, by_values = self.reflected(at.parameters)
+        by_b = by_values @ self.model.basis.transpose(1, 2, 0)
+        specular = np.einsum("vk,vkh->vh", values[:, 3:4] * values[:, 4:], self.response.specular)
+        scale_rgb = np.exp(at.parameters[-3:])
         by_g = np.empty((*at.color.shape, self.lighting.components))
         by_t = np.zeros((*at.color.shape, 3))
         for channel in range(3):
-            reflected = diffuse[:, channel, None] * self.response.diffuse + specular
-            by_g[:, channel] = reflected @ (np.exp(t[channel]) * self.lighting.basis[:, :, channel].T)
+            reflected = values[:, channel, None] * self.response.diffuse + specular
+            by_g[:, channel] = reflected @ (scale_rgb[channel] * self.lighting.basis[:, :, channel].T)
             by_t[:, channel, channel] = at.color[:, channel]
         return np.concatenate([by_b, by_g, by_t], axis=2)

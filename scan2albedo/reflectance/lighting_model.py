@@ -12,12 +12,13 @@ from scan2albedo.core.arrays import ArrayLike, FloatArray, checked_array
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.io.npz import read_npz
 from scan2albedo.reflectance.environment_shading import HARMONICS
-from scan2albedo.reflectance.linear_model import LinearModel, checked_coefficients, principal_directions
+from scan2albedo.reflectance.vertex_reflectance import checked_coefficients
+from scan2albedo.statistics.linear_model import LinearModel, principal_directions
 
 LIGHTING_FILE = Path(__file__).parent / "data" / "everyday_light.npz"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LightingModel(LinearModel):
     """Light L = scale_rgb * (mean + sum g_i basis_i) of everyday places, with g of unit variance.
 
@@ -26,6 +27,8 @@ class LightingModel(LinearModel):
     first, `basis` (N, 81, 3) with 0 first. Use it as a prior for fits, not as a source of light: lamps are
     rare and strong, and normally distributed coefficients give places with negative light.
     """
+
+    error = ReflectanceError
 
     @staticmethod
     @cache
@@ -47,8 +50,8 @@ class LightingModel(LinearModel):
         spread = samples * (np.sqrt(4 * np.pi) / samples[:, :1])  # to a mean radiance of 1
         off = spread - spread.mean(0)
         off[:, 0] = 0.0
-        weights, _ = principal_directions(off, components, size=float(np.sum(spread**2)))
-        return cls(spread.mean(0), np.tensordot(weights, off, 1))
+        basis, _ = principal_directions(off, components, size=float(np.sum(spread**2)))
+        return cls(spread.mean(0), basis)
 
     def light(self, coefficients: ArrayLike, *, scale_rgb: ArrayLike = (1.0, 1.0, 1.0)) -> FloatArray:
         """Return coefficients (81, 3) of light with mean radiance `scale_rgb` (3,).

@@ -20,8 +20,13 @@ from scan2albedo.core.arrays import (
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.io.records import Count, PositiveCount
-from scan2albedo.reflectance.linear_model import LinearModel, principal_directions, require_one_topology
-from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance, check_exponents
+from scan2albedo.reflectance.vertex_reflectance import (
+    EXPONENTS,
+    VertexReflectance,
+    check_exponents,
+    require_one_topology,
+)
+from scan2albedo.statistics.linear_model import LinearModel, principal_directions
 
 PEOPLE_DIFFER = 0.2
 """Standard deviation of an albedo among people, as part of its level."""
@@ -61,7 +66,7 @@ class ModelReflectance:
     """Of the numbers of known vertices (six each) that were negative and became 0 in `reflectance`."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MorphableReflectanceModel(LinearModel):
     """Reflectance c, w = s w' of V vertices, linear in N coefficients b of unit variance.
 
@@ -71,6 +76,8 @@ class MorphableReflectanceModel(LinearModel):
     to 0. After Han, Wang, Xu, supplement. Raises `ReflectanceError` when shapes disagree or a number is not
     finite.
     """
+
+    error = ReflectanceError
 
     known: BoolArray
     """(V,): vertices the model knows; arrays hold zeros elsewhere."""
@@ -84,7 +91,7 @@ class MorphableReflectanceModel(LinearModel):
     def __post_init__(self) -> None:
         count = len(self.known)
         checked_array(self.support, (count,), "reflectance model: support", ReflectanceError, kind=int)
-        self.check("reflectance model:", (count, 7))
+        self.require_shape("reflectance model:", (count, 7))
 
     @classmethod
     def from_samples(
@@ -135,20 +142,16 @@ class MorphableReflectanceModel(LinearModel):
             if given.shape != there.shape or not ((given >= 0) & (given <= 1)).all():
                 raise ValueError(f"weights must be 0 to 1, of shape {there.shape}, got {given.shape}")
             trust *= given
-        diffuse = np.where(there[..., None], np.stack([one.diffuse_linear for one in samples]), 0.0)
-        lobes = np.where(there[..., None], np.stack([one.weights for one in samples]), 0.0)
-        total = lobes.sum(2)
-        share = np.divide(lobes, total[..., None], out=np.zeros_like(lobes), where=total[..., None] > 0)
-        values = np.concatenate([diffuse, total[..., None], share], axis=2)
+        values = np.stack([_columns(one) for one in samples])
         # Without gloss there are no shares of it; where nobody has any, they are equal.
         weight = np.repeat(trust[..., None], 7, axis=2)
-        weight[..., 4:] *= (there & (total > 0))[..., None]
+        weight[..., 4:] *= values[..., 3:4] > 0
         sure, equal = weight.sum(0), np.repeat([0.0, 1 / 3], [4, 3])
         mean = np.where(sure > 0, (values * weight).sum(0) / np.where(sure > 0, sure, 1.0), equal)
-        mean, off = np.where(known[:, None], mean, 0.0), weight * (values - mean)
+        off = weight * (values - mean)
+        mean = np.where(known[:, None], mean, 0.0)
         size = float(np.sum(mean[:, :3] ** 2))
-        directions, total_variance = principal_directions(off[..., :3], components, size=size)
-        basis = np.tensordot(directions, off, 1)
+        basis, total_variance = principal_directions(off, components, size=size, part=np.s_[..., :3])
         return cls(mean, basis, known, support.astype(int), total_variance, len(samples))
 
     @classmethod
@@ -196,7 +199,7 @@ class MorphableReflectanceModel(LinearModel):
     @property
     def diffuse(self) -> LinearModel:
         """Of the albedo c alone, (V, 3)."""
-        return LinearModel(self.mean[:, :3], self.basis[..., :3])
+        return self.of(np.s_[:, :3])
 
     @property
     def deviation(self) -> FloatArray:
@@ -250,10 +253,17 @@ class MorphableReflectanceModel(LinearModel):
         common = self.known & reflectance.known
         if not common.any():
             raise ReflectanceError("no vertex is known to both the model and the reflectance")
-        basis = self.diffuse.basis[:, common].reshape(self.components, 3 * int(common.sum()))
-        off = (reflectance.diffuse_linear[common] - self.diffuse.mean[common]).ravel()
-        normal = basis @ basis.T + prior * np.eye(self.components)
-        return self.reconstruct(np.linalg.lstsq(normal, basis @ off, rcond=1e-12)[0])
+        nearest = self.of(np.s_[common, :3]).fit(reflectance.diffuse_linear[common], prior=prior)
+        return self.reconstruct(nearest.mean)
+
+
+def _columns(sample: VertexReflectance) -> FloatArray:
+    """Return a sample's c, s and w' (V, 7); 0 where it is not known, and shares of no gloss are 0."""
+    numbers = np.concatenate([sample.diffuse_linear, sample.weights], axis=1)
+    diffuse, lobes = np.split(np.where(sample.known[:, None], numbers, 0.0), 2, axis=1)
+    total = lobes.sum(1, keepdims=True)
+    share = np.divide(lobes, total, out=np.zeros_like(lobes), where=total > 0)
+    return np.concatenate([diffuse, total, share], axis=1)
 
 
 def reliability(sample: VertexReflectance, std: FloatArray | None) -> FloatArray:
@@ -287,18 +297,16 @@ def held_out_components(samples: Sequence[VertexReflectance], vertices: ArrayLik
     first = np.floor(xyz / 25).sum(1) % 2 == 0
     tried = (0, 1, 2, 3, 5, 8, 12, 18, 27, 40, 60, 90, 135, 200, 300)
     counts = [count for count in tried if count < model.components] + [model.components]
-    size, deviation, errors = 3 * int(model.known.sum()), model.deviation, np.zeros(len(counts))
-    for sample in samples[4::5]:
-        both = model.known & sample.known
-        off = np.where(both[:, None], sample.diffuse_linear - model.diffuse.mean, 0.0)
-        for given in (first, ~first):
-            seen, hidden = np.flatnonzero(both & given), np.flatnonzero(both & ~given)
-            basis = model.diffuse.basis[:, seen].reshape(model.components, 3 * len(seen))
-            gram, towards = basis @ basis.T, basis @ off[seen].ravel()
-            for number, count in enumerate(counts):
-                left = max(model.total_variance - float(np.sum(deviation[:count] ** 2)), 0.0)
-                noise = max(left, 1e-9 * model.total_variance) / size
-                b = np.linalg.solve(gram[:count, :count] + noise * np.eye(count), towards[:count])
-                made = np.tensordot(b, model.diffuse.basis[:count, hidden], 1)
-                errors[number] += np.sum((made - off[hidden]) ** 2)
+    errors = np.zeros(len(counts))
+    for number, count in enumerate(counts):
+        kept = replace(model.diffuse, basis=model.diffuse.basis[:count])
+        left_out = model.total_variance - float(np.sum(kept.deviation**2))
+        noise = max(left_out, 1e-9 * model.total_variance) / (3 * int(model.known.sum()))
+        for sample in samples[4::5]:
+            both = model.known & sample.known
+            for half in (first, ~first):
+                seen = both & half
+                hidden = both & ~half
+                b = kept.of(seen).fit(sample.diffuse_linear[seen], prior=noise).mean
+                errors[number] += np.sum((kept.of(hidden).at(b) - sample.diffuse_linear[hidden]) ** 2)
     return counts[int(np.argmax(errors <= 1.01**2 * errors.min()))]

@@ -10,9 +10,13 @@ from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, attributes,
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.io.records import Count, PositiveCount
-from scan2albedo.reflectance.linear_model import require_one_topology
 from scan2albedo.reflectance.vertex_fit import ReflectanceFit
-from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance, check_exponents
+from scan2albedo.reflectance.vertex_reflectance import (
+    EXPONENTS,
+    VertexReflectance,
+    check_exponents,
+    require_one_topology,
+)
 
 RESULT_FILE = "reflectance.npz"
 """In the folder that the command `fit` writes."""

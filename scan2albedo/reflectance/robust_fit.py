@@ -11,6 +11,7 @@ from scan2albedo.geometry.rays import blocks, each_block
 from scan2albedo.reflectance import vertex_kernels as kernels
 from scan2albedo.reflectance.point_light_lobes import turn_lobes
 from scan2albedo.reflectance.vertex_reflectance import BLOCK
+from scan2albedo.statistics.robust import student_t_loss, student_t_weights
 
 _WIDTH = 2.4
 """Residual over sigma from which the loss departs from squares, wider for vertices that fit worse."""
@@ -199,8 +200,8 @@ class RobustFit:
         assert data.tilt_sigma is not None
         seen = self.lobes, data.bounce, data.slopes, self.weight, self.estimate, self.tilt
         kernels.add_tilt_equations(data.observed, data.precision, *seen, part, equations)
-        square = (self.tilt**2).sum(1)
-        return equations, data.prior, (TILT_FREEDOM + 2) / (TILT_FREEDOM * data.tilt_sigma**2 + square)
+        square = (self.tilt**2).sum(1) / data.tilt_sigma**2
+        return equations, data.prior, student_t_weights(square, TILT_FREEDOM, 2) / data.tilt_sigma**2
 
     def _reweigh(self, rows: IntArray) -> None:
         """Update weights, losses and misfits of `rows` (N,)."""
@@ -214,8 +215,8 @@ class RobustFit:
         each_block(work, blocks(len(rows), BLOCK))
         if self.tilting:
             assert self.data.tilt_sigma is not None
-            square = (self.tilt[rows] ** 2).sum(1) / (TILT_FREEDOM * self.data.tilt_sigma[rows] ** 2)
-            self.loss[rows] += (TILT_FREEDOM + 2) / 2 * np.log1p(square)
+            square = (self.tilt[rows] ** 2).sum(1) / self.data.tilt_sigma[rows] ** 2
+            self.loss[rows] += student_t_loss(square, TILT_FREEDOM, 2)
 
 
 def normal_sigma(
@@ -248,7 +249,7 @@ def normal_sigma(
     square, found = (fitted.tilt**2).sum(1), np.array([np.radians(1) ** 2, 0.0])
     for _ in range(30):
         total = np.maximum(terms @ found, _LEAST_SIGMA**2) + noise
-        robust = (TILT_FREEDOM + 2) / (TILT_FREEDOM + square / total)
+        robust = student_t_weights(square / total, TILT_FREEDOM, 2)
         before, found = found, nnls(terms / total[:, None], (robust * square / 2 - noise) / total)[0]
         if np.abs(found - before).max() <= 1e-3 * before.max():
             break

@@ -11,7 +11,8 @@ from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray, checked_arr
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
 from scan2albedo.io.records import Count, PositiveCount
-from scan2albedo.reflectance.linear_model import LinearModel, principal_directions, require_one_topology
+from scan2albedo.reflectance.vertex_reflectance import require_one_topology
+from scan2albedo.statistics.linear_model import LinearModel, principal_directions
 
 LANDMARKS = 68
 """In iBUG-68 order."""
@@ -37,7 +38,7 @@ class ShapeModelHeader(BaseModel):
     expression_components: Count = Field(description="N_E.")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MorphableShapeModel(LinearModel):
     """Shape x = mean + sum a_i identity_i + sum b_i expression_i, coefficients of unit variance.
 
@@ -46,6 +47,8 @@ class MorphableShapeModel(LinearModel):
     Faces", SIGGRAPH 1999. Raises `ReflectanceError` when shapes disagree, a number is not finite, or an index
     points outside the vertices.
     """
+
+    error = ReflectanceError
 
     identity_components: int
     """N_S."""
@@ -56,7 +59,7 @@ class MorphableShapeModel(LinearModel):
 
     def __post_init__(self) -> None:
         count, marks = len(self.mean), self.landmark_vertices
-        self.check("shape model:", (count, 3))
+        self.require_shape("shape model:", (count, 3))
         checked_mesh(self.mean, self.faces, "shape model", ReflectanceError)
         if not len(self.faces):
             raise ReflectanceError("shape model: it has no faces")
@@ -90,20 +93,22 @@ class MorphableShapeModel(LinearModel):
         neutral = _checked_stack(neutral_vertices, "neutral_vertices")
         if len(neutral) == 0:
             raise ReflectanceError("there is no face to learn shapes from; give one or more")
-        count, mean = neutral.shape[1], neutral.mean(0)
-        off, expression = neutral - mean, np.zeros((0, count, 3))
-        identity, _ = principal_directions(off, 80, size=float(np.sum(neutral**2)))
+        count = neutral.shape[1]
+        mean = neutral.mean(0)
+        basis, _ = principal_directions(neutral - mean, 80, size=float(np.sum(neutral**2)))
+        people = len(basis)
+        offsets = np.zeros((0, count, 3))
         if expression_offsets is not None:
             offsets = _checked_stack(expression_offsets, "expression_offsets")
+        if len(offsets):
             require_one_topology("expression_offsets", offsets.shape[1], "neutral_vertices", count)
             both = np.concatenate([offsets, -offsets])
-            if len(both):
-                weights, _ = principal_directions(both, 64, size=float(np.sum(both**2)))
-                expression = np.tensordot(weights, both, 1)
+            expression, _ = principal_directions(both, 64, size=float(np.sum(both**2)))
+            basis = np.concatenate([basis, expression])
         return cls(
             mean,
-            np.concatenate([np.tensordot(identity, off, 1), expression]),
-            len(identity),
+            basis,
+            people,
             np.asarray(faces, int),
             checked_array(landmark_vertices, ("L",), "landmark_vertices", ReflectanceError, kind=int),
         )

@@ -59,6 +59,18 @@ def among_all(rows: IntArray, count: int, values: FloatArray, otherwise: float =
     return every
 
 
+def require_one_topology(one: str, count: int, other: str, expected: int) -> None:
+    """Raise ReflectanceError, naming both in words, for numbers of vertices that differ."""
+    if count != expected:
+        raise ReflectanceError(f"{one} has {count} vertices, {other} {expected}; bring all to one topology")
+
+
+def checked_coefficients(values: ArrayLike | None, shape: tuple[int, ...], name: str) -> FloatArray:
+    """Return coefficients, 0 for None; `ValueError` for another shape, `ReflectanceError` for NaN."""
+    given = np.zeros(shape) if values is None else np.array(values, float)
+    return checked_array(given, shape, name, finite=ReflectanceError)
+
+
 def check_exponents(exponents: tuple[float, ...], place: str) -> None:
     """Raise ReflectanceError when reflectance at `place`, in words, has other lobes than `EXPONENTS`."""
     if exponents != EXPONENTS:

@@ -14,7 +14,7 @@ from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry.alignment import Alignment
 from scan2albedo.geometry.rigid import Similarity, invert_rigid, procrustes
 from scan2albedo.io.npz import Arrays, read_npz
-from scan2albedo.registration.candidates import CONVINCING, Candidate, Candidates, every_candidate
+from scan2albedo.registration.candidates import CONVINCING, Candidate, Candidates, CandidateSearch
 from scan2albedo.registration.coarse_search import coarse_poses
 from scan2albedo.registration.evidence import Evidence
 from scan2albedo.registration.icp import loosely_shaped, residuals, shaped_icp
@@ -74,7 +74,8 @@ def accepted(
             # The turned scan is another problem than the scan, so its rows stay out of the trace.
             turned, unseen = scan.inside_out(), meter.untraced()
             poses = coarse_poses(turned, template, options, unseen, 0)
-            other = every_candidate(turned, template, poses, options, unseen)[0]
+            search = CandidateSearch(turned, template, poses, options.candidates, unseen)
+            other = search.of_first_rounds()[0]
             meter.count(unseen.evaluations)
             if other.log_odds > max(best.log_odds, 0.0):
                 raise _inside_out_error(scan, other)

@@ -1,25 +1,21 @@
-"""Candidate poses: refined by Open3D's ICP and ours, scored, ranked, until one lays the model on a face."""
+"""Candidate poses: refined by robust ICP, scored, ranked, until one lays the model on a face."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import chain, repeat
+from itertools import islice
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import FloatArray, IntArray
-from scan2albedo.errors import import_open3d
-from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import Similarity, invert_rigid
 from scan2albedo.registration.coarse_search import PlacedPose, Poses
 from scan2albedo.registration.evidence import ColourScorer, Evidence, evidence
 from scan2albedo.registration.icp import FEW, icp, residuals, rigid_distance_mm
-from scan2albedo.registration.inputs import PreparedScan, RegistrationOptions, Template
+from scan2albedo.registration.inputs import PreparedScan, Template
 from scan2albedo.registration.relief import ReliefAgreement
 
 CONVINCING = 4.0
@@ -92,165 +88,133 @@ def rescored(
     return _sorted(scored)
 
 
-def ranked_candidates(
-    scan: PreparedScan,
-    template: Template,
-    scorer: Callable[[], ColourScorer | None],
-    landmarks: PlacedPose | None,
-    poses: Poses,
-    options: RegistrationOptions,
-    meter: Meter,
-) -> Candidates:
-    """Refine and rank candidates, batch by batch, until one is a face; best first.
+@dataclass(frozen=True)
+class Round:
+    """Coarse poses that are refined before the best of all so far are looked at."""
 
-    The pose that landmarks show comes before all. After every batch the best of all so far are looked at
-    closely (`Evidence`), and the scan's colours scored when none is clearly a face. Without landmarks the
-    search ends after two batches of which nothing resembles a face at all.
+    name: str
+    poses: Poses
+
+
+class CandidateSearch:
+    """Refines coarse poses on a scan, round by round, and ranks them.
+
+    A pose that `landmarks` show comes before all; the `scorer`, which says how colours speak for a pose, is
+    asked for only where the shape leaves doubts.
     """
-    candidates, relief = Candidates(), _reliefs(scan, template, poses)
-    placed = () if landmarks is None else (landmarks.start(),)
-    batches = chain(placed, _batches(poses, relief, options.candidates, 3 * options.candidates))
-    # Open3D's wide pairs draw half a face round the head, towards its missing half: at last without it.
-    freely = _batches(poses, relief, 2 * options.candidates, 0)
-    every = chain(zip(batches, repeat(True)), zip(freely, repeat(False)))
-    for number, (batch, widely) in enumerate(every):
-        candidates = _with_refined(scan, template, batch, meter, candidates, widely=widely)
-        candidates = _with_evidence(scan, template, candidates, meter, landmarks)
-        candidates = rescored(candidates, scan, template.front, scorer)
-        hopeless = number == 1 and landmarks is None and candidates[0].log_odds <= -_MOST_LOG_ODDS
-        if meter.exhausted or candidates[0].convinces or hopeless:
-            break
-    return candidates
 
+    def __init__(
+        self,
+        scan: PreparedScan,
+        template: Template,
+        poses: Poses,
+        count: int,
+        meter: Meter,
+        landmarks: PlacedPose | None = None,
+        scorer: Callable[[], ColourScorer | None] = lambda: None,
+    ) -> None:
+        self.scan = scan
+        self.template = template
+        self.few = template.first(FEW)
+        self.poses = poses
+        self.count = count
+        self.meter = meter
+        self.landmarks = landmarks
+        self.scorer = scorer
+        self.relief = cache(self._relief)
 
-def every_candidate(
-    scan: PreparedScan, template: Template, poses: Poses, options: RegistrationOptions, meter: Meter
-) -> Candidates:
-    """Refine and rank `options.candidates` poses, faces or not; best first."""
-    candidates = Candidates()
-    for batch in _batches(poses, _reliefs(scan, template, poses), options.candidates, 0):
-        candidates = _with_refined(scan, template, batch, meter, candidates, widely=True)
-    return _with_evidence(scan, template, candidates, meter, None)
+    def until_convinced(self) -> Candidates:
+        """Return the candidates, best first, after as many rounds as it takes until one is a face.
+
+        Without landmarks the search ends after two rounds of which nothing resembles a face at all.
+        """
+        candidates = Candidates()
+        for round_ in self.rounds():
+            candidates = self._looked_at(self._refined(round_.poses, candidates))
+            candidates = rescored(candidates, self.scan, self.template.front, self.scorer)
+            best = candidates[0]
+            hopeless = best.log_odds <= -_MOST_LOG_ODDS and self.landmarks is None
+            if self.meter.exhausted or best.convinces or (hopeless and round_.name == "relief nearby"):
+                break
+        return candidates
+
+    def of_first_rounds(self) -> Candidates:
+        """Return the candidates of two rounds, best first, faces or not."""
+        candidates = list[Candidate]()
+        for round_ in islice(self.rounds(), 2):
+            candidates = self._refined(round_.poses, candidates)
+        return self._looked_at(candidates)
+
+    def rounds(self) -> Iterator[Round]:
+        """Yield the poses that landmarks show, those nearest to the scan, and those with most relief.
+
+        Relief is asked for because distance alone prefers the back of a head to half a face.
+        """
+        if self.landmarks is not None:
+            yield Round("landmarks", self.landmarks.start())
+        every = np.arange(len(self.poses))
+        nearest = every[: (self.count + 1) // 2]
+        yield Round("nearest", self.poses.subset(nearest))
+        nearby = self._with_most_relief(every[: 5 * self.count], nearest)[: self.count - len(nearest)]
+        yield Round("relief nearby", self.poses.subset(nearby))
+        anywhere = self._with_most_relief(every, np.concatenate([nearest, nearby]))[: 3 * self.count]
+        yield Round("relief anywhere", self.poses.subset(anywhere))
+
+    def _with_most_relief(self, numbers: IntArray, known: IntArray) -> IntArray:
+        order = np.argsort([-self.relief(number) for number in numbers.tolist()], kind="stable")
+        ranked = numbers[order]
+        return ranked[~np.isin(ranked, known)]
+
+    def _relief(self, number: int) -> float:
+        """Return what ranks a coarse pose by its relief."""
+        pose = Similarity(self.poses.rotations[number], self.poses.translations[number])
+        return Candidate(pose, self._agreement(pose), 0.0).ranking
+
+    def _agreement(self, pose: Similarity) -> ReliefAgreement:
+        return self.template.image.agreement(self.scan.vertices, self.scan.faces, pose.inverse())
+
+    def _refined(self, starts: Poses, known: Sequence[Candidate]) -> list[Candidate]:
+        """Return the known candidates, and every start refined with the face's size.
+
+        A start at a known candidate is dropped; one is refined however small the budget is.
+        """
+        samples, meter = self.scan.samples, self.meter
+        candidates = list(known)
+        for rotation, translation in zip(starts.rotations, starts.translations, strict=True):
+            if candidates and meter.exhausted:
+                break
+            pose = Similarity(rotation, translation)
+            if any(pose.is_near(other.pose, np.deg2rad(3), 3) for other in candidates):
+                continue
+            # From a scale of 6 mm to one of 3.
+            pose = icp(samples, self.few, pose, np.geomspace(6, 3, 15)).pose
+            rms_mm = residuals(samples, self.few.samples, pose).trimmed_rms_mm(self.few.samples.areas)
+            candidates.append(Candidate(pose, self._agreement(pose), rms_mm))
+            meter.count()
+            # The nearest pose so far.
+            before = (row.error for row in meter.rows if row.stage == meter.stage)
+            meter.record(min([rigid_distance_mm(samples, self.template, pose), *before]))
+        return candidates
+
+    def _looked_at(self, candidates: Sequence[Candidate]) -> Candidates:
+        """Look at the first three candidates that are apart from each other, those seen before among them."""
+        ranked = sorted(candidates, key=lambda candidate: -candidate.ranking)
+        looked = list[Candidate]()
+        for place, candidate in enumerate(ranked):
+            if len(looked) == 3 or (looked and self.meter.exhausted):
+                break
+            if not all(candidate.is_apart(other) for other in looked):
+                continue
+            if candidate.evidence is None:
+                found = evidence(self.scan, self.template, candidate.pose, self.meter)
+                odds = 0.0 if self.landmarks is None else self.landmarks.log_odds(found.pose)
+                candidate = replace(candidate, pose=found.pose, evidence=found, landmark_log_odds=odds)
+                ranked[place] = candidate
+            looked.append(candidate)
+            if candidate.convinces:
+                break
+        return _sorted(ranked)
 
 
 def _sorted(candidates: list[Candidate]) -> Candidates:
-    return tuple(sorted(candidates, key=lambda c: (-c.log_odds, -c.ranking)))
-
-
-def _with_evidence(
-    scan: PreparedScan, template: Template, candidates: Candidates, meter: Meter, landmarks: PlacedPose | None
-) -> Candidates:
-    """Look at the first three candidates that are apart from each other, those seen before among them.
-
-    The answer is sorted by the odds, then by the ranking.
-    """
-    ranked = sorted(candidates, key=lambda c: -c.ranking)
-    looked = list[Candidate]()
-    for place, candidate in enumerate(ranked):
-        if len(looked) == 3 or (looked and meter.exhausted):
-            break
-        if not all(candidate.is_apart(other) for other in looked):
-            continue
-        if candidate.evidence is None:
-            found = evidence(scan, template, candidate.pose, meter)
-            odds = 0.0 if landmarks is None else landmarks.log_odds(found.pose)
-            candidate = replace(candidate, pose=found.pose, evidence=found, landmark_log_odds=odds)
-            ranked[place] = candidate
-        looked.append(candidate)
-        if candidate.convinces:
-            break
-    return _sorted(ranked)
-
-
-def _reliefs(scan: PreparedScan, template: Template, poses: Poses) -> Callable[[int], float]:
-    """Return what ranks a pose by its relief, given its number; each is looked at once."""
-
-    @cache
-    def ranking(number: int) -> float:
-        pose = Similarity(poses.rotations[number], poses.translations[number])
-        relief = template.image.agreement(scan.vertices, scan.faces, pose.inverse())
-        return Candidate(pose, relief, 0.0).ranking
-
-    return ranking
-
-
-def _batches(
-    poses: Poses, relief: Callable[[int], float], candidates: int, more_candidates: int
-) -> Iterator[Poses]:
-    """Yield `candidates` poses in two batches, then `more_candidates` in a third.
-
-    First those whose surface is nearest, then those with most `relief` among the nearer ones, at last among
-    all: distance alone prefers the back of a head to half a face.
-    """
-
-    def by_relief(count: int) -> IntArray:
-        return np.argsort([-relief(number) for number in range(min(count, len(poses)))], kind="stable")
-
-    first = np.arange(min((candidates + 1) // 2, len(poses)))
-    yield poses.subset(first)
-    nearer = by_relief(5 * candidates)
-    second = nearer[~np.isin(nearer, first)][: candidates - len(first)]
-    yield poses.subset(second)
-    if more_candidates:
-        every = by_relief(len(poses))
-        yield poses.subset(every[~np.isin(every, np.concatenate([first, second]))][:more_candidates])
-
-
-def _with_refined(
-    scan: PreparedScan, template: Template, starts: Poses, meter: Meter, known: Candidates, *, widely: bool
-) -> Candidates:
-    """Refine every start, `widely` by Open3D's ICP first, then with scale, and rank all.
-
-    A start that ends at a known candidate is dropped; one is refined however small the budget is.
-    """
-    few = template.first(FEW)
-    refined = [candidate.pose for candidate in known]
-    candidates = list(known)
-    for rotation, translation in zip(starts.rotations, starts.translations, strict=True):
-        if candidates and meter.exhausted:
-            break
-        pose = Similarity(rotation, translation)
-        if widely:
-            matrix = refined_by_open3d(scan.samples, few.samples, pose.rigid())
-            pose = Similarity(matrix[:3, :3], matrix[:3, 3])
-            meter.count()
-        if any(pose.is_near(other, np.deg2rad(3), 3) for other in refined):
-            continue
-        refined.append(pose)
-        # With the face's size, from a scale of 6 mm to one of 3.
-        pose = icp(scan.samples, few, pose, np.geomspace(6, 3, 15)).pose
-        rms_mm = residuals(scan.samples, few.samples, pose).trimmed_rms_mm(few.samples.areas)
-        relief = template.image.agreement(scan.vertices, scan.faces, pose.inverse())
-        candidates.append(Candidate(pose, relief, rms_mm))
-        meter.count()
-        # The nearest pose so far.
-        before = (row.error for row in meter.rows if row.stage == meter.stage)
-        meter.record(min([rigid_distance_mm(scan.samples, template, pose), *before]))
-    return tuple(sorted(candidates, key=lambda c: -c.ranking))
-
-
-def refined_by_open3d(scan: OrientedPoints, model: OrientedPoints, scan_from_model: FloatArray) -> FloatArray:
-    """Return the (4, 4) `scan_from_model` after point-to-plane ICP of the model's samples with Tukey's loss.
-
-    On one thread: Open3D adds up its equations as threads finish, which would give other bits each time.
-    """
-    open3d = import_open3d()
-    registration, utility, clouds = open3d.pipelines.registration, open3d.utility, []
-    for samples in (model, scan):
-        clouds.append(open3d.geometry.PointCloud(utility.Vector3dVector(samples.points)))
-        clouds[-1].normals = utility.Vector3dVector(samples.normals)
-    with ExitStack() as afterwards:
-        # From 0.20 on by its own setting (TBB), before that by OpenMP's.
-        if hasattr(utility, "set_max_threads"):
-            afterwards.callback(utility.set_max_threads, utility.get_max_threads())
-            utility.set_max_threads(1)
-        else:
-            afterwards.enter_context(threadpool_limits(1, "openmp"))
-        result = registration.registration_icp(
-            *clouds,
-            20.0,  # mm
-            scan_from_model,
-            registration.TransformationEstimationPointToPlane(registration.TukeyLoss(k=8.0)),
-            registration.ICPConvergenceCriteria(1e-6, 1e-6, 20),
-        )
-    return np.array(result.transformation)
+    return tuple(sorted(candidates, key=lambda candidate: (-candidate.log_odds, -candidate.ranking)))

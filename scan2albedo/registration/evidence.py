@@ -8,7 +8,7 @@ import numpy as np
 from scan2albedo.core import Meter, RawScan
 from scan2albedo.core.arrays import FloatArray
 from scan2albedo.face_model import AnnotatedSurface
-from scan2albedo.face_model.appearance import appearance
+from scan2albedo.face_model.materials import chart_materials
 from scan2albedo.geometry.closest_points import NearestSurface
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.operators import linear_refinement
@@ -127,7 +127,7 @@ def colour_scorer(scan: RawScan, model: AnnotatedSurface) -> ColourScorer | None
             return 0.0
         texture, seen = np.zeros((*covered.shape, 3), np.float32), covered.copy()
         texture[covered], seen[covered] = color, near
-        looks = appearance(face_scale * points, normals, seen, texture, place=place)
+        looks = chart_materials(face_scale * points, normals, seen, texture, place=place)
         # Noise, paint or another's picture look like a wrong pose: they alone must not refuse a face.
         return float(np.clip(looks.log_odds, -2, 3))
 

@@ -13,6 +13,7 @@ from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.oriented_points import OrientedPoints
 from scan2albedo.geometry.rigid import Similarity
 from scan2albedo.registration.inputs import Template
+from scan2albedo.statistics.robust import geman_mcclure_weights
 
 _SCALE_SD = 0.1
 _SHAPED_MM = (4.0, 3.0)
@@ -136,7 +137,7 @@ def icp(
             loss_mm = measured.icp_loss_mm(weights, float(sigmas_mm[-1]))
             if loss_mm < min((row.error for row in meter.rows if row.stage == _STAGE), default=np.inf):
                 meter.record(loss_mm, _STAGE)
-        trust = measured.trust() * (sigma_mm**2 / (sigma_mm**2 + measured.plane_mm**2)) ** 2
+        trust = measured.trust() * geman_mcclure_weights(measured.plane_mm, sigma_mm)
         return Pairs(-measured.offset, measured.normal, trust, noise=sigma_mm)
 
     given, steps, known = (samples.points, weights, pairs, start), len(sigmas_mm), np.diag(precision)

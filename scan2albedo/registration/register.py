@@ -28,7 +28,7 @@ from scan2albedo.registration.acceptance import (
     proportion_doubts,
     shape_of,
 )
-from scan2albedo.registration.candidates import ranked_candidates
+from scan2albedo.registration.candidates import CandidateSearch
 from scan2albedo.registration.coarse_search import PlacedPose, coarse_poses
 from scan2albedo.registration.depth_annealing import annealed
 from scan2albedo.registration.evidence import colour_scorer
@@ -72,14 +72,14 @@ def register(
 ) -> Registration:
     """Return the rigid pose of a scan's face in the model's frame.
 
-    Thousands of starts on a voxel grid, the best refined by Open3D's robust point-to-plane ICP, then by one
-    that also estimates the face's size and a person's shape. The pose that is most probably that of a face
-    wins, with that probability as `confidence`. The annealing of [1]_ runs when forced, and counts when the
+    Thousands of starts on a voxel grid, the best refined by robust point-to-plane ICP with the face's size,
+    then with a person's shape. The pose that is most probably that of a face wins, with that probability as
+    `confidence`. The annealing of [1]_ runs when forced, and counts when the
     surface is nearer for it. `plan` doubts a second face, and proportions and sizes beyond those of faces.
 
     Raises RegistrationError, with the figures, when the scan is too small or too large, or holds no face;
     ValueError when `seed` is no whole number of 0 or more; TypeError for other objects than a scan, a model
-    and options; MissingDependencyError when Open3D cannot be loaded.
+    and options.
 
     .. [1] G. Toderici et al., "An automated method for human face modeling and relighting with
        application to face recognition", section 3.1.1.
@@ -106,7 +106,8 @@ def register(
     template = Template.of(model, seed)
     poses = coarse_poses(prepared, template, options, meter, seed)
     scorer, landmarks = cache(lambda: colour_scorer(scan, model)), PlacedPose.of(prepared, model)
-    candidates = ranked_candidates(prepared, template, scorer, landmarks, poses, options, meter)
+    search = CandidateSearch(prepared, template, poses, options.candidates, meter, landmarks, scorer)
+    candidates = search.until_convinced()
     plan = accepted(prepared, template, candidates, len(poses), options, meter)
     closing = meter.sub_meter("tight_icp", "mm")
     best = candidates[0]

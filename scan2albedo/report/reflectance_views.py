@@ -3,8 +3,8 @@
 import numpy as np
 
 from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, GridShape, IntArray, dots, finite_rows
+from scan2albedo.geometry.fields import filled_over_mesh
 from scan2albedo.geometry.mesh import face_cross_products, normalized
-from scan2albedo.geometry.operators import filled_over_mesh
 from scan2albedo.geometry.pinhole import camera_centers
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.io.color import encode_srgb_bytes, linear_to_srgb

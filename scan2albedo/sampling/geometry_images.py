@@ -12,7 +12,7 @@ from scan2albedo.core.arrays import ByteArray, Float32Array, on_grid
 from scan2albedo.core.geometry_image import check_size
 from scan2albedo.errors import GeometryImageError
 from scan2albedo.face_model.annotation import FittedSurface
-from scan2albedo.face_model.appearance import appearance, placed
+from scan2albedo.face_model.materials import chart_materials, fit_to_places
 from scan2albedo.geometry.mesh import face_areas, normalized, turned_against_neighbours, vertex_normals
 from scan2albedo.geometry.operators import linear_refinement
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
@@ -93,7 +93,7 @@ def geometry_image(fitted: FittedSurface, scan: RawScan | None, size: int = 512)
         refined = linear_refinement(len(face_uv), fitted.model.control_faces, fitted.levels) @ face_uv
         place = interpolate(raster, fitted.faces, np.column_stack([1 - refined[:, 1], refined[:, 0]]))
         face_chart = place.astype(np.float32)
-    looks = appearance(
+    looks = chart_materials(
         position,
         normal,
         texture.get("texture_valid", raster.covered),
@@ -215,7 +215,9 @@ def texture_doubt(fitted: FittedSurface, scan: RawScan, image: GeometryImage) ->
     given = colors["as it is"]
     colors["with red and blue exchanged"] = np.ascontiguousarray(given[..., ::-1])
     colors["as a negative of itself"] = srgb_to_linear(1 - linear_to_srgb(given)).astype(np.float32)
-    fits = {name: placed(position, normal, seen, place[part], texture) for name, texture in colors.items()}
+    fits = {
+        name: fit_to_places(position, normal, seen, place[part], texture) for name, texture in colors.items()
+    }
     own, even, evidence = fits.pop("as it is")
     own, prior = np.logaddexp(own, even), np.log(WRONG / (1 - WRONG))
     other = own - image.texture_log_odds + prior

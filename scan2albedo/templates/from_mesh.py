@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from scan2albedo.core.arrays import ByteArray, FloatArray, IntArray, all_finite, finite_rows, norms, row_sums
@@ -13,6 +12,7 @@ from scan2albedo.errors import ModelError
 from scan2albedo.face_model import AnnotatedSurface, Region
 from scan2albedo.face_model.annotation import FILLED_REGION, LANDMARK_LEVELS, REST_REGION, surface_frames
 from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.geometry.fields import factorized
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision, SurfacePoints
 from scan2albedo.geometry.mesh import adjacency, face_cross_products, vertex_normals, without_unreferenced
 from scan2albedo.templates.surface import TemplateSurface, clean_template
@@ -156,7 +156,7 @@ def _chart(
         if all_finite(known):
             rows = matrix[source]
             tie = 1e-6 * sparse.identity(rows.shape[1])
-            chart = np.clip(splu((rows.T @ rows + tie).tocsc()).solve(rows.T @ known), 0.0, 1.0)
+            chart = np.clip(factorized(rows.T @ rows + tie)(rows.T @ known), 0.0, 1.0)
             flat = np.column_stack([chart, np.zeros(len(chart))])
             if (face_cross_products(flat, mesh[1])[:, 2] > 0).all():
                 return chart, ""
@@ -250,7 +250,7 @@ def fit_limit_surface(vertices: FloatArray, faces: IntArray, size: int) -> tuple
     control = start
     for _ in range(4):
         rows = subdivision.points_matrix(project(subdivision, control, targets, normals))
-        control = splu((rows.T @ rows + stiff).tocsc()).solve(rows.T @ targets + stiff @ start)
+        control = factorized(rows.T @ rows + stiff)(rows.T @ targets + stiff @ start)
     return control, control_faces
 
 

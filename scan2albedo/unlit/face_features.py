@@ -10,7 +10,7 @@ from skimage.morphology import disk
 from scan2albedo.albedo.inpainting import continued_smoothly
 from scan2albedo.core.arrays import BoolArray, FloatArray, RealArray, norms
 from scan2albedo.face_model import default_model
-from scan2albedo.face_model.appearance import CLASSES
+from scan2albedo.face_model.materials import CLASSES
 from scan2albedo.geometry.rasterization import area_mean
 from scan2albedo.unlit.processed_face import ProcessedFace
 
@@ -41,7 +41,7 @@ def feature_texels(face: ProcessedFace) -> dict[str, BoolArray]:
 
 
 def named_texels(face: ProcessedFace, names: Sequence[str]) -> BoolArray:
-    """Return (H, W) the texels in the named classes of `face_model.appearance` or regions of the model.
+    """Return (H, W) the texels in the named classes of `face_model.materials` or regions of the model.
 
     A face without labels has no classes, a face of another model no regions.
     """

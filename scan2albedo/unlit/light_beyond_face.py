@@ -6,20 +6,18 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from scipy import sparse
-from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 from scipy.special import logit
 
 from scan2albedo.albedo import AlbedoEstimate
 from scan2albedo.albedo.result import shade_image
 from scan2albedo.core import GeometryImage, RawScan
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, row_sums
-from scan2albedo.face_model.appearance import PATCH_MM, beyond_chart
+from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.face_model.materials import materials_beyond_chart
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.closest_points import surface_query
-from scan2albedo.geometry.mesh import adjacency, neighbour_mean, thinned, usual_edge, vertex_normals
-from scan2albedo.geometry.operators import filled_over_mesh
+from scan2albedo.geometry.fields import Field, filled_over_mesh
+from scan2albedo.geometry.mesh import edges_with_faces, neighbour_mean, thinned, usual_edge, vertex_normals
 from scan2albedo.geometry.rasterization import bilinear, filled_from_nearest, pixels_from_uv, scan_colors
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import transform_points
@@ -51,41 +49,31 @@ _COLORED_FACES = 100_000
 class LightBeyond:
     """What is known of places on a scan, were they beyond the face."""
 
-    columns: FloatArray
-    """(N, 9): one array, which is interpolated at once; its parts have the names below."""
+    log_light: FloatArray
+    """(N, 3)."""
+    taken_off: FloatArray
+    """(N,): how surely the light is taken off, at most `OUTSIDE_CONFIDENCE`."""
+    skin: FloatArray
+    """(N, 3): log albedo that is expected of skin."""
+    steepness: FloatArray
+    """(N,): by how much log light changes to the next vertex; 0 where it is not skin."""
+    hair_log_odds: FloatArray
+    """(N,): of hair, for a log brightness of 0."""
     hair_by_brightness: float
     """Weight of a place's own log brightness in its log odds of hair."""
-    detail: float = 1.0
+    detail: float
     """Usual deviation of skin's log albedo from around."""
-
-    @property
-    def log_light(self) -> FloatArray:
-        """(N, 3)."""
-        return self.columns[:, :3]
-
-    @property
-    def taken_off(self) -> FloatArray:
-        """(N,): how surely the light is taken off, at most `OUTSIDE_CONFIDENCE`."""
-        return self.columns[:, 3]
-
-    @property
-    def skin(self) -> FloatArray:
-        """(N, 3): log albedo that is expected of skin."""
-        return self.columns[:, 4:7]
-
-    @property
-    def steepness(self) -> FloatArray:
-        """(N,): by how much log light changes to the next vertex; 0 where it is not skin."""
-        return self.columns[:, 7]
-
-    @property
-    def hair_log_odds(self) -> FloatArray:
-        """(N,): of hair, for a log brightness of 0."""
-        return self.columns[:, 8]
 
     def interpolated(self, interpolate: Callable[[FloatArray], FloatArray]) -> Self:
         """Return the same of other places, whose values are linear in those of these."""
-        return replace(self, columns=interpolate(self.columns))
+        return replace(
+            self,
+            log_light=interpolate(self.log_light),
+            taken_off=interpolate(self.taken_off),
+            skin=interpolate(self.skin),
+            steepness=interpolate(self.steepness),
+            hair_log_odds=interpolate(self.hair_log_odds),
+        )
 
 
 @dataclass(frozen=True)
@@ -161,12 +149,10 @@ class SurfaceLight:
             covered[scan.faces[fitted.covered_faces]] = True
         self._materials = self._found_materials(image, normals, covered[nearest])
         # Links of the membrane, between points of one material.
-        graph = adjacency(count, self._faces).tocoo()
-        self._edges: tuple[IntArray, IntArray] = (graph.row, graph.col)
-        i, j = self._edges
+        self._edges = edges_with_faces(self._faces)[0]
+        i, j = self._edges.T
         other, apart = self._materials.other, self._materials.apart
-        same = ((1 - other[i]) * (1 - other[j]) + other[i] * other[j]) * ~(apart[i] | apart[j])
-        self._links = sparse.csr_matrix((same, (i, j)), (count, count))
+        self._links = ((1 - other[i]) * (1 - other[j]) + other[i] * other[j]) * ~(apart[i] | apart[j])
 
     def _mean_log_color(self, scan: RawScan) -> FloatArray:
         """Return (N, 3) the log of the scan's mean colour nearest to each point."""
@@ -191,14 +177,14 @@ class SurfaceLight:
         few &= image.mask if image.on_face is None else image.mask & image.on_face
         if image.face_chart is not None and few.any():
             closest = cKDTree(image.position[few]).query(self._points)[1]
-            shares = beyond_chart(
+            shares = materials_beyond_chart(
                 self._log_color - self._log_lit,
                 normals,
                 self._skin,
                 image.face_chart[few][closest],
                 self._points - image.position[few][closest],
                 self._mean,
-                (self._edge_mm / PATCH_MM) ** 2,
+                self._edge_mm,
             )
             hair, other = shares[-2], shares[-2:].sum(0)
         return _Materials(hair, np.where(apart, 1.0, other), apart)
@@ -226,15 +212,18 @@ class SurfaceLight:
             toward = np.hstack([wrong * (trust / (far + trust))[:, None], np.zeros((count, 1))])
             offset = self._membrane(base, far + trust, toward)[0]
             sure = np.ones(count)
-            i, j = self._edges
-            np.maximum.at(steepness, i, np.abs((base + offset)[i] - (base + offset)[j]).max(-1))
+            step = np.abs(np.diff((base + offset)[self._edges], axis=1)).max((1, 2))
+            for ends in self._edges.T:
+                np.maximum.at(steepness, ends, step)
             steepness *= 1 - other
         weight = self._hair_by_brightness()
         hair = np.clip(self._materials.hair, FLOOR**2, 1 - FLOOR**2)
         log_odds = logit(hair) - weight * self._log_color.max(-1)
-        columns = np.column_stack([base + offset, OUTSIDE_CONFIDENCE * sure, skin, steepness, log_odds])
+        found = LightBeyond(
+            base + offset, OUTSIDE_CONFIDENCE * sure, skin, steepness, log_odds, weight, detail
+        )
         nearby = surface_query(self._points, self._faces).query(self._vertices)
-        return LightBeyond(nearby.interpolated(columns, self._faces), weight, detail)
+        return found.interpolated(lambda values: nearby.interpolated(values, self._faces))
 
     def _hair_by_brightness(self) -> float:
         """Return the weight of log brightness between hair and skin, of the means of both (Fisher's)."""
@@ -252,14 +241,9 @@ class SurfaceLight:
 
     def _continued(self, values: FloatArray, pull: FloatArray, toward: FloatArray) -> FloatArray:
         """Return `values` (N, C) on the face, and beyond it what goes on from there."""
-        known, rows = self._on_face, np.flatnonzero(~self._on_face)
-        degree = row_sums(self._links)
-        system = (sparse.diags(degree + pull) - self._links).tocsr()[rows]
-        right = pull[rows, None] * toward[rows] - system[:, known] @ values[known]
-        found = values.copy()
-        if len(rows):
-            found[rows] = splu(system[:, rows].tocsc()).solve(right)
-        return found
+        beyond = ~self._on_face
+        field = Field(self._edges, beyond, weight=self._links, pull=pull)
+        return field.solve(np.where(beyond[:, None], toward, values))
 
     def _membrane(
         self, base: FloatArray, pull: FloatArray, toward: FloatArray

@@ -17,7 +17,7 @@ from scan2albedo.core import GeometryImage, RawScan
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, GridShape, IntArray, dots, smoothstep
 from scan2albedo.errors import ApplicationError
-from scan2albedo.face_model.appearance import CLASSES
+from scan2albedo.face_model.materials import CLASSES
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry import rasterization
 from scan2albedo.geometry.closest_points import surface_query

@@ -7,7 +7,7 @@ import pytest
 from helpers.lit_scenes import angle_deg, direction, lamps_and_waves, lit_image, lit_scene
 
 from scan2albedo.albedo.node_field import Scales
-from scan2albedo.albedo.posterior import Point, descend, robust_weights
+from scan2albedo.albedo.posterior import descend, robust_weights
 from scan2albedo.core import Budget
 
 ALL = ("near", "rough", "specular", "occlusion", "bounce", "environment")
@@ -59,7 +59,7 @@ def _settled(point, rounds=30):
 @pytest.mark.parametrize(("lights", "parts"), [(0, ALL[3:]), (1, ()), (2, ALL)])
 def test_gradient_is_the_slope_of_the_cost_with_the_albedo_following(bumps, lights, parts):
     point = _settled(_start(bumps, lights, parts))
-    matrix, slope = point.quadratic()[:2]
+    matrix, slope = point.quadratic
     gradient = slope - point.prior.slope
     step = 1e-4
     slopes = []
@@ -95,7 +95,7 @@ def test_descents_with_scales_that_follow_lead_to_the_light(ball, angle, parts, 
     assert angle_deg(_lamp(point), TOWARD) < most_deg
     cosine = np.maximum(point.problem.level.normal @ TOWARD, 0)
     # The logarithm of the true light deviates by 0.38.
-    assert np.std(np.log(point.light / (1 + 2.0 * cosine))) < 0.06
+    assert np.std(np.log(point.cells.light / (1 + 2.0 * cosine))) < 0.06
 
 
 def test_descent_takes_no_more_evaluations_than_it_may(ball):
@@ -156,10 +156,10 @@ def test_points_with_a_factor_of_their_weights_are_the_same(ball):
     """Starts are compared under one set of weights, whose factor is computed once."""
     start = _start(ball)
     known = start.problem.started(Scales())
-    kept = Point(start.problem, start.model, start.x, known, fixed=True)
+    kept = start.problem.at(start.model, start.x, known, fixed=True)
     assert kept.known is known
-    fresh = Point(start.problem, start.model, start.x, known)
-    assert np.array_equal(kept.light, fresh.light)
+    fresh = start.problem.at(start.model, start.x, known)
+    assert np.array_equal(kept.cells.light, fresh.cells.light)
     assert kept.cost == pytest.approx(fresh.cost, rel=0.05)
 
 

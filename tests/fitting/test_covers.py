@@ -15,6 +15,7 @@ from scan2albedo.fitting import FitOptions
 from scan2albedo.fitting.covers import uncovered
 from scan2albedo.fitting.plausibility import doubts
 from scan2albedo.geometry.closest_points import NearestSurface
+from scan2albedo.geometry.mesh import face_areas
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.synthetic.face_shape import face_surface, person
 from scan2albedo.synthetic.sitter import join
@@ -64,7 +65,8 @@ def test_lenses_are_left_out_and_told(face, model):
 def left_of(model, vertices, faces):
     """Return the scan, what is left of it without covers, their area in mm^2 and what they cost."""
     scan, meter = scan_surface(vertices, faces), Meter("fit", "mm")
-    left, _, covered_mm2 = uncovered(scan, model, model.control_vertices, meter)
+    left, covers = uncovered(scan, model, model.control_vertices, meter)
+    covered_mm2 = 0 if covers is None else face_areas(covers.vertices, covers.faces).sum()
     return scan, left, covered_mm2, meter.evaluations
 
 

@@ -34,8 +34,8 @@ def linear():
     parts += [EXPRESSION_BUMPS[name] for name in ("smile", "pout", "surprise")]
     basis = [sum(displacement(bump, vertices, MODEL.landmarks) for bump in bumps) for bumps in parts]
     turn = np.diag([-1.0, -1.0, 1.0]) / 1000
-    basis = np.moveaxis(basis @ turn, 0, -1).astype(np.float32)
-    return LinearFaceModel("bumps", "0" * 64, vertices @ turn, basis, 12, faces)
+    basis = (basis @ turn).astype(np.float32)
+    return LinearFaceModel(vertices @ turn, basis, "bumps", "0" * 64, 12, faces)
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def jointed(linear):
         parents=np.array([-1, 0]),
         weights=weights,
         joint_mean=np.array([[0, 0.05, -0.1], [0, 0.03, -0.05]]),
-        joint_basis=np.zeros((2, 3, 15)),
+        joint_basis=np.zeros((15, 2, 3)),
     )
 
 
@@ -174,7 +174,7 @@ def test_correlated_errors_count_as_fewer_observations(linear):
     rng = np.random.default_rng(0)
     white = points + [0, 0, 1] * rng.normal(0, 0.3, (len(points), 1))
     waves = points + [0, 0, 0.3] * np.sin(points[:, :1] / 10) * np.sin(points[:, 1:2] / 10)
-    alone, together = (_Term(index, y, axes, count).settled(points, count) for y in (white, waves))
+    alone, together = (_Term(index, y, axes, count).with_scale_of(points, count) for y in (white, waves))
     assert alone.share > 0.3
     assert together.share < 0.05
     assert alone.scale == pytest.approx(0.3, rel=0.25)  # t's scale of normal noise is a little less

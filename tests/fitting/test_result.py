@@ -22,10 +22,6 @@ def test_it_is_usual_on_the_scan_and_grows_where_there_is_none_and_where_the_sur
     np.testing.assert_allclose(off, np.hypot(usual, 3))
 
 
-def odds(strain, median_mm, p95_mm):
-    return face_log_odds({"strain": strain, "residual_median_mm": median_mm, "residual_p95_mm": p95_mm})
-
-
 @pytest.mark.parametrize(
     "figures",
     [
@@ -48,11 +44,12 @@ def odds(strain, median_mm, p95_mm):
     ],
 )
 def test_nothing_speaks_against_what_is_reached_or_hardly_stretched(figures):
-    assert odds(*figures) == 0
+    assert face_log_odds(*figures) == 0
 
 
 def test_steps_that_a_stretched_model_does_not_reach_are_no_face():
     """Figures of a plate with bosses and ribs; the surest of 41 has odds of 5.5 from the search."""
-    assert odds(0.25, 0.12, 3.3) < -7
-    assert odds(0.25, 0.12, 3.3) < odds(0.25, 0.12, 2.0) < odds(0.25, 0.12, 1.5)
-    assert odds(0.25, 0.12, 3.3) < odds(0.15, 0.12, 3.3) < odds(0.12, 0.12, 3.3)
+    plate = face_log_odds(0.25, 0.12, 3.3)
+    assert plate < -7
+    assert plate < face_log_odds(0.25, 0.12, 2.0) < face_log_odds(0.25, 0.12, 1.5)
+    assert plate < face_log_odds(0.15, 0.12, 3.3) < face_log_odds(0.12, 0.12, 3.3)

@@ -3,16 +3,14 @@
 import numpy as np
 import pytest
 from helpers.meshes import grid
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision
-from scan2albedo.geometry.mesh import face_areas, vertex_areas, vertex_normals
+from scan2albedo.geometry.mesh import face_areas, vertex_normals
 from scan2albedo.geometry.operators import (
     bending,
-    filled_over_mesh,
     laplacian,
     linear_refinement,
-    surface_diffusion,
     vertex_average,
     vertex_minimum,
     vertex_normal_jacobian,
@@ -72,56 +70,6 @@ def test_linear_refinement_numbers_vertices_as_subdivision_does():
     assert areas.sum() == pytest.approx(1)
 
 
-def sheet(count):
-    vertices, faces = grid(count, count)
-    return 100 * (vertices - [0.5, 0.5, 0.0]), faces
-
-
-@pytest.mark.parametrize("count", [41, 81])
-def test_a_peak_spreads_over_the_distance_asked_for_whatever_the_resolution(count):
-    vertices, faces = sheet(count)
-    peak = (np.linalg.norm(vertices, axis=1) < 1e-9).astype(float)
-    bump = surface_diffusion(vertices, faces, 6.0)(peak) * vertex_areas(vertices, faces)
-    assert np.sqrt(bump @ vertices[:, 0] ** 2 / bump.sum()) == pytest.approx(6.0, rel=0.05)
-
-
-def test_the_integral_and_the_range_stay():
-    vertices, faces = sheet(21)
-    vertices[:, 2] = 10 * np.sin(vertices[:, 0] / 9)
-    values = np.random.default_rng(0).uniform(2, 3, (len(vertices), 2))
-    smooth = surface_diffusion(vertices, faces, 8.0)(values)
-    area = vertex_areas(vertices, faces)
-    assert_allclose(area @ smooth, area @ values)
-    assert smooth.min() >= 2
-    assert smooth.max() <= 3
-    assert smooth.std() < 0.5 * values.std()
-
-
-def test_vertices_that_stand_alone_keep_what_they_have():
-    vertices, faces = sheet(5)
-    vertices = np.vstack([vertices, [[0, 0, 50.0]]])
-    values = np.random.default_rng(0).normal(size=(26, 4, 2))
-    smooth = surface_diffusion(vertices, faces, 20.0)(values)
-    assert_array_equal(smooth[-1], values[-1])
-    assert_array_equal(surface_diffusion(vertices, faces, 0.0)(values), values)
-
-
-def test_slivers_and_long_distances_stay_finite():
-    vertices, faces = sheet(5)
-    vertices[7] = vertices[6] + [1e-9, 0, 0]
-    smooth = surface_diffusion(vertices, faces, 1e5)(np.arange(25.0))
-    assert np.ptp(smooth) < 1e-3
-
-
-def test_what_is_no_distance_or_not_a_value_a_vertex_is_refused():
-    vertices, faces = sheet(5)
-    for wrong in (-1.0, np.nan, np.inf):
-        with pytest.raises(ValueError, match="deviation_mm"):
-            surface_diffusion(vertices, faces, wrong)
-    with pytest.raises(ValueError, match="values have shape"):
-        surface_diffusion(vertices, faces, 1.0)(np.zeros(3))
-
-
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e5])
 def test_the_derivative_of_normals_agrees_with_finite_differences(model, scale):
     vertices, faces = model.surface(0)
@@ -138,20 +86,3 @@ def test_vertices_without_area_have_no_derivative():
     assert np.isfinite(jacobian).all()
     assert (jacobian[9:] == 0).all()
     assert np.abs(jacobian[:9]).max() > 0
-
-
-def test_a_linear_field_is_continued_exactly():
-    _, faces = grid(9, 9)
-    row, column = np.divmod(np.arange(81), 9)
-    values = np.stack([2.0 * row - column, 0.5 * column], 1)
-    hole = (abs(row - 4) < 3) & (abs(column - 4) < 3)
-    filled = filled_over_mesh(np.where(hole[:, None], np.nan, values), ~hole, faces)
-    assert_allclose(filled, values, atol=1e-9)
-
-
-def test_a_part_without_any_value_gets_the_mean():
-    faces, values = np.arange(6).reshape(2, 3), np.array([1.0, 3, 9, 9, 9, 9])
-    filled = filled_over_mesh(values[:, None], values < 9, faces)
-    assert_allclose(filled.ravel(), [1, 3, 2, 2, 2, 2])
-    with pytest.raises(ValueError, match="no vertex is known"):
-        filled_over_mesh(values[:, None], values < 0, faces)

@@ -52,7 +52,7 @@ def load(path, data):
 
 def assert_same(model, basis, shapes):
     assert_allclose(model.mean, MEAN, rtol=1e-6)
-    assert_allclose(model.basis, basis, rtol=1e-5, atol=1e-6)
+    assert_allclose(model.basis, np.moveaxis(basis, 2, 0), rtol=1e-5, atol=1e-6)
     assert_array_equal(model.faces, FACES)
     assert model.shapes == shapes
     assert len(model.sha256) == 64

@@ -14,7 +14,7 @@ from scan2albedo.reflectance import (
     reflectance_from_albedo,
     shade_environment,
 )
-from scan2albedo.reflectance.face_fit import ShadingDivided, detail_field
+from scan2albedo.reflectance.albedo_details import ShadingDivided, detail_field
 
 SIDE = 41
 SQUARE, FACES = grid(SIDE, SIDE)

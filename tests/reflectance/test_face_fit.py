@@ -20,7 +20,8 @@ from scan2albedo.reflectance import (
     reflectance_from_albedo,
     shade_environment,
 )
-from scan2albedo.reflectance.face_fit import ShadingDivided, detail_field, skin_hue
+from scan2albedo.reflectance.albedo_details import ShadingDivided, detail_field
+from scan2albedo.reflectance.face_fit import skin_hue
 
 DIRECTIONS = distant_directions(1600)
 NORMALS = DIRECTIONS[DIRECTIONS[:, 2] > 0]

@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull
 
 from scan2albedo.core import Budget
 from scan2albedo.errors import ReflectanceError
-from scan2albedo.geometry.operators import surface_diffusion
+from scan2albedo.geometry.fields import surface_diffusion
 from scan2albedo.reflectance import MorphableReflectanceModel, finetune, fit_image
 from scan2albedo.reflectance.finetune import best_change, is_improvement, smoothed
 

@@ -60,12 +60,6 @@ def test_samples_come_back_with_their_weights_and_coefficients_of_unit_variance(
         assert found.clipped_share == 0
 
 
-def test_fewer_components_are_the_first_ones():
-    samples = faces(8)
-    full, cut = (learned(samples, components=n) for n in (None, 3))
-    assert_allclose(cut.diffuse.basis, full.diffuse.basis[:3], rtol=0, atol=1e-14)
-
-
 def test_one_sample_or_its_copies_are_a_mean_and_two_have_one_direction():
     samples = faces(2)
     one = learned(samples[:1])

@@ -23,17 +23,6 @@ def learned(count=30, expressions=6):
     return MorphableShapeModel.from_samples(people(count), offsets, FACES, MARKS)
 
 
-def test_directions_have_the_samples_mean_and_covariance():
-    shapes, model = people(30).reshape(30, -1), learned(expressions=0)
-    assert_allclose(model.mean.ravel(), shapes.mean(0))
-    assert model.identity_components == 4
-    flat = model.basis.reshape(4, -1)
-    assert_allclose(flat.T @ flat, np.cov(shapes.T), atol=1e-10)
-    lengths = np.linalg.norm(flat, axis=1)
-    assert (np.diff(lengths) < 0).all()
-    assert_allclose(flat @ flat.T, np.diag(lengths**2), atol=1e-9 * lengths[0] ** 2)
-
-
 def test_expressions_have_the_covariance_of_offsets_around_the_neutral_face():
     offsets = (people(6, 3) - 50).reshape(6, -1)
     flat = learned().basis[4:].reshape(4, -1)

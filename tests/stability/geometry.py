@@ -6,9 +6,9 @@ import numpy as np
 import trimesh
 
 from scan2albedo.geometry.closest_points import ClosestPointQuery, NearestSurface
+from scan2albedo.geometry.fields import surface_diffusion
 from scan2albedo.geometry.loop_subdivision import LoopSubdivision
 from scan2albedo.geometry.mesh import turned_against_neighbours
-from scan2albedo.geometry.operators import surface_diffusion
 from scan2albedo.geometry.rigid import compose, procrustes, random_rotation, transform_points
 from stability.case import below, each, gap, refuses, right, table
 from stability.scenes import mixed, moebius, with_one

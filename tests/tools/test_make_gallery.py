@@ -36,7 +36,7 @@ def test_the_jaw_of_the_synthetic_model_parts_the_lips(tmp_path):
         for name in ("upper_lip", "lower_lip")
     )
     middle = np.abs(linear.mean[:, 0]) < 5
-    coefficients = np.zeros(linear.basis.shape[2])
+    coefficients = np.zeros(linear.components)
     coefficients[linear.shapes + linear.names.index("jawOpen")] = 1
     down = linear.mean[:, 1] - linear.at(coefficients)[:, 1]
     jaw = -make_gallery.JAW_MM[1]

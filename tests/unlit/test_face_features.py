@@ -7,7 +7,7 @@ from helpers.faces import painted, unseen
 from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.applications import SwapOptions, blend_faces, swap_texture
-from scan2albedo.face_model.appearance import CLASSES
+from scan2albedo.face_model.materials import CLASSES
 from scan2albedo.unlit.face_features import (
     feature_texels,
     grown,

@@ -9,7 +9,7 @@ from helpers.records import read_json
 from numpy.testing import assert_allclose
 
 import scan2albedo as s2a
-from scan2albedo.face_model.appearance import CLASSES, AppearanceModel, beyond_chart
+from scan2albedo.face_model.materials import CLASSES, MaterialModel, materials_beyond_chart
 from scan2albedo.geometry.mesh import neighbour_mean
 from scan2albedo.geometry.rasterization import interpolate, pixels_from_uv, rasterize
 from scan2albedo.io.images import read_image_linear, read_image_values
@@ -104,14 +104,14 @@ def shares_of(far, direction, place, brighter=0.0):
     color += np.outer(beyond, far)
     normal, places = 0 * offset + [0, 0, 1], np.tile(place, (len(flat), 1))
     mean, skin = neighbour_mean(len(flat), faces), (distance < 20) * 1.0
-    return beyond_chart(color, normal, skin, places, offset, mean, (4 / 30) ** 2), beyond
+    return materials_beyond_chart(color, normal, skin, places, offset, mean, 4.0), beyond
 
 
 def test_dark_is_hair_above_the_forehead_and_white_is_cloth_below_the_chin():
     hair, cloth = CLASSES.index("hair") - 1, CLASSES.index("cloth") - 1
     dark = [-2.2, -1.8, -1.5], (0, 1, 0), (0.02, 0.5)
     found, beyond = shares_of(*dark)
-    assert found.shape == (len(AppearanceModel.default().share), len(beyond))
+    assert found.shape == (len(MaterialModel.default().share), len(beyond))
     assert_allclose(found.sum(0), 1)
     assert np.median(found[hair, beyond]) > 0.9
     assert np.median(found[0, ~beyond]) > 0.9

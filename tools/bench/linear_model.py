@@ -31,7 +31,7 @@ from scan2albedo.fitting.linear_model import fit_linear_model
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import invert_rigid, procrustes, rotation_from_vector, transform_points
 from scan2albedo.io.linear_model_files import LinearFaceModel
-from scan2albedo.reflectance.linear_model import principal_directions
+from scan2albedo.statistics.linear_model import LinearModel, principal_directions
 from scan2albedo.templates.annotated_face_model import linear_model_places
 
 EXPRESSION_SD = 0.4
@@ -56,11 +56,10 @@ def ict_model(without: str = "") -> tuple[LinearFaceModel, IntArray]:
     stage = LightStage.load()
     people = np.array([shape for name, shape in stage.shapes.items() if name != without])
     mean = people.mean(0)
-    off = people - mean
-    directions = np.tensordot(principal_directions(off, None, size=float(np.sum(mean**2)))[0], off, 1)
+    directions, _ = principal_directions(people - mean, size=float(np.sum(mean**2)))
     expressions = [EXPRESSION_SD * stage.expressions[name] for name in moves()]
-    basis = np.moveaxis(np.concatenate([directions, expressions]), 0, -1)
-    model = LinearFaceModel("ict", "0" * 64, mean, basis, len(directions), stage.face_area)
+    basis = np.concatenate([directions, expressions])
+    model = LinearFaceModel(mean, basis, "ict", "0" * 64, len(directions), stage.face_area)
     return model, stage.landmarks[17:]
 
 
@@ -99,32 +98,30 @@ def ours(scene: Scene) -> Answer:
 
 def by_landmarks(scene: Scene) -> Answer:
     model = scene.model
-    mean = model.mean[scene.landmarks]
-    basis = model.basis[scene.landmarks].astype(float)
-    pose = procrustes(mean, scene.points)
+    marks = model.of(scene.landmarks)
+    pose = procrustes(marks.mean, scene.points)
 
-    def placed(x: FloatArray, mean: FloatArray, basis: FloatArray) -> FloatArray:
+    def placed(x: FloatArray, part: LinearModel) -> FloatArray:
         turn = rotation_from_vector(x[:3]) @ pose[:3, :3]
-        return (mean + basis @ x[6:]) @ turn.T + pose[:3, 3] + x[3:6]
+        return part.at(x[6:]) @ turn.T + pose[:3, 3] + x[3:6]
 
     def residuals(x: FloatArray) -> FloatArray:
-        off_m = (placed(x, mean, basis) - scene.points) / 1000
+        off_m = (placed(x, marks) - scene.points) / 1000
         return np.concatenate([off_m.ravel(), METRES_WEIGHT * x[6:]])
 
-    x = least_squares(residuals, np.zeros(6 + basis.shape[2]), method="lm").x
-    return Answer(placed(x, model.mean, model.basis), x[6:])
+    x = least_squares(residuals, np.zeros(6 + model.components), method="lm").x
+    return Answer(placed(x, model), x[6:])
 
 
 def best_of_basis(scene: Scene) -> Answer:
     """Return the model's vertices whose face is nearest to the truth, all correspondences given."""
     model = scene.model
-    coefficients = np.zeros(model.basis.shape[2])
+    coefficients = np.zeros(model.components)
     for _ in range(30):
         pose = procrustes(model.at(coefficients)[FACE], scene.truth[FACE], scale=True)
         own = transform_points(np.linalg.inv(pose), scene.truth)[FACE]
-        rows = model.basis[FACE].reshape(-1, len(coefficients)).astype(float)
-        coefficients = np.linalg.lstsq(rows, (own - model.mean[FACE]).ravel(), rcond=None)[0]
-    return Answer(transform_points(pose, model.mean + model.basis @ coefficients))
+        coefficients = model.of(FACE).fit(own, prior=0).mean
+    return Answer(transform_points(pose, model.at(coefficients)))
 
 
 def errors(scene: Scene, answer: Answer) -> dict[str, float]:
@@ -166,7 +163,7 @@ def scene_of(
 def own_shape(seed: int) -> Scene:
     model, landmarks = ict_model()
     rng = np.random.default_rng([0, seed])
-    truth = rng.normal(size=model.basis.shape[2])
+    truth = rng.normal(size=model.components)
     # Expressions have no opposite.
     truth[model.shapes :] = np.abs(truth[model.shapes :])
     return scene_of(model, landmarks, model.at(truth), seed, rng, truth)
@@ -182,12 +179,12 @@ def mixture(name: str, without: str, seed: int) -> Scene:
     model, landmarks = ict_model(without)
     names = moves()
     basis = np.array(model.basis, float)
-    basis[..., model.shapes :] /= EXPRESSION_SD
+    basis[model.shapes :] /= EXPRESSION_SD
     rng = np.random.default_rng([0, seed])
     weights = np.zeros(len(names))
     weights[rng.choice(len(names), 3, replace=False)] = rng.uniform(0.3, 0.9, 3)
     truth = np.concatenate([np.zeros(model.shapes), weights])
-    shape = LightStage.load().shapes[name] + basis[..., model.shapes :] @ weights
+    shape = LightStage.load().shapes[name] + np.tensordot(weights, basis[model.shapes :], 1)
     return scene_of(replace(model, basis=basis, names=names), landmarks, shape, seed, rng, truth)
 
 

@@ -1,4 +1,4 @@
-"""Learn what skin, brows, eyes, lips, nostrils and hair look like and where they are: `AppearanceModel`.
+"""Learn what skin, brows, eyes, lips, nostrils and hair look like and where they are: `MaterialModel`.
 
 The heads are sixteen of the VALID avatars (NOTICE), which share one layout of their texture: brows, lips,
 eyes and nostrils are at known places there (`OUTLINES`), of a brow what is darker than the skin beside it.
@@ -19,13 +19,13 @@ from scipy.ndimage import gaussian_filter
 import scan2albedo as s2a
 from build import fitted_heads, output
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.face_model.appearance import (
+from scan2albedo.face_model.materials import (
     CLASSES,
     TEXEL_MM,
-    AppearanceModel,
-    features_of,
+    MaterialModel,
+    chart_features,
+    fit_light,
     light_basis,
-    skin_in_light,
 )
 from scan2albedo.geometry.rasterization import area_mean
 
@@ -192,15 +192,15 @@ def shown(image: s2a.GeometryImage, truth: NDArray[np.uint8], rng: np.random.Gen
     )
     cells = np.where((classes.max(-1) > 0.6) & (part > 0.5), classes.argmax(-1), 0).astype(np.uint8)
     skin = cells == NUMBER["skin"]
-    colors, grain = features_of(color, normal, part, skin.astype(float), TEXEL_MM)
+    colors, grain = chart_features(color, part, skin.astype(float), TEXEL_MM)
     start = np.median(colors[skin], axis=0)
-    light = skin_in_light(light_basis(normal)[skin], colors[skin], np.full(skin.sum(), 1.0), start)
+    light = fit_light(light_basis(normal)[skin], colors[skin], np.full(skin.sum(), 1.0), start)
     relative = np.dstack([colors - light_basis(normal) @ light, grain])
     shade = area_mean(left, (CELLS, CELLS)) < SHADE
     return Shown(replace(image, texture_linear=texture.astype(np.float32)), cells, relative, shade)
 
 
-def learn(shown_heads: list[Shown], plain: list[NDArray[np.uint8]]) -> AppearanceModel:
+def learn(shown_heads: list[Shown], plain: list[NDArray[np.uint8]]) -> MaterialModel:
     """Return the model of heads in several lights; `plain` (SIZE, SIZE) are their classes before painting."""
     of = {name: [one.truth == NUMBER[name] for one in shown_heads] for name in CLASSES[1:]}
     of["shade"] = [where & one.shade for where, one in zip(of["skin"], shown_heads, strict=True)]
@@ -226,7 +226,7 @@ def learn(shown_heads: list[Shown], plain: list[NDArray[np.uint8]]) -> Appearanc
     shares = np.array(share) / sum(share) + least[:, None, None]
     coarse = shares.reshape(len(shares), CELLS // 2, 2, CELLS // 2, 2).mean((2, 4))
     parts = np.array(means), np.array(covariances)
-    return AppearanceModel(coarse / coarse.sum(0), *parts, shaded / (bright + shaded))
+    return MaterialModel(coarse / coarse.sum(0), *parts, shaded / (bright + shaded))
 
 
 def main(arguments: list[str]) -> None:

@@ -19,6 +19,7 @@ from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import face_normals
 from scan2albedo.geometry.pinhole import projected
 from scan2albedo.optimization.least_squares import Damping, NormalEquations, minimize
+from scan2albedo.statistics.robust import huber_loss, huber_weights
 
 ROBUST = 2.0
 """Standard deviations from which labels count less and less (Cauchy), outlines by their size (Huber)."""
@@ -199,25 +200,19 @@ class RegistrationObjective:
             bias = 0.0
             along = 1 / noise[mine]
             for _ in range(_REWEIGHTINGS):
-                weight = VOTE * _huber_weights(residual[mine] - bias * along)
+                weight = VOTE * huber_weights(residual[mine] - bias * along, ROBUST)
                 tight = float(weight @ along**2) + 1 / BIAS_PX**2
                 bias = float((weight * along) @ residual[mine]) / tight
             residual[mine] -= bias * along
-            weight = VOTE * _huber_weights(residual[mine])
+            weight = VOTE * huber_weights(residual[mine], ROBUST)
             error[mine] -= bias
             sums.cost += (bias / BIAS_PX) ** 2
             # What the bias takes from the matrix: all values may be off by one amount.
             common = rows[mine].T @ (weight * along)
             sums.matrix -= np.outer(common, common) / (float(weight @ along**2) + 1 / BIAS_PX**2)
-        size = np.abs(residual)
-        cost = np.where(size > ROBUST, ROBUST * (2 * size - ROBUST), size**2)
-        sums.add(rows, residual, VOTE * _huber_weights(residual))
-        sums.cost += float(VOTE * cost.sum())
+        sums.add(rows, residual, VOTE * huber_weights(residual, ROBUST))
+        sums.cost += 2 * float(VOTE * huber_loss(residual, ROBUST).sum())
         return error
-
-
-def _huber_weights(residual: FloatArray) -> FloatArray:
-    return ROBUST / np.maximum(np.abs(residual), ROBUST)
 
 
 class _Sums:

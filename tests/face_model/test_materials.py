@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scan2albedo.face_model.appearance import CLASSES, appearance
+from scan2albedo.face_model.materials import CLASSES, chart_materials
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.synthetic import face, light_at
 
@@ -40,7 +40,7 @@ class Face:
         return (self.albedo * light).astype(np.float32)
 
     def skin(self, texture, **sources):
-        return appearance(self.position, self.normal, self.mask, texture, **sources).skin
+        return chart_materials(self.position, self.normal, self.mask, texture, **sources).skin
 
 
 class Person:
@@ -60,7 +60,7 @@ class Person:
         image, place = self.image, np.stack([self.row, self.column], -1)
         parts = {"albedo": self.albedo, "light": self.light} | changes
         texture = (parts["albedo"] * parts["light"]).astype(np.float32)
-        return appearance(image.position, image.normal, image.seen, texture, place=place)
+        return chart_materials(image.position, image.normal, image.seen, texture, place=place)
 
     def share(self, labels, name, where):
         return np.mean(labels[where & self.image.mask] == CLASSES.index(name))

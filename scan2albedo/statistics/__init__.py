@@ -1,0 +1,1 @@
+"""Linear models, robust losses, effective counts of correlated texels."""
