@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from scan2albedo.fitting import FittedFace, fit
     from scan2albedo.io import load_scan
     from scan2albedo.io.geometry_image_files import read_geometry_image
-    from scan2albedo.pipeline.options import Quality
     from scan2albedo.pipeline.person import PersonResult, process_person
     from scan2albedo.pipeline.process import process
+    from scan2albedo.pipeline.quality import Quality
     from scan2albedo.pipeline.result import ProcessResult
     from scan2albedo.pipeline.sequence import SequenceResult, process_sequence
     from scan2albedo.registration import Registration, register
@@ -48,9 +48,9 @@ _HOMES = {
     "fitting": ("FittedFace", "fit"),
     "io": ("load_scan",),
     "io.geometry_image_files": ("read_geometry_image",),
-    "pipeline.options": ("Quality",),
     "pipeline.person": ("PersonResult", "process_person"),
     "pipeline.process": ("process",),
+    "pipeline.quality": ("Quality",),
     "pipeline.result": ("ProcessResult",),
     "pipeline.sequence": ("SequenceResult", "process_sequence"),
     "registration": ("Registration", "register"),

@@ -96,6 +96,8 @@ def lacks_of_class(node):
             named |= {above, *re.findall(r"`(\w+)`", line.value.value)}
         above = ast.unparse(line.target) if isinstance(line, ast.AnnAssign) else None
         fields |= {above} - {None}
+        if above and ast.unparse(line.value or line.target).startswith("option("):  # has its help
+            named.add(above)
     yield from sorted(field for field in fields - named if field[0] != "_")
     yield from sorted(f"no field {name}" for name in documented - fields)
 

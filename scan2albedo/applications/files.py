@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from scan2albedo.applications.relighting import relight
-from scan2albedo.core import GeometryImage, PointLight
+from scan2albedo.core import PointLight
 from scan2albedo.core.arguments import described
 from scan2albedo.core.arrays import Values, attributes
 from scan2albedo.core.lights import LAMP_RADIUS_DEG
@@ -23,18 +23,17 @@ from scan2albedo.io.images import read_image_linear, write_exr, write_png
 from scan2albedo.io.landmark_files import LANDMARKS_FILE, LandmarksRecord
 from scan2albedo.io.limits import DAMAGE
 from scan2albedo.io.records import plain_json, read_record
-from scan2albedo.io.result_records import APPLICATION_FILE, ApplicationRecord, ResultRecord
+from scan2albedo.io.result_records import APPLICATION_FILE, RESULT_FILE, ApplicationRecord, ResultRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
 from scan2albedo.lighting.shading import Reflectance
 from scan2albedo.rendering.pictures import auto_exposure
-from scan2albedo.unlit.processed_face import NO_MODEL, SAME_PLACE_MM, FaceMesh, ProcessedFace
+from scan2albedo.unlit.processed_face import NO_MODEL, OF_LIGHT, SAME_PLACE_MM, FaceMesh, ProcessedFace
 
 if TYPE_CHECKING:
     from scan2albedo.albedo import AlbedoEstimate
-    from scan2albedo.core.raw_scan import RawScan
+    from scan2albedo.core import GeometryImage, RawScan
     from scan2albedo.fitting import FittedFace
 
-RESULT_FILE = "result.json"
 FACE_FILES = OwnFiles(
     APPLICATION_FILE,
     ApplicationRecord,
@@ -42,8 +41,6 @@ FACE_FILES = OwnFiles(
     command="scan2albedo swap, blend or transfer-expression",
 )
 """Of a face that an application made."""
-_AS_STORED = ("name", "lights", "environment", "casts_shadows", "view_direction", "shadow_offset_mm")
-"""Fields of a face that its record has by the same names."""
 PORTRAIT_LIGHT = PointLight(np.deg2rad(35), np.deg2rad(25), intensity=3.0, radius_deg=LAMP_RADIUS_DEG)
 """Of `picture.png`, which is to show shape and skin whatever light the scan was taken in."""
 
@@ -77,29 +74,17 @@ def load_result(source: str | Path | ProcessedScan, *, need_albedo: bool = True)
             raise ApplicationError(text) from error
     if not hasattr(source, "albedo"):
         raise TypeError(f"load_result: source is {described(source)}, expected str or Path or ProcessResult")
-    estimate, fitted, image, name = source.albedo, source.fitted, source.geometry_image, source.scan.name
-    mesh = FaceMesh.of_chart(image) if fitted is None else FaceMesh(fitted.vertices, fitted.faces, fitted.uv)
-    model_name = NO_MODEL if fitted is None else fitted.model.name
-    if estimate is None:
-        found = _without_albedo(image, need_albedo, name)
-    else:
-        taken = "albedo_linear", "reflectance", "expected_error", *_AS_STORED[1:]
-        found = {field: getattr(estimate, field) for field in taken}
-    landmarks = None if fitted is None else fitted.landmarks
-    return ProcessedFace(
-        name=name, image=image, mesh=mesh, model_name=model_name, landmarks=landmarks, **found
+    name = source.scan.name
+    if source.albedo is None and need_albedo:
+        raise _no_albedo(name)
+    return ProcessedFace.of_stages(name, source.geometry_image, source.fitted, source.albedo)
+
+
+def _no_albedo(where: str | Path) -> ApplicationError:
+    return ApplicationError(
+        f"{where}: holds no albedo, for the scan has no colour or the stage was skipped; process a "
+        "coloured scan with the stage albedo"
     )
-
-
-def _without_albedo(image: GeometryImage, needed: bool, where: str | Path) -> Values:
-    """Return fields of a `ProcessedFace` in grey; ApplicationError where the albedo is needed."""
-    if needed:
-        raise ApplicationError(
-            f"{where}: holds no albedo, for the scan has no colour or the stage was skipped; process a "
-            "coloured scan with the stage albedo"
-        )
-    grey = np.full((*image.shape, 3), 0.5, np.float32)
-    return {"albedo_linear": grey, "reflectance": Reflectance("lambert"), "lights": (), "has_albedo": False}
 
 
 def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
@@ -115,7 +100,7 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
     else:
         file = folder / APPLICATION_FILE
         made = read_record(file, ApplicationRecord)
-        found = attributes(made, *_AS_STORED) | {"model_name": made.model}
+        found = attributes(made, "name", *OF_LIGHT) | {"model_name": made.model}
         parameters, chart_mesh = made.reflectance, made.chart_mesh
         found["landmarks"] = None if made.landmarks is None else np.array(made.landmarks)
     if parameters:
@@ -133,7 +118,9 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
             found["expected_error"] = read_image_linear(stored)[..., 0]
     else:
         image = read_geometry_image(_present(folder, "geometry_image.npz"))
-        found |= _without_albedo(image, need_albedo, folder)
+        if need_albedo:
+            raise _no_albedo(folder)
+        found |= ProcessedFace.grey(image)
     if (stored := folder / LANDMARKS_FILE).is_file():
         placed = read_record(stored, LandmarksRecord).landmarks
         found["landmarks"] = np.array([landmark.model_mm for landmark in placed])
@@ -213,7 +200,7 @@ def write_face(
         write_glb(staging.folder / "fitted.glb", mesh.vertices, mesh.faces, mesh.uv, preview)
         write_png(staging.folder / "picture.png", relight(face, [PORTRAIT_LIGHT]).picture().srgb())
         staging.write_record(
-            **attributes(face, *_AS_STORED),
+            **attributes(face, "name", *OF_LIGHT),
             application=application,
             inputs=tuple(given.name for given in inputs),
             options=plain_json(options or {}),

@@ -142,8 +142,8 @@ def _processed(task: ScanTask, layout: Layout) -> Values:
 
     # Loads the libraries that are to be limited to one thread: processes share the cores.
     from scan2albedo.pipeline.person import process_person
-    from scan2albedo.pipeline.process import process
-    from scan2albedo.pipeline.result import FILES, ProcessResult, write_result
+    from scan2albedo.pipeline.process import FILES, process, write_result
+    from scan2albedo.pipeline.result import ProcessResult
 
     with threadpool_limits(limits=1):
         earlier = layout.row(task.name)

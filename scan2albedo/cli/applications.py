@@ -143,8 +143,8 @@ def bake(
     from scan2albedo.io import load_scan
     from scan2albedo.io.load_scan import load_scan_with
     from scan2albedo.io.units import MM_PER_UNIT
-    from scan2albedo.pipeline.mesh_files import write_template
     from scan2albedo.pipeline.process import process
+    from scan2albedo.unlit.files import write_template
 
     checked_budget(None, unit)
     if out.suffix.lower() != ".obj" or out.resolve() in (source.resolve(), target.resolve()):

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import inspect
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
 from scan2albedo.cli import common
 from scan2albedo.cli.applications import bake, blend, personal_model, swap, transfer_expression
+from scan2albedo.cli.flags import DemoCommand, OptionsCommand
 from scan2albedo.cli.glasses import app as glasses_app
 from scan2albedo.cli.identify import identify
 from scan2albedo.cli.reflectance import app as reflectance_app
@@ -23,9 +24,7 @@ from scan2albedo.core.landmarks import AUTO
 from scan2albedo.core.raw_scan import lost_texture, scan_name
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import Scan2AlbedoError, one_line
-
-if TYPE_CHECKING:
-    from scan2albedo.pipeline.options import ProcessOptions
+from scan2albedo.pipeline.options import ProcessOptions
 
 BARE_ERRORS = (ValueError, MemoryError, OverflowError, RecursionError)
 """What the library raises of options that it refuses, and of work that is too large for the machine."""
@@ -58,121 +57,36 @@ OutOption = Annotated[Path, typer.Option("--out", "-o", help="Folder for the res
 Strict = Annotated[bool, typer.Option("--strict", help="Exit with 1 where a scan's texture is missing.")]
 
 
-def _flags(
-    model: str = typer.Option(
-        "default", help="A model's JSON file; a template's mesh; 'default'; or 'none' for an object, no face."
-    ),
-    size: int | None = typer.Option(
-        None,
-        help="Height and width of the geometry image in texels; else 512, in drafts 256, in best 1024.",
-        min=8,
-    ),
-    lights: str = typer.Option("auto", help="'auto', or how many."),
-    brdf: str = typer.Option("oren-nayar", help="oren-nayar, lambert, minnaert or spherical-harmonics."),
-    unit: str = typer.Option("auto", help="auto, mm, cm or m."),
-    quality: str = typer.Option(
-        "standard", help="draft, standard, best (standard with 1024 texels a side), or paper.", metavar="NAME"
-    ),
-    budget: float | None = typer.Option(None, help="Seconds a scan may take."),
-    seed: int = typer.Option(0, help="Seed of every random step.", min=0),
-    skip: list[str] | None = typer.Option(None, help="A stage to leave out; may be repeated."),
-    force: list[str] | None = typer.Option(
-        None, help="An optional step to carry out in any case, such as albedo.shadows; may be repeated."
-    ),
-    pictures: bool = typer.Option(True, help="Draw overview.png and error_vs_time.png among the files."),
-    files: str = typer.Option(
-        "standard", help="minimal: without pictures, EXR of the geometry image and light; standard; or all."
-    ),
-    textures: str | None = typer.Option(
-        None, help="Folder from which textures may be read beside the scan's own.", metavar="DIR"
-    ),
-    landmarks: str | None = typer.Option(
-        None,
-        help="Landmarks placed by hand, any of 68: a CSV, JSON or MeshLab .pp file, or a folder with files "
-        "named after the scans; or auto for those that MediaPipe finds (needs the extra named landmarks).",
-        metavar="FILE|auto",
-    ),
-    unlit: str | None = typer.Option(
-        None,
-        help="Also write the scan itself without its light: 'face', or 'all' of it with the same lamps.",
-        metavar="face|all",
-    ),
-    maps: str | None = typer.Option(
-        None,
-        help="Also normal, displacement, cavity, occlusion, roughness, specular maps, GLB and OpenUSD: "
-        "on the chart, the scan's own texture coordinates, or your template's.",
-        metavar="chart|scan|template",
-    ),
-    texture_size: int = typer.Option(
-        1024, help="Height and width of those, and of the texture on your own template, up to 8192.", min=8
-    ),
-    white_balance: str = typer.Option(
-        "none",
-        help="none; grey-skin: skin gets people's mean colour; or the linear colour of something grey in it.",
-        metavar="none|grey-skin|R,G,B",
-    ),
-    linear_model: str | None = typer.Option(
-        None,
-        help="A linear (morphable) model's file (FLAME, Basel, Surrey, your own) to fit coefficients of.",
-        metavar="FILE",
-    ),
-) -> None:
-    """Hold the flags of `process`, `person`, `batch` and `demo`, named as the fields of `ProcessOptions`."""
+Options = Annotated[ProcessOptions, typer.Option(parser=ProcessOptions)]
+"""The flags of `process`, for an `OptionsCommand`."""
 
 
-def _with_flags(*names: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Give a command, which takes them as `**flags`, those of `_flags` before its own optional ones."""
-
-    def decorated(command: Callable[..., None]) -> Callable[..., None]:
-        shared = inspect.signature(_flags, eval_str=True).parameters
-        *own, _ = inspect.signature(command, eval_str=True).parameters.values()
-        place = [option.default is not option.empty for option in own].index(True)
-        own[place:place] = [shared[name] for name in names or shared]
-        command.__signature__ = inspect.Signature(own)  # type: ignore[attr-defined]
-        return command
-
-    return decorated
-
-
-def _process_options(context: typer.Context, scans: Sequence[Path] = ()) -> ProcessOptions:
-    from dataclasses import fields
-
-    from scan2albedo.pipeline.options import ProcessOptions
-
-    names = {option.name for option in fields(ProcessOptions)}
-    given = {name: value for name, value in context.params.items() if name in names}
-    given |= {name: tuple(given.get(name) or ()) for name in ("skip", "force")}
+def _check_scans(scans: Sequence[Path], options: ProcessOptions) -> None:
+    """Refuse scans that would share a folder, or one file of landmarks."""
     common.refuse_shared_folders(scans)
-    try:
-        options = ProcessOptions(**given)
-    except ValueError as error:
-        raise typer.BadParameter(str(error)) from None
     if len(scans) > 1 and options.landmarks not in (None, AUTO) and not Path(options.landmarks).is_dir():
         raise typer.BadParameter(
             f"--landmarks is {options.landmarks}: for several scans give a folder with files named after them"
         )
-    return options
 
 
-@app.command()
-@_with_flags()
+@app.command(cls=OptionsCommand)
 def process(
-    context: typer.Context,
     scans: Annotated[list[Path], typer.Argument(help="OBJ, PLY, GLB, STL or OFF files.", metavar="SCAN...")],
     out: OutOption,
+    options: Options,
     strict: Strict = False,
     json_summary: common.JsonOption = False,
-    **flags: Any,
 ) -> None:
     """Process raw scans: register, fit, sample, find the light, remove it."""
-    options = _process_options(context, scans)
+    _check_scans(scans, options)
     from scan2albedo.pipeline.process import process as run
     from scan2albedo.templates import chosen_model
 
     template = chosen_model(options.model)
     for note in template.notes if template is not None else ():
         common.say(f"{options.model}: {note}")
-    chosen = options.arguments() | {"model": template or "none"}
+    options = replace(options, model=template or "none")
     summaries: list[Values] = []
     failures = 0
     lost = False
@@ -181,7 +95,7 @@ def process(
         with common.working(name, out) as progress:
             progress.say(f"{name}: reading {path}")
             try:
-                result = run(path, out=out, on_progress=progress.update, **chosen)
+                result = run(path, out, options, on_progress=progress.update)
             except (Scan2AlbedoError, *BARE_ERRORS) as error:
                 failures += 1
                 for doubt in getattr(error, "__notes__", ()):
@@ -204,27 +118,25 @@ def process(
         raise typer.Exit(common.SOME_FAILED)
 
 
-@app.command()
-@_with_flags()
+@app.command(cls=OptionsCommand)
 def person(
-    context: typer.Context,
     name: Annotated[str, typer.Argument(help="Of the person: the results get a folder of this name.")],
     scans: Annotated[list[Path], typer.Argument(help="Scans of the person.", metavar="SCAN...")],
     out: OutOption,
+    options: Options,
     sequence: bool = typer.Option(False, "--sequence", help="The scans are a take's frames, in order."),
     fps: float = typer.Option(30.0, help="Frames a second of --sequence."),
     json_summary: common.JsonOption = False,
-    **flags: Any,
 ) -> None:
     """Process several scans of one person into one shape and one albedo, or a take into a mesh that moves."""
-    options = _process_options(context, () if sequence else scans).arguments()
+    _check_scans([] if sequence else scans, options)
     from scan2albedo.pipeline.person import process_person
     from scan2albedo.pipeline.sequence import process_sequence
 
     with common.working(name, out) as progress:
         progress.say(f"{name}: {len(scans)} {'frames' if sequence else 'scans'}")
         run = partial(process_sequence, fps=fps) if sequence else process_person
-        result = run(scans, out, name=name, on_progress=progress.update, **options)
+        result = run(scans, out, name=name, on_progress=progress.update, **options.arguments())
         for note in result.notes:
             progress.say(f"{name}: {note}")
         progress.say(result.summary())
@@ -236,10 +148,8 @@ def person(
         raise typer.Exit(common.SOME_FAILED)
 
 
-@app.command()
-@_with_flags()
+@app.command(cls=OptionsCommand)
 def batch(
-    context: typer.Context,
     manifest: Annotated[
         Path,
         typer.Argument(
@@ -250,6 +160,7 @@ def batch(
     out: Annotated[
         Path, typer.Option("--out", "-o", help="Folder for the results, catalogue.parquet and batch.json.")
     ],
+    options: Options,
     jobs: int = typer.Option(0, help="Processes; 0 for one a core, memory allowing.", min=0),
     scheduler: str | None = typer.Option(
         None, help="Address of a dask scheduler, such as tcp://10.0.0.5:8786."
@@ -260,12 +171,10 @@ def batch(
     ),
     strict: Strict = False,
     json_summary: common.JsonOption = False,
-    **flags: Any,
 ) -> None:
     """Process many scans, several at a time; a scan that fails, or kills its worker, stops no other."""
     if timeout is not None and not timeout > 0:
         raise typer.BadParameter(f"--timeout is {timeout:g}, expected seconds above 0")
-    options = _process_options(context)
     from scan2albedo.batch import run_batch
     from scan2albedo.cli.progress import BatchLines
     from scan2albedo.io.atomic import removed_if_empty
@@ -300,20 +209,23 @@ def batch(
         raise typer.Exit(common.SOME_FAILED)
 
 
-@app.command()
-@_with_flags("size", "quality", "seed")
+@app.command(cls=DemoCommand)
 def demo(
-    context: typer.Context,
+    options: Options,
     out: OutOption = Path("demo_out"),
     json_summary: common.JsonOption = False,
-    **flags: Any,
 ) -> None:
     """Process the built-in raw scan and print the error against its ground truth."""
-    _process_options(context)
     from scan2albedo.pipeline.demo import run_demo
 
     with common.working("demo", out) as progress:
-        done = run_demo(out, **flags, on_progress=progress.update)
+        done = run_demo(
+            out,
+            size=options.size,
+            quality=options.quality,
+            seed=options.seed,
+            on_progress=progress.update,
+        )
         progress.say(done.result.summary())
     if json_summary:
         common.echo_json(done.figures())

@@ -101,7 +101,7 @@ def relight(
     from scan2albedo.applications.light_sweep import FRAMES
     from scan2albedo.io.images import read_image_linear
     from scan2albedo.io.run_folder import RunFolder
-    from scan2albedo.pipeline.result import FILES as SCAN_FILES
+    from scan2albedo.pipeline.process import FILES as SCAN_FILES
 
     ours = FACE_FILES.holds(out.name) or SCAN_FILES.holds(out.name)
     if out.resolve() == result.resolve() or (ours and out.resolve().parent == result.resolve()):

@@ -28,6 +28,7 @@ from scan2albedo.io.records import (
 )
 
 APPLICATION_FILE = "application.json"
+RESULT_FILE = "result.json"
 SHA256 = "^[0-9a-f]{64}$"
 
 

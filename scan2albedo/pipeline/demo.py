@@ -11,9 +11,10 @@ from scan2albedo.core.arrays import Values, norms
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import invert_rigid, rotation_angle_rad, transform_points
 from scan2albedo.io.run_folder import RunFolder
-from scan2albedo.pipeline.options import ProcessOptions, Quality
-from scan2albedo.pipeline.process import process
-from scan2albedo.pipeline.result import FILES, ProcessResult
+from scan2albedo.pipeline.options import ProcessOptions
+from scan2albedo.pipeline.process import FILES, process
+from scan2albedo.pipeline.quality import Quality
+from scan2albedo.pipeline.result import ProcessResult
 from scan2albedo.synthetic import Scanner, SyntheticTruth, raw_scan
 
 

@@ -21,9 +21,9 @@ from scan2albedo.errors import RegistrationError
 from scan2albedo.fitting import FittedFace, PersonShape, common_shape
 from scan2albedo.pipeline.clock import Clock
 from scan2albedo.pipeline.options import ProcessOptions
-from scan2albedo.pipeline.outputs import without_light
-from scan2albedo.pipeline.result import ProcessResult
+from scan2albedo.pipeline.result import ProcessResult, Run
 from scan2albedo.pipeline.takes import Source, Takes
+from scan2albedo.pipeline.unlit import Unlit
 from scan2albedo.recognition import Templates, albedo_templates, certainty, same_person_log_odds
 from scan2albedo.recognition.result_identification import CALIBRATION, log_odds_by_kind
 from scan2albedo.recognition.templates import Kind
@@ -204,10 +204,13 @@ def _common_albedo(spool: _Spool, takes: Takes) -> CommonAlbedo:
         result = next(_Spool(spool.folder, [name]).results())
         # The scan's own budget, of which its stages took their part.
         clock = Clock(Budget.of(chosen.budget), sum(result.timings_s.values()))
-        more, steps = without_light(result.scan, result.fitted, estimate, chosen, clock)
+        run = Run(result.scan, chosen)
+        run.scan, run.fitted, run.albedo = result.scan, result.fitted, estimate
+        steps = Unlit().run(run, clock)
         plan = Plan((*(step for step in result.plan if step.stage != "albedo"), *estimate.plan, *steps))
         options = {**result.options, "skip": sorted(set(chosen.skip)), "unlit": chosen.unlit}
-        spool.keep(name, replace(result, albedo=estimate, plan=plan, options=options, **more))
+        made = attributes(run, "unlit", "template", "maps_of_skin")
+        spool.keep(name, replace(result, albedo=estimate, plan=plan, options=options, **made))
 
     return estimate_common_albedo(
         spool,

@@ -1,75 +1,35 @@
-"""`ProcessResult`: all results of one scan, and its files, all of them or none."""
+"""`ProcessResult`: all results of one scan; and `Run`, the same while the stages are still at it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from scan2albedo.core import OnProgress, Plan, PlanStep, RawScan, Trace
 from scan2albedo.core.arrays import ByteArray, FloatArray, RealArray, Texts, Values, attributes
 from scan2albedo.core.raw_scan import lost_texture
 from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
-from scan2albedo.io.color import is_deep
-from scan2albedo.io.geometry_image_files import write_geometry_image, write_geometry_image_exr
-from scan2albedo.io.glb import write_glb
-from scan2albedo.io.images import write_exr, write_indexed_png, write_png
-from scan2albedo.io.landmark_files import LANDMARKS_FILE, LandmarksRecord, write_landmarks_csv
-from scan2albedo.io.npz import write_npz
-from scan2albedo.io.obj import write_obj
-from scan2albedo.io.records import write_record
-from scan2albedo.io.result_records import InputRecord, RegistrationRecord, ResultRecord
-from scan2albedo.io.run_folder import OwnFiles, RunFolder
-from scan2albedo.io.textured_mesh import TexturedMesh, write_textured_glb
-from scan2albedo.pipeline.mesh_files import gray_bytes, write_template, write_unlit
-from scan2albedo.report.overview import figure_png, overview_figure, preview_srgb, result_panels
+from scan2albedo.report.overview import preview_srgb
 
 if TYPE_CHECKING:
     from scan2albedo.albedo import AlbedoEstimate
-    from scan2albedo.core import GeometryImage, Plan, RawScan, Trace
+    from scan2albedo.core import GeometryImage
     from scan2albedo.fitting import FittedFace
     from scan2albedo.fitting.linear_model import LinearModelFit
+    from scan2albedo.geometry.loop_subdivision import SurfacePoints
+    from scan2albedo.io.linear_model_files import LinearFaceModel
+    from scan2albedo.pipeline.options import ProcessOptions
     from scan2albedo.registration import Registration
+    from scan2albedo.templates import AnnotatedFaceModel
     from scan2albedo.unlit.light_removal import UnlitScan
     from scan2albedo.unlit.template_baking import TemplateTexture
-
-RESULT_FILE = "result.json"
-_MESH = (".glb", ".obj", ".mtl", ".png", ".*.png", ".exr", ".*.exr")
-_MAPS = tuple(
-    f"maps_{name}"
-    for name in ("normal", "normal_directx", "occlusion", "roughness", "specular", "cavity", "displacement")
-)
-_PICTURES = frozenset({"overview.png", "error_vs_time.png"})
-_LEFT_OUT = _PICTURES | {
-    *("geometry_image.exr", "shading.exr", "specular.exr", "shadow.png", "skin.png", "labels.png"),
-    "expected_error.exr",
-}
-"""What "minimal" results leave out: pictures for a person, what other files have, and the light's parts."""
-FILES = OwnFiles(
-    RESULT_FILE,
-    ResultRecord,
-    (
-        *("geometry_image.npz", "albedo.exr", "albedo.png", "fitted.glb", "registration.json"),
-        *(LANDMARKS_FILE, "landmarks.csv", "trace.csv", "coverage.png", "disagreement.png"),
-        *("sequence.glb", "frames.npz", "coefficients.json", "linear_model.npz"),
-        *sorted(_LEFT_OUT),
-        *(f"{mesh}{end}" for mesh in ("template", "unlit", "maps") for end in _MESH),
-        "maps.usda",
-        *(f"unlit_{name}{end}" for name in ("confidence", "hair") for end in (".png", ".*.png")),
-        *(
-            f"{name}{end}"
-            for name in ("template_normal", "template_hair", *_MAPS)
-            for end in (".png", ".*.png")
-        ),
-        *("maps_displacement.exr", "maps_displacement.*.exr"),
-    ),
-    whole_folder=True,
-)
-"""Every file a result may have. Several pictures of an unlit scan have numbers, in the order of the scan's
-materials, those of a template's tiles their UDIM numbers."""
 
 SURE = 0.5
 """Confidence of a registration below which there is a doubt: whole faces have more."""
@@ -132,6 +92,20 @@ class ProcessResult:
             return None
         return float(np.median(self.albedo.expected_error[self.albedo.image.mask]))
 
+    @cached_property
+    def preview_srgb(self) -> ByteArray | None:
+        """(H, W, 3): the albedo as it is shown, white outside the mask; None without one."""
+        if self.albedo is None:
+            return None
+        return preview_srgb(self.albedo.albedo_linear, self.geometry_image.mask)
+
+    @cached_property
+    def texture_srgb(self) -> ByteArray | None:
+        """(H, W, 3): the same, but colours go on beyond the mask: viewers that filter mix in no white."""
+        if self.preview_srgb is None:
+            return None
+        return filled_from_nearest(self.preview_srgb, self.geometry_image.mask).astype(np.uint8)
+
     def write_more(self, folder: Path, texture_srgb: ByteArray | None) -> None:
         """Write what a scan alone has not; `texture_srgb` (H, W, 3) is the albedo as it is shown."""
 
@@ -186,136 +160,57 @@ class ProcessResult:
         return "; ".join(parts)
 
 
-def write_result(
-    result: ProcessResult,
-    out: Path,
-    *,
-    files: str = "standard",
-    pictures: bool = True,
-    recorded: Collection[str] = (),
-) -> Path:
-    """Write every file of design section 6 into ``out / <scan name>`` and return that folder.
+@dataclass
+class Run:
+    """One scan on its way through the stages, which fill in what they find, named as in `ProcessResult`."""
 
-    They appear all at once, and an older result stays until then, see `RunFolder`; `recorded` are files that
-    a batch's record says an earlier run wrote. `overview.png` and `error_vs_time.png` are left out without
-    `pictures`, more where `files` is "minimal"; "all" adds linear EXR of the unlit scan and of the template.
-    Their PNG have 16 bits where the scan's texture has more than 8. Raises `OutputError` when the folder is
-    somebody else's or cannot be written.
-    """
-    left_out = _LEFT_OUT if files == "minimal" else frozenset() if pictures else _PICTURES
-    image, estimate, exr = result.geometry_image, result.albedo, files == "all"
-    preview = None if estimate is None else preview_srgb(estimate.albedo_linear, image.mask)
-    # Colours go on beyond the mask: viewers that filter a texture mix in no white.
-    shown = None if preview is None else filled_from_nearest(preview, image.mask).astype(np.uint8)
-    texture = result.scan.texture_linear
-    deep = np.uint16 if texture is not None and is_deep(texture) else np.uint8
-    folder = RunFolder(out / result.scan.name, FILES, recorded)
-    with folder.publishing() as staging:
+    source: str | Path | RawScan
+    options: ProcessOptions
+    name: str | None = None
+    """Of the scan, where the caller gave one."""
+    on_progress: OnProgress = None
+    plan: dict[str, list[PlanStep]] = field(default_factory=dict)
+    """Rows of the plan by stage."""
+    scan: RawScan = field(init=False)
+    input_sha256: str | None = None
+    size_fits: bool | None = None
+    """Whether the scan is as long as a head in some unit; None where the caller gave the unit."""
+    model: AnnotatedFaceModel | None = None
+    linear: tuple[LinearFaceModel, SurfacePoints] | None = None
+    """The linear model to fit, and the places of its vertices on `model`."""
+    registration: Registration | None = None
+    fitted: FittedFace | None = None
+    geometry_image: GeometryImage = field(init=False)
+    linear_model: LinearModelFit | None = None
+    albedo: AlbedoEstimate | None = None
+    unlit: UnlitScan | None = None
+    template: TemplateTexture | None = None
+    maps_of_skin: TemplateTexture | None = None
 
-        def write(name: str, writer: Callable[..., object], *content: Any, **options: Any) -> None:
-            if name not in left_out:
-                writer(staging.folder / name, *content, **options)
+    @property
+    def file(self) -> Path | None:
+        """The scan's file; None for a scan in memory."""
+        return None if isinstance(self.source, RawScan) else Path(self.source)
 
-        write("trace.csv", result.trace.to_csv)
-        result.write_more(staging.folder, shown)
-        _write_chart(result, shown, write)
-        if result.fitted is not None:
-            write(
-                "fitted.glb", write_glb, result.fitted.vertices, result.fitted.faces, result.fitted.uv, shown
-            )
-            moves = _linear_moves(result.linear_model)
-            vertices, faces = result.fitted.template_vertices, result.fitted.model.template_faces
-            if result.template is not None:
-                write_template(staging.folder, result.template, deep, exr=exr, **moves)
-            elif vertices is not None and faces is not None:
-                write("template.obj", write_obj, vertices, faces)
-                if moves:
-                    write("template.glb", write_textured_glb, TexturedMesh(vertices, faces, **moves))
-        if result.maps_of_skin is not None:
-            write_template(staging.folder, result.maps_of_skin, np.uint16, exr=exr, stem="maps")
-        if result.unlit is not None:
-            write_unlit(staging.folder, result.unlit, deep, exr=exr)
-        _write_places(result, write)
-        if "overview.png" not in left_out:
-            unlit = None if result.unlit is None else result.unlit.scan
-            panels = result_panels(result.scan, result.fitted, image, estimate, preview, unlit)
-            overview = figure_png(overview_figure(result.summary(), panels, columns=6))
-            write("overview.png", Path.write_bytes, overview)
-            write("error_vs_time.png", Path.write_bytes, figure_png(result.trace.plot(), dpi=110))
-        own = None if result.fitted is None else result.fitted.model.template_from_model
-        staging.write_record(
-            name=result.scan.name,
-            seed=result.seed,
-            options=dict(result.options),
-            input=InputRecord.of(result.scan, result.source, result.input_sha256),
-            plan=tuple(result.plan),
-            metrics=result.metrics(),
-            lights=() if estimate is None else tuple(estimate.lights),
-            environment=None if estimate is None else estimate.environment,
-            parameters={} if estimate is None else estimate.parameters,
-            timings_s=dict(result.timings_s),
-            notes=result.notes,
-            template_from_model=None if own is None else own.tolist(),
+    def result(self, timings_s: Mapping[str, float]) -> ProcessResult:
+        """Return the result of all stages, which took these seconds."""
+        searches = (self.registration, self.fitted, self.linear_model, self.albedo)
+        loaded = (PlanStep("load", True, note) for note in self.scan.notes)
+        return ProcessResult(
+            scan=self.scan,
+            registration=self.registration,
+            fitted=self.fitted,
+            geometry_image=self.geometry_image,
+            albedo=self.albedo,
+            plan=Plan((*loaded, *chain(*self.plan.values()))),
+            trace=sum((search.trace for search in searches if search is not None), Trace()),
+            timings_s=timings_s,
+            options=self.options.recorded(self.model),
+            seed=self.options.seed,
+            unlit=self.unlit,
+            template=self.template,
+            maps_of_skin=self.maps_of_skin,
+            linear_model=self.linear_model,
+            source=self.file,
+            input_sha256=self.input_sha256,
         )
-    return folder.path
-
-
-def _write_chart(result: ProcessResult, shown: ByteArray | None, write: Callable[..., None]) -> None:
-    """Write what lies on the chart; `shown` (H, W, 3) is the albedo as it is shown."""
-    image, estimate = result.geometry_image, result.albedo
-    for name, values in result.maps.items():
-        write(name, write_png, gray_bytes(values))
-    write("geometry_image.npz", write_geometry_image, image)
-    write("geometry_image.exr", write_geometry_image_exr, image)
-    if image.skin is not None:
-        write("skin.png", write_png, gray_bytes(np.where(image.mask, image.skin, 0)))
-    if image.labels is not None:
-        write("labels.png", write_indexed_png, image.labels)
-    if estimate is not None and shown is not None:
-        seen = np.where(image.seen, np.uint8(255), np.uint8(0))
-        write("albedo.exr", write_exr, estimate.albedo_linear)
-        write("albedo.png", write_png, np.dstack([shown, seen]))
-        if estimate.expected_error is not None:
-            write("expected_error.exr", write_exr, estimate.expected_error)
-        write("shading.exr", write_exr, estimate.shading)
-        write("specular.exr", write_exr, estimate.specular)
-        write("shadow.png", write_png, gray_bytes(estimate.shadow))
-
-
-def _linear_moves(linear: LinearModelFit | None) -> Values:
-    """Return how a linear model's mesh moves, as a `TexturedMesh` has it; nothing where it has no names."""
-    if linear is None or not linear.model.names:
-        return {}
-    return dict(zip(("rest", "targets", "weights"), linear.neutral_and_targets(), strict=True))
-
-
-def _write_places(result: ProcessResult, write: Callable[..., None]) -> None:
-    """Write the pose, the coefficients of a linear model and the landmarks, in the scan's own frame."""
-    fitted, linear, registration = result.fitted, result.linear_model, result.registration
-    if fitted is not None and linear is not None:
-        placed = np.diag([*np.ones(3) / result.scan.mm_per_unit, 1]) @ invert_rigid(fitted.model_from_scan)
-        write("coefficients.json", write_record, linear.record(placed))
-        arrays = {
-            "vertices": transform_points(placed, linear.vertices),
-            "faces": linear.model.faces,
-            "residual_mm": linear.residual_mm,
-            "displacement_mm": linear.displacement_mm,
-        }
-        write("linear_model.npz", write_npz, arrays, what="linear model")
-    if registration is not None:
-        poses = RegistrationRecord(
-            model_from_scan=registration.model_from_scan.tolist(),
-            fitted_from_scan=None if fitted is None else fitted.model_from_scan.tolist(),
-            rmse_mm=registration.rmse_mm,
-            depth_error=registration.depth_error,
-            converged=registration.converged,
-            confidence=registration.confidence,
-            iterations=registration.iterations,
-        )
-        write("registration.json", write_record, poses)
-    in_scan = result.landmarks_scan
-    deviation_mm = None if fitted is None else fitted.landmark_deviation_mm
-    if fitted and fitted.landmarks is not None and in_scan is not None and deviation_mm is not None:
-        landmarks = LandmarksRecord.of(fitted.landmarks, in_scan, deviation_mm, result.scan.mm_per_unit)
-        write(LANDMARKS_FILE, write_record, landmarks)
-        write("landmarks.csv", write_landmarks_csv, landmarks)

@@ -20,9 +20,9 @@ from scan2albedo.io.glb import write_glb
 from scan2albedo.io.load_scan import load_scan_with
 from scan2albedo.io.npz import write_npz
 from scan2albedo.pipeline.options import ProcessOptions
-from scan2albedo.pipeline.process import WHOLE_FACE
 from scan2albedo.pipeline.result import SURE, ProcessResult
 from scan2albedo.pipeline.scale_search import registered_outward
+from scan2albedo.pipeline.stages import WHOLE_FACE
 from scan2albedo.pipeline.takes import Source, Takes
 from scan2albedo.registration import register
 

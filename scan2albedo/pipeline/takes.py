@@ -6,7 +6,7 @@ the prior of one shape and one albedo, `process_sequence` by that of a motion in
 
 import time
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -16,8 +16,8 @@ from scan2albedo.errors import Scan2AlbedoError, one_line
 from scan2albedo.io.atomic import check_writable
 from scan2albedo.io.run_folder import RunFolder
 from scan2albedo.pipeline.options import ProcessOptions
-from scan2albedo.pipeline.process import process
-from scan2albedo.pipeline.result import FILES, ProcessResult, write_result
+from scan2albedo.pipeline.process import FILES, process, write_result
+from scan2albedo.pipeline.result import ProcessResult
 from scan2albedo.templates import chosen_model
 
 Source = str | Path | RawScan
@@ -74,8 +74,8 @@ class Takes:
 
     def processed(self, source: Source, name: str, **changes: Any) -> ProcessResult:
         """Return what `process` makes of one scan alone, with options that differ by `changes`."""
-        arguments = self.options.arguments() | {"model": self.model} | changes
-        return process(source, name=name, on_progress=self.on_progress, **arguments)
+        options = replace(self.options, **{"model": self.model} | changes)
+        return process(source, None, options, name=name, on_progress=self.on_progress)
 
     def each(
         self, scans: Iterable[tuple[str, Source]], fit: Callable[[str, Source], Fit]

@@ -9,28 +9,6 @@ from scan2albedo.albedo.prior import AlbedoPrior
 from scan2albedo.core import GeometryImage, PlanStep, RawScan
 from scan2albedo.core.arrays import Float32Array
 
-NAMES = ("none", "grey-skin")
-
-
-def checked_white_balance(asked: str | Sequence[float]) -> str | Sequence[float]:
-    """Return one of `NAMES`, or the colour that grey has; numbers may be text, "R,G,B". May raise ValueError.
-
-    >>> checked_white_balance("1, .9,.7")
-    (1.0, 0.9, 0.7)
-    """
-    if isinstance(asked, str) and asked in NAMES:
-        return asked
-    try:
-        grey = tuple(float(part) for part in (asked.split(",") if isinstance(asked, str) else asked))
-    except (TypeError, ValueError):
-        grey = ()
-    if len(grey) != 3 or not all(0 < channel < np.inf for channel in grey):
-        raise ValueError(
-            f"white_balance is {asked!r}, expected {', '.join(NAMES)}, or the linear colour R,G,B, three "
-            "numbers above 0, that something grey has in the scan"
-        )
-    return grey
-
 
 def balanced(
     scan: RawScan, image: GeometryImage, asked: str | Sequence[float]

@@ -8,6 +8,7 @@ from typing import Self
 import numpy as np
 from scipy.spatial import cKDTree
 
+from scan2albedo.albedo import AlbedoEstimate
 from scan2albedo.core import EnvironmentLight, GeometryImage, PointLight
 from scan2albedo.core.arrays import (
     ArrayLike,
@@ -16,17 +17,22 @@ from scan2albedo.core.arrays import (
     FloatArray,
     IntArray,
     Texts,
+    Values,
     all_finite,
+    attributes,
     on_grid,
 )
 from scan2albedo.errors import ApplicationError
 from scan2albedo.face_model import AnnotatedSurface
+from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.io.glb import GlbPart
 from scan2albedo.lighting.shading import Reflectance
 
 NO_MODEL = "none"
+OF_LIGHT = ("lights", "environment", "casts_shadows", "view_direction", "shadow_offset_mm")
+"""Fields of a face that an `AlbedoEstimate`, and the record of a face, have by the same names."""
 SAME_PLACE_MM = 0.05
 """Surfaces farther apart are not of one result, or of one model: GLB files hold metres with 24 bits."""
 _LEAST_OVERLAP = 0.9
@@ -187,6 +193,36 @@ class ProcessedFace:
         """
         albedo = np.asarray(albedo_linear, np.float32)
         return cls(name, image, albedo, reflectance, tuple(lights), FaceMesh.of_chart(image), model_name)
+
+    @classmethod
+    def of_stages(
+        cls, name: str, image: GeometryImage, fitted: FittedFace | None, estimate: AlbedoEstimate | None
+    ) -> Self:
+        """Return the face that the stages found; a shape in grey where there is no albedo.
+
+        Parameters
+        ----------
+        name, image, fitted, estimate : str, GeometryImage, FittedFace or None, AlbedoEstimate or None
+        """
+        found: Values = {"mesh": FaceMesh.of_chart(image)}
+        if fitted is not None:
+            found["mesh"] = FaceMesh(fitted.vertices, fitted.faces, fitted.uv)
+            found |= {"model_name": fitted.model.name, "landmarks": fitted.landmarks}
+        if estimate is None:
+            return cls(name=name, image=image, **found, **cls.grey(image))
+        found |= attributes(estimate, "albedo_linear", "reflectance", "expected_error", *OF_LIGHT)
+        return cls(name=name, image=image, **found)
+
+    @staticmethod
+    def grey(image: GeometryImage) -> Values:
+        """Return what a face of an `image` without an albedo has in its place."""
+        grey = np.full((*image.shape, 3), 0.5, np.float32)
+        return {
+            "albedo_linear": grey,
+            "reflectance": Reflectance("lambert"),
+            "lights": (),
+            "has_albedo": False,
+        }
 
     @property
     def mask(self) -> BoolArray:

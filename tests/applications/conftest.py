@@ -6,7 +6,8 @@ from helpers.processed_faces import processed_person
 
 import scan2albedo as s2a
 from scan2albedo.core import Trace
-from scan2albedo.pipeline.result import ProcessResult, write_result
+from scan2albedo.pipeline.process import write_result
+from scan2albedo.pipeline.result import ProcessResult
 
 
 @pytest.fixture(scope="session")

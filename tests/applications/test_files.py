@@ -26,7 +26,7 @@ from scan2albedo.applications import (
 from scan2albedo.errors import ApplicationError
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import read_image_linear, write_exr
-from scan2albedo.pipeline.result import write_result
+from scan2albedo.pipeline.process import write_result
 
 LIGHT = s2a.PointLight(0.5, 0.3, intensity=2.0)
 AS_ESTIMATED = RelightOptions(gloss="found", fill_gaps=False)

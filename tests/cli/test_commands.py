@@ -234,7 +234,7 @@ def test_a_scan_that_is_too_large_does_not_stop_the_next_and_all_failed_is_2(tmp
         taken.append(scan.name)
         raise error
 
-    monkeypatch.setattr("scan2albedo.pipeline.process.register", too_large)
+    monkeypatch.setattr("scan2albedo.pipeline.stages.register", too_large)
     files = [write_square_obj(tmp_path, name=name, texture=f"{name}.png") for name in ("first", "second")]
     told = usage_error(invoke("process", *files, "-o", tmp_path / "out"))
     assert taken == ["first", "second"]

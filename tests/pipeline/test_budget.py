@@ -13,9 +13,11 @@ from helpers.faces import with_template
 import scan2albedo as s2a
 from scan2albedo.core import Budget
 from scan2albedo.pipeline import clock as clocks
-from scan2albedo.pipeline import outputs
+from scan2albedo.pipeline import unlit as outputs
 from scan2albedo.pipeline.clock import Clock
 from scan2albedo.pipeline.options import ProcessOptions
+from scan2albedo.pipeline.result import Run as Scan
+from scan2albedo.pipeline.stages import FindAlbedo, Fit, Register
 
 ASKED = tuple(
     product(
@@ -47,45 +49,48 @@ class Run:
         eyes = SimpleNamespace(reason="made up")
         for name, stage in {
             "LightRemoval": lambda *stages: SimpleNamespace(unlit=self.unlit),
-            "template_texture": lambda *given: self.takes("template_texture", baked),
-            "engine_maps": lambda *given: self.takes("maps", baked),
-            "load_result": lambda *given: None,
+            "template_texture": lambda *given: self.takes(self.costs["template_texture"].make_s, baked),
+            "engine_maps": lambda *given: self.takes(self.costs["maps"].make_s, baked),
+            "ProcessedFace": SimpleNamespace(of_stages=lambda *given: None),
             "usual_light": lambda *given: 1.0,
-            "eyes_and_mouth": lambda *given: self.takes("eyes", eyes),
+            "eyes_and_mouth": lambda *given: self.takes(outputs.EYES_S, eyes),
             "on_template": lambda inside, fitted, gain, made: made,
         }.items():
             monkeypatch.setattr(outputs, name, stage)
 
-    def takes(self, part, made=None):
-        self.now += self.pace * self.costs.seconds[part]
+    def takes(self, seconds, made=None):
+        self.now += self.pace * seconds
         return made
 
     def unlit(self, reach):
         self.lit.append(reach)
         made = SimpleNamespace(scan=None, hair=None, confidence=np.ones(1))
-        return self.takes(f"light on the {reach}", made)
+        return self.takes(outputs.light_s(self.scan, reach), made)
 
     def __call__(self, budget, unlit, tiles, maps, side, texture_size, skip):
-        """Return the names of what is made, and the plan; `now` is then the time with all files written."""
+        """Return what is made by its name, and the plan; `now` is then the time with all files written."""
         self.now = 0.0
         self.lit = []
         texture = SimpleNamespace(shape=(side, side, 3)) if side else None
         uv = squares(1) if side else None
-        scan = SimpleNamespace(texture_linear=texture, uv=uv, vertices=range(100_000))
+        self.scan = SimpleNamespace(texture_linear=texture, uv=uv, vertices=range(100_000), name="made up")
         model = SimpleNamespace(template_uv=squares(tiles) if tiles else None)
         options = ProcessOptions(unlit=unlit, maps=maps, texture_size=texture_size, skip=skip)
-        self.costs = outputs.Outputs(scan, model, options)
+        wanted = outputs.wanted_outputs(self.scan, model, options)
+        self.costs = {output.name: output for output in wanted}
+        run = Scan(None, replace(options, budget=budget))
+        run.scan, run.model = self.scan, model
         clock = Clock(Budget(budget))
-        clock.keep(self.costs.all_s())
-        for search in ("register", "fit", "albedo"):
-            with clock.timed(search):
-                self.now += min(clock.share(search).seconds or 5.0, 5.0)
+        clock.due_s["unlit"] = outputs.Unlit().cost_s(run)
+        for search in (Register, Fit, FindAlbedo):
+            with clock.timed(search.name):
+                self.now += min(clock.share(search.share).seconds or 5.0, 5.0)
         self.face_s = self.now
-        estimate = SimpleNamespace(image=None)
-        made, steps = outputs.without_light(scan, SimpleNamespace(model=model), estimate, options, clock)
-        for name, field in FIELDS.items():
-            if field in made:
-                self.takes(f"{name} files")
+        run.fitted, run.albedo = SimpleNamespace(model=model), SimpleNamespace(image=None)
+        steps = outputs.Unlit().run(run, clock)
+        made = {name for name, field in FIELDS.items() if getattr(run, field) is not None}
+        for name in made:
+            self.takes(self.costs[name].files_s)
         return made, steps
 
 
@@ -97,8 +102,8 @@ def test_no_combination_of_outputs_overruns_a_budget(monkeypatch, pace):
         assert run.now <= max(budget + max(2.0, budget / 10), run.face_s), asked
         assert len(run.lit) == len(set(run.lit)), "the light is taken off twice"
         told = {step.stage: step for step in steps}
-        for name in run.costs.reaches:
-            assert told[name].ran == (FIELDS[name] in made), asked
+        for name in run.costs:
+            assert told[name].ran == (name in made), asked
             assert told[name].ran or "left out: the budget ended before it" in told[name].reason
 
 
@@ -107,7 +112,7 @@ def test_with_enough_time_all_is_made(monkeypatch, budget):
     run = Run(monkeypatch)
     for asked in ASKED:
         made, steps = run(budget, *asked)
-        assert len(made) == len(run.costs.reaches)
+        assert len(made) == len(run.costs)
         assert not [step for step in steps if step.level == "wrong"]
 
 

@@ -40,7 +40,7 @@ def network(monkeypatch, coarse_scan):
         seen = seen or Network(coarse_scan[1])
         monkeypatch.setattr(detected, "_detector", lambda: nullcontext(seen))
         monkeypatch.setattr(detected, "require_detector", lambda: None)
-        monkeypatch.setattr("scan2albedo.pipeline.process.require_detector", lambda: None)
+        monkeypatch.setattr("scan2albedo.pipeline.stages.require_detector", lambda: None)
         return seen
 
     return install

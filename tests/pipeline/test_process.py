@@ -1,7 +1,6 @@
 """The whole pipeline on a synthetic scan: results, plan, trace, budget, files."""
 
 import csv
-import inspect
 import json
 from dataclasses import fields, replace
 from itertools import pairwise
@@ -16,6 +15,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 import scan2albedo as s2a
+from scan2albedo.albedo.estimate import BRDFS
 from scan2albedo.applications import load_result, reflectance_of_processed
 from scan2albedo.applications.face_reflectance import sampled_at_vertices
 from scan2albedo.core.plan import Plan, PlanStep
@@ -25,10 +25,14 @@ from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.io.images import read_image_linear
 from scan2albedo.io.load_scan import input_sha256
 from scan2albedo.io.obj import write_obj
-from scan2albedo.pipeline import process as pipeline_process
+from scan2albedo.io.units import MM_PER_UNIT
+from scan2albedo.pipeline import stages
 from scan2albedo.pipeline.demo import compare_with_truth, run_demo
-from scan2albedo.pipeline.options import STEPS, ProcessOptions
+from scan2albedo.pipeline.options import ProcessChanges, ProcessOptions
+from scan2albedo.pipeline.quality import STEPS
 from scan2albedo.registration.register import refined_registration
+from scan2albedo.unlit.engine_maps import CARRIERS
+from scan2albedo.unlit.light_removal import REACHES
 
 SIZE = 128
 STEP = "register.depth_annealing"
@@ -209,8 +213,8 @@ def test_what_is_doubtful_is_told(coarse_scan, result, monkeypatch):
         uncertainty = replace(result.albedo.uncertainty, intensity=(0.364,))
         return replace(result.albedo, uncertainty=uncertainty)
 
-    monkeypatch.setattr(pipeline_process, "register", doubtful)
-    monkeypatch.setattr(pipeline_process, "estimate_albedo", dim)
+    monkeypatch.setattr(stages, "register", doubtful)
+    monkeypatch.setattr(stages, "estimate_albedo", dim)
     told = s2a.process(coarse_scan[0], size=64, budget=s2a.Budget(evaluations=20))
     assert any("pose is unsure (confidence 0.21)" in note for note in told.notes)
     assert any("strength is known to 36 %" in note for note in told.notes)
@@ -306,7 +310,7 @@ def test_annealing_is_skipped_or_forced_as_asked(ball, monkeypatch, choice, eval
         given.append(options)
         raise RegistrationError("far enough")
 
-    monkeypatch.setattr(pipeline_process, "register", register)
+    monkeypatch.setattr(stages, "register", register)
     with pytest.raises(RegistrationError, match="far enough"):
         s2a.process(ball, **choice)
     assert [(o.annealing_evaluations, o.force_annealing) for o in given] == [(evaluations, forced)]
@@ -331,7 +335,7 @@ def test_an_error_carries_the_doubts_of_earlier_stages(ball, monkeypatch):
     def fail(*arguments):
         raise ScanError("no soup")
 
-    monkeypatch.setattr(pipeline_process, "geometry_image_of_scan", fail)
+    monkeypatch.setattr(stages, "geometry_image_of_scan", fail)
     with pytest.raises(ScanError, match="no soup") as caught:
         s2a.process(ball, model="none", size=48, landmarks={30: (0, 0, 60)})
     assert caught.value.__notes__ == ["landmarks are not used: without a model nothing is fitted to them"]
@@ -340,13 +344,13 @@ def test_an_error_carries_the_doubts_of_earlier_stages(ball, monkeypatch):
 def test_the_input_is_hashed_as_it_was_read(tmp_path, monkeypatch):
     scan = write_ball(tmp_path / "ball.ply", radius=60.0)
     before = input_sha256(scan)
-    sample = pipeline_process.geometry_image_of_scan
+    sample = stages.geometry_image_of_scan
 
     def edit_and_sample(*arguments):
         scan.write_bytes(scan.read_bytes() + b"\n")
         return sample(*arguments)
 
-    monkeypatch.setattr(pipeline_process, "geometry_image_of_scan", edit_and_sample)
+    monkeypatch.setattr(stages, "geometry_image_of_scan", edit_and_sample)
     skipped = {"model": "none", "size": 48, "pictures": False, "skip": ["albedo"]}
     result = s2a.process(scan, tmp_path / "out", **skipped)
     record = read_json(result.out / "result.json")
@@ -366,13 +370,20 @@ def test_missing_files_and_what_is_no_face_are_named(coarse_scan, ball, tmp_path
     assert files_in(tmp_path) == {"file"}
 
 
-def test_its_options_are_its_parameters():
-    shown = dict(inspect.signature(s2a.process).parameters)
-    own = [shown.pop(name) for name in ("source", "out", "name", "on_progress", "unknown")]
-    assert len(own) == 5
-    assert {name: (one.default, one.annotation) for name, one in shown.items()} == {
-        option.name: (option.default, option.type) for option in fields(ProcessOptions)
-    }
+def test_its_keywords_are_its_options_and_win_over_them(ball):
+    assert ProcessChanges.__annotations__.keys() == {option.name for option in fields(ProcessOptions)}
+    tiny = ProcessOptions(model="none", size=64, skip=["albedo"])
+    result = s2a.process(ball, None, tiny, size=32)
+    assert result.geometry_image.shape == (32, 32)
+    assert result.options["skip"] == ["albedo"]
+
+
+def test_choices_of_options_are_those_of_the_stages():
+    choices = {option.name: option.metadata["choices"] for option in fields(ProcessOptions)}
+    assert choices["brdf"] == BRDFS
+    assert choices["unit"] == ("auto", *MM_PER_UNIT)
+    assert choices["unlit"] == (None, *REACHES)
+    assert choices["maps"] == (None, *CARRIERS)
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,8 @@ import pytest
 from helpers.meshes import ball
 
 import scan2albedo as s2a
-from scan2albedo.pipeline.options import PRESETS, ProcessOptions, Quality
+from scan2albedo.pipeline.options import ProcessOptions
+from scan2albedo.pipeline.quality import PRESETS, Quality
 
 
 def test_presets_carry_their_names_and_own_qualities_pass_through():

@@ -8,7 +8,7 @@ from helpers.meshes import ball
 
 import scan2albedo as s2a
 from scan2albedo.errors import OutputError, ScanError
-from scan2albedo.pipeline.result import write_result
+from scan2albedo.pipeline.process import write_result
 
 TINY = {"model": "none", "size": 32, "unit": "mm", "pictures": False, "quality": "draft", "lights": 1}
 
@@ -46,7 +46,7 @@ def test_a_folder_of_somebody_else_is_refused_before_any_work_and_stays(tmp_path
     folder.mkdir(parents=True)
     make(folder)
     before = contents(tmp_path)
-    monkeypatch.setattr("scan2albedo.pipeline.process._Run", None)  # no work is done
+    monkeypatch.setattr("scan2albedo.pipeline.process.Run", None)  # no work is done
     with pytest.raises(OutputError, match=f"ball.*{words}"):
         s2a.process(ball(), tmp_path / "out", **TINY)
     assert contents(tmp_path) == before

@@ -18,7 +18,7 @@ from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_angle_rad
 from scan2albedo.io.obj import write_obj
 from scan2albedo.io.records import read_record
 from scan2albedo.io.result_records import ResultRecord
-from scan2albedo.pipeline.options import PRESETS
+from scan2albedo.pipeline.quality import PRESETS
 from scan2albedo.pipeline.sequence import process_sequence
 from scan2albedo.synthetic.face_shape import person
 from tests.io.test_glb import moving

@@ -19,8 +19,8 @@ from scan2albedo.io.color import is_deep
 from scan2albedo.io.images import encode_image, read_image_linear, read_image_values
 from scan2albedo.io.textured_mesh import MeshPicture, TexturedMesh, write_textured_obj
 from scan2albedo.pipeline.demo import compare_with_truth
-from scan2albedo.pipeline.mesh_files import write_template, write_unlit
 from scan2albedo.unlit import light_removal
+from scan2albedo.unlit.files import write_template, write_unlit
 from scan2albedo.unlit.template_baking import template_texture
 
 SIZE = 128

@@ -15,9 +15,9 @@ from scan2albedo.errors import ApplicationError
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
 from scan2albedo.io.images import read_exr_channels
 from scan2albedo.lighting.shading import Reflectance
-from scan2albedo.pipeline.mesh_files import write_template
 from scan2albedo.pipeline.options import ProcessOptions
 from scan2albedo.unlit.engine_maps import MATTE_EXPONENT
+from scan2albedo.unlit.files import write_template
 from tests.unlit.test_template_normals import HALF_MM, POSE, carried, charted, mirrored, plain, two_tiles
 
 CENTERS_MM = ((np.arange(128) + 0.5) / 128 * 2 - 1) * HALF_MM

@@ -18,7 +18,7 @@ from scan2albedo.geometry.loop_subdivision import SurfacePoints
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.rasterization import bilinear
 from scan2albedo.geometry.rigid import compose, invert_rigid, rotation_from_vector, transform_points
-from scan2albedo.pipeline.mesh_files import write_template
+from scan2albedo.unlit.files import write_template
 from scan2albedo.unlit.template_baking import FineShape, tangent_normals, template_texture
 
 HALF_MM = 60.0

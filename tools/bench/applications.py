@@ -60,7 +60,7 @@ from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.io.geometry_image_files import read_geometry_image
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.lighting.shading import Reflectance
-from scan2albedo.pipeline.result import write_result
+from scan2albedo.pipeline.process import write_result
 from scan2albedo.synthetic import Material, SyntheticScene, face, light_at
 from scan2albedo.synthetic.face_shape import person
 from scan2albedo.synthetic.renderer import RayScene, render

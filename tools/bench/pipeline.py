@@ -34,7 +34,7 @@ from scan2albedo.core.first_run import SWITCH
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.pipeline.demo import compare_with_truth
-from scan2albedo.pipeline.options import PRESETS, STEPS
+from scan2albedo.pipeline.quality import PRESETS, STEPS
 from scan2albedo.synthetic import Material, Scanner, SyntheticTruth, face, hemisphere, light_at, raw_scan
 from scan2albedo.synthetic.scenes import SyntheticScene
 

@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any
 
 from scan2albedo.core import Budget
-from scan2albedo.pipeline.options import PRESETS
+from scan2albedo.pipeline.quality import PRESETS
 
 STANDARD = "standard"
 FIELDS = {"register": "registration", "fit": "fit", "albedo": "albedo"}

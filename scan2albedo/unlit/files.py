@@ -99,8 +99,8 @@ def write_template(
         if tile.maps:
             _write_maps(folder, tile, stem, end, samples)
         surface = _surface(tile) if tile.maps else None
-        named = f"{stem}{end}", picture, tile.faces
-        pictures.append(MeshPicture(*named, f"{stem}_normal{end}", normal, surface, cut))
+        bumps = f"{stem}_normal{end}"
+        pictures.append(MeshPicture(f"{stem}{end}", picture, tile.faces, bumps, normal, surface, cut))
     mesh = TexturedMesh(
         template.vertices,
         template.faces,
@@ -114,11 +114,20 @@ def write_template(
     write_textured_glb(folder / f"{stem}.glb", mesh)
     if template.tiles and template.tiles[0].maps:
         end = ".png" if alone else ".<UDIM>.png"
-        inputs = "normal", "occlusion", "roughness", "displacement"
-        there = inputs[: 3 + ("displacement_mm" in template.tiles[0].maps)]
-        textures = {"diffuseColor": f"{stem}{end}", **{name: f"{stem}_{name}{end}" for name in there}}
-        surface_of = template.vertices, template.faces, template.uv
-        write_usda(folder / f"{stem}.usda", *surface_of, textures, baking.REACH_MM, ior=7 / 5, metallic=0)
+        inputs = ["normal", "occlusion", "roughness"]
+        if "displacement_mm" in template.tiles[0].maps:
+            inputs.append("displacement")
+        textures = {"diffuseColor": f"{stem}{end}", **{name: f"{stem}_{name}{end}" for name in inputs}}
+        write_usda(
+            folder / f"{stem}.usda",
+            template.vertices,
+            template.faces,
+            template.uv,
+            textures,
+            baking.REACH_MM,
+            ior=7 / 5,
+            metallic=0,
+        )
 
 
 def _cut(template: baking.TemplateTexture, tile: baking.TemplateTile, color: NDArray) -> bytes | None:
