@@ -43,6 +43,7 @@ $(STAMP): pyproject.toml constraints.txt tools/bootstrap_system.sh
 	PYTHON=$(PYTHON) tools/bootstrap_system.sh
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e ".[test,dev]"
+	$(BIN)/scan2albedo doctor --warm
 	touch $(STAMP)
 
 clean:

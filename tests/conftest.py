@@ -11,8 +11,6 @@ import pytest
 from scan2albedo import AnnotatedFaceModel
 from scan2albedo.synthetic import Scanner, raw_scan
 
-# Tests share the cores already: no test has kernels compiled beside it but those that ask for it.
-os.environ.setdefault("SCAN2ALBEDO_COMPILE", "serial")
 DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 
 

@@ -59,7 +59,6 @@ def test_the_wheel_holds_the_package_alone_and_processes_a_scan(tmp_path):
     assert wheel.stat().st_size < 5e6
     run(*pip, "install", "--quiet", "--no-deps", "--target", target, wheel, cwd=tmp_path)
     environment = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "PYTHONPATH": str(target)}
-    environment["SCAN2ALBEDO_COMPILE"] = "serial"  # other tests have the other cores
     # -P keeps the current folder off the path, where a checkout might lie.
     said = run(sys.executable, "-P", "-c", SCRIPT, target, cwd=tmp_path, env=environment)
     assert "processed" in said

@@ -263,11 +263,14 @@ def validate(
 
 
 @app.command()
-def doctor(json_summary: common.JsonOption = False) -> None:
+def doctor(
+    warm: bool = typer.Option(False, "--warm", help="Also compile the numerical kernels, once and for all."),
+    json_summary: common.JsonOption = False,
+) -> None:
     """Show what is missing on this machine and the command that mends it."""
     from dataclasses import asdict
 
-    from scan2albedo.cli.doctor import examine
+    from scan2albedo.cli.doctor import compile_kernels, examine
 
     findings = []
     for finding in examine():
@@ -280,6 +283,8 @@ def doctor(json_summary: common.JsonOption = False) -> None:
         common.echo_json([asdict(finding) for finding in findings])
     if not all(finding.good for finding in findings):
         raise typer.Exit(common.SOME_FAILED)
+    if warm:
+        compile_kernels()
 
 
 @app.command()

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
+from tempfile import TemporaryDirectory
 
 SYSTEM_LIBRARIES = "libusb-1.0-0 libgl1 libegl1 libx11-6 libudev1 libidn2-0 libgomp1"
 """Debian packages that Open3D's wheel needs and slim machines lack."""
@@ -31,6 +32,15 @@ class Finding:
     good: bool
     detail: str
     remedy: str = ""
+
+
+def compile_kernels() -> None:
+    """Process a synthetic scan with every output: numba keeps what it compiles where the package lies."""
+    from scan2albedo.pipeline.process import process
+    from scan2albedo.synthetic import raw_scan
+
+    with TemporaryDirectory() as folder:
+        process(raw_scan(0)[0], folder, unlit="all", maps="chart")
 
 
 def libraries(requirements: Iterable[str]) -> dict[str, tuple[str, str]]:

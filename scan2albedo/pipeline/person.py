@@ -15,7 +15,6 @@ import numpy as np
 from scan2albedo.albedo import AlbedoEstimate, CommonAlbedo, estimate_common_albedo
 from scan2albedo.core import Budget, GeometryImage, OnProgress, Plan, PlanStep, RawScan, Trace
 from scan2albedo.core.arrays import Float32Array, FloatArray, Texts, Values, attributes
-from scan2albedo.core.first_run import compiled_beside
 from scan2albedo.core.raw_scan import lost_texture, scan_name
 from scan2albedo.errors import RegistrationError
 from scan2albedo.fitting import FittedFace, PersonShape, common_shape
@@ -109,7 +108,7 @@ def process_person(
         raise ValueError(f"{len(scans)} scans, of which several are called {twice[0]!r}: rename the files")
     takes = Takes(name, out, ProcessOptions(**options), on_progress)
     left_out = list[tuple[str, str]]()
-    with tempfile.TemporaryDirectory(prefix="scan2albedo") as folder, compiled_beside():
+    with tempfile.TemporaryDirectory(prefix="scan2albedo") as folder:
         spool = _Spool(Path(folder), [])
         for take in takes.each(named, partial(_alone, takes)):
             if take.fit is None:

@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 
 from scan2albedo.core import OnProgress, Plan, PlanStep, RawScan
 from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, Values, identities, norms, rms
-from scan2albedo.core.first_run import compiled_beside
 from scan2albedo.errors import FitError, RegistrationError
 from scan2albedo.fitting.tracking import FaceTracker, TrackedFace, smoothed_in_time
 from scan2albedo.geometry.rigid import invert_rigid
@@ -136,30 +135,29 @@ def process_sequence(
     motion = _Motion(takes)
     rows = list[Values]()
     files = [source.name if isinstance(source, RawScan) else str(source) for source in frames]
-    with compiled_beside():
-        for take in takes.each(zip(files, frames, strict=True), motion.fit):
-            face = take.fit
-            if take.error is not None and not motion.faces and len(rows) + 1 == len(files):
-                raise take.error
-            notes = list[str]()
-            if face is None:
-                notes.append(f"left out, and filled in from the frames around it: {take.reason}")
-            elif face.found_again:
-                notes.append("the face was lost, and found again by a new registration")
-            if face is not None and face.coverage < WHOLE_FACE:
-                near = f"only {100 * face.coverage:.0f} % of the face has scan near it"
-                notes.append(f"{near}, the rest is filled in from the frames around")
-            takes.doubt("sequence.frame", f"frame {len(rows) + 1}, {take.name}", *notes)
-            row = {
-                "residual_mm": None if face is None else face.residual_mm,
-                "coverage": None if face is None else face.coverage,
-                "file": take.name,
-                "found_again": face is not None and face.found_again,
-                "used": face is not None,
-                "cpu_s": take.cpu_s,
-                "notes": tuple(notes),
-            }
-            rows.append(row)
+    for take in takes.each(zip(files, frames, strict=True), motion.fit):
+        face = take.fit
+        if take.error is not None and not motion.faces and len(rows) + 1 == len(files):
+            raise take.error
+        notes = list[str]()
+        if face is None:
+            notes.append(f"left out, and filled in from the frames around it: {take.reason}")
+        elif face.found_again:
+            notes.append("the face was lost, and found again by a new registration")
+        if face is not None and face.coverage < WHOLE_FACE:
+            near = f"only {100 * face.coverage:.0f} % of the face has scan near it"
+            notes.append(f"{near}, the rest is filled in from the frames around")
+        takes.doubt("sequence.frame", f"frame {len(rows) + 1}, {take.name}", *notes)
+        row = {
+            "residual_mm": None if face is None else face.residual_mm,
+            "coverage": None if face is None else face.coverage,
+            "file": take.name,
+            "found_again": face is not None and face.found_again,
+            "used": face is not None,
+            "cpu_s": take.cpu_s,
+            "notes": tuple(notes),
+        }
+        rows.append(row)
     first = motion.first
     assert first is not None
     used = np.array([row["used"] for row in rows])

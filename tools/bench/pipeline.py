@@ -30,7 +30,6 @@ import scan2albedo as s2a
 from bench.runner import Bench, Case, Timed
 from scan2albedo.albedo import OPTIONAL_STEPS, EstimateOptions
 from scan2albedo.core import Plan
-from scan2albedo.core.first_run import SWITCH
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.pipeline.demo import compare_with_truth
@@ -146,13 +145,9 @@ def folder_for(name: str) -> tempfile.TemporaryDirectory[str]:
     return tempfile.TemporaryDirectory(prefix=name)
 
 
-def first_run(folder: str, alone: bool) -> float:
+def first_run(folder: str) -> float:
     """Return the wall seconds of `process` in a new process that keeps its kernels in a folder."""
-    environment = {
-        **os.environ,
-        "NUMBA_CACHE_DIR": folder_for(folder).name,
-        SWITCH: "serial" if alone else "",
-    }
+    environment = {**os.environ, "NUMBA_CACHE_DIR": folder_for(folder).name}
     with tempfile.TemporaryDirectory() as out:
         command = [sys.executable, "-c", FIRST, str(REAL_SCAN), out]
         done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True)
@@ -161,9 +156,8 @@ def first_run(folder: str, alone: bool) -> float:
 
 def first_runs(quick: bool) -> Iterator[Case]:
     face_data("james.obj")
-    yield Case("first run alone", lambda: partial(first_run, "alone", alone=True))
-    yield Case("first run, helpers beside it", lambda: partial(first_run, "helped", alone=False))
-    yield Case("next run, by a new process", lambda: partial(first_run, "helped", alone=True))
+    for name in ("first run", "next run, by a new process"):
+        yield Case(name, lambda: partial(first_run, "kernels"))
 
 
 Person = tuple[s2a.RawScan, SyntheticTruth]
