@@ -21,7 +21,7 @@ from scan2albedo.core import Meter
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.lighting.shading import FreeLamps, LitPoints, log_rows, shade_with_derivatives
 from scan2albedo.optimization.least_squares import Damping, LeastSquaresPoint, NormalEquations, minimize
-from scan2albedo.statistics.effective_count import effective_count, independent_area_mm2
+from scan2albedo.statistics.effective_count import effective_count
 from scan2albedo.statistics.robust import student_t_loss, student_t_weights
 
 FREEDOM = 4.0
@@ -35,7 +35,7 @@ LIGHT_MM = 6.8
 """The same of what a whole light errs by, which no single cell shows: path-traced faces err so much that two
 texels in three stay below the error that is stated. A search with this length for the cells errs more (9.4 %
 in place of 8.4 %)."""
-TEMPER = independent_area_mm2(CELLS_MM) / independent_area_mm2(LIGHT_MM)
+TEMPER = (CELLS_MM / LIGHT_MM) ** 2
 """What the log odds of explanations are multiplied by where they are averaged [1]_, and the precision of the
 light where errors are stated.
 

@@ -1,6 +1,8 @@
 """The 20 key points of a pair of glasses: names, bones, mirror images; checks of arrays that callers give."""
 
 import itertools
+import json
+from importlib import resources
 from typing import NamedTuple
 
 import numpy as np
@@ -25,31 +27,8 @@ class KeyPointPlace(NamedTuple):
     typical_mm: tuple[float, float, float]
 
 
-_ABSENT = "leave out, or null"
-_RIMLESS = "rimless: the same place on the lens's edge; without lenses null"
-_BARE = f"no temples: {_ABSENT}"
-_OUTER_HINGE = "no temples: the front's outermost place"
-_EAR = "where the temple turns down behind the ear; of a straight one two thirds from the hinge to the tip"
-_OUTSIDE = "surface, outside"
-KEY_POINT_PLACES = tuple(
-    KeyPointPlace(*row)
-    for row in (
-        ("bridge_top", "top of the bridge, in its middle; of two bridges the upper one", "surface")
-        + (_ABSENT, (0, 15, 0)),
-        ("bridge_bottom", "underside of the bridge, in its middle; of two bridges the lower one", "surface")
-        + (_ABSENT, (0, 10, 0)),
-        ("rim_top", "highest place of the rim", _OUTSIDE, _RIMLESS, (37, 22, -3)),
-        ("rim_bridge", "where the (lower) bridge meets the rim", "surface, lens side")
-        + (_RIMLESS, (14, 10, 0)),
-        ("rim_inner", "the rim's side at the nose, below the bridge", _OUTSIDE, _RIMLESS, (12, -13, 0)),
-        ("rim_bottom", "lowest place of the rim", _OUTSIDE, _RIMLESS, (37, -22, -3)),
-        ("rim_outer", "the rim's side at the temple, below the hinge", _OUTSIDE, _RIMLESS, (62, -13, -7)),
-        ("hinge", "where the temple leaves the front", _OUTSIDE, _OUTER_HINGE, (68, 11, -8)),
-        ("temple_middle", "half way from the hinge to the ear bend", _OUTSIDE, _BARE, (71, 11, -62)),
-        ("ear_bend", _EAR, _OUTSIDE, _BARE, (74, 8, -117)),
-        ("temple_tip", "end of the temple", "middle of the end", _BARE, (74, -18, -144)),
-    )
-)
+_ROWS = json.loads(resources.files(__package__).joinpath("data/key_points.json").read_text("utf-8"))
+KEY_POINT_PLACES = tuple(KeyPointPlace(**row) for row in _ROWS)
 """Where the key points go, those of a side once."""
 _SIDE = tuple(place.name for place in KEY_POINT_PLACES[2:])
 KEY_POINT_NAMES: Texts = (

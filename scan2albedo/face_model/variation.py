@@ -1,10 +1,12 @@
 """How people's faces differ from the model: bumps around landmarks, and modes of shape made of them."""
 
+import json
 from dataclasses import dataclass
+from importlib import resources
 
 import numpy as np
 
-from scan2albedo.core.arrays import FloatArray
+from scan2albedo.core.arrays import FloatArray, Values
 from scan2albedo.face_model.annotation import AnnotatedSurface
 from scan2albedo.geometry.mesh import vertex_normals
 
@@ -20,61 +22,23 @@ class Bump:
     amount 1, x > 0 away from the midline; `paired` repeats it mirrored on the left half.
     """
 
-    landmarks: tuple[int, ...]
+    landmarks: list[int]
     radius_mm: float
-    direction: tuple[float, float, float]
+    direction: list[float]
     paired: bool = False
+    name: str = ""
 
 
-IDENTITY_BUMPS = (
-    Bump((30, 33), 13, (0, -1.0, 2.5)),  # nose protrusion
-    Bump((30, 33), 15, (0, -2.5, 0)),  # nose length
-    Bump((27, 28), 11, (0, 0, 1.8)),  # nose bridge
-    Bump((31,), 9, (1.6, 0, 0), paired=True),  # nose width
-    Bump((19,), 18, (0, 0.5, 1.8), paired=True),  # brow ridge
-    Bump((37, 40), 13, (0, 0, 1.2), paired=True),  # eye depth
-    Bump((36,), 10, (1.2, 1.0, 0), paired=True),  # outer eye corner
-    Bump((2, 31, 36), 20, (1.2, 0.8, 2.2), paired=True),  # cheekbone
-    Bump((3, 48), 20, (1.5, 0, 1.8), paired=True),  # cheek fullness
-    Bump((4,), 30, (3.5, 0, 0), paired=True),  # jaw width
-    Bump((8,), 22, (0, 0, 2.8)),  # chin protrusion
-    Bump((7, 8, 9), 25, (0, -3.0, 0)),  # chin length
-    Bump((51, 57), 9, (0, 0, 1.3)),  # lip fullness
-    Bump((48,), 11, (2.0, 0.3, -0.5), paired=True),  # mouth width
-    Bump((19, 24), 35, (0, 0, 1.5)),  # forehead slope
-)
-ASYMMETRY_BUMPS = (
-    Bump((30,), 16, (0.9, 0, 0)),
-    Bump((48,), 16, (0, 0.9, 0.3)),
-    Bump((19,), 16, (0, 0.8, 0.4)),
-    Bump((12,), 30, (0.6, 0.5, 0.6)),
-)
-EXPRESSION_BUMPS: dict[str, tuple[Bump, ...]] = {
-    "neutral": (),
-    "smile": (
-        Bump((48,), 12, (5.5, 5.0, -3.0), paired=True),
-        Bump((2, 31, 36), 16, (0.5, 2.5, 3.0), paired=True),
-        Bump((51, 57), 9, (0, 0.5, -1.5)),
-    ),
-    "frown": (
-        Bump((21,), 11, (-2.5, -4.5, 0.8), paired=True),
-        Bump((48,), 12, (0.5, -3.5, -0.5), paired=True),
-        Bump((57,), 10, (0, 1.5, 1.0)),
-    ),
-    "pout": (Bump((48,), 11, (-5.0, 0, 2.0), paired=True), Bump((51, 57), 12, (0, 0, 5.0))),
-    "puff": (Bump((3, 48), 18, (4.5, 0, 6.0), paired=True), Bump((48,), 10, (-1.5, 0, 1.0), paired=True)),
-    "surprise": (Bump((19,), 16, (0, 5.5, 0.8), paired=True), Bump((8,), 28, (0, -3.0, -0.5))),
-}
+def _read(rows: list[Values]) -> tuple[Bump, ...]:
+    return tuple(Bump(**row) for row in rows)
 
-CAPTURE_BUMPS = (
-    Bump((8, 57), 26, (0, -9.0, -3.0)),  # jaw down
-    Bump((6, 8, 10), 30, (0, -9.0, -3.0)),
-    Bump((62, 66), 11, (0, 0, -6.0)),  # the pit of an open mouth
-    Bump((57,), 9, (0, -4.0, 0)),
-    Bump((5,), 26, (1.5, 0, 3.0), paired=True),  # beard
-    Bump((8,), 28, (0, 0, 4.0)),
-    Bump((37, 40), 11, (0, 0, 2.5), paired=True),  # what glasses leave of the eyes
-)
+
+_DATA = json.loads(resources.files(__package__).joinpath("data/bumps.json").read_text("utf-8"))
+IDENTITY_BUMPS = _read(_DATA["identity"])
+ASYMMETRY_BUMPS = _read(_DATA["asymmetry"])
+EXPRESSION_BUMPS = {name: _read(rows) for name, rows in _DATA["expressions"].items()}
+
+CAPTURE_BUMPS = _read(_DATA["capture"])
 """Open jaws, beards and glasses, which scans have and identities do not; amount 1 is about a standard
 deviation in raw stereo, by eye."""
 
@@ -86,18 +50,18 @@ _WAVE_MM = 0.45
 STRETCHES = slice(0, 3)
 """Place of width, height and depth among the `shape_modes`."""
 
-# Landmark k of the right half and its twin on the left.
-_MIRRORED = {2: 14, 3: 13, 4: 12, 5: 11, 19: 24, 21: 22, 31: 35, 36: 45, 37: 44, 40: 47, 48: 54}
+_TWINS = dict(_DATA["twins"])
+"""Landmarks of the left half, by those of the right."""
 
 
 def displacement(bump: Bump, points: FloatArray, landmarks: FloatArray) -> FloatArray:
     """Return the (N, 3) displacement in mm of points (N, 3) by a bump of amount 1."""
     halves = [(bump.landmarks, -1 if bump.paired else 1)]
     if bump.paired:
-        halves.append((tuple(_MIRRORED[k] for k in bump.landmarks), 1))
+        halves.append(([_TWINS[k] for k in bump.landmarks], 1))
     moved = np.zeros(points.shape)
     for numbers, side in halves:
-        off = points - landmarks[list(numbers)].mean(0)
+        off = points - landmarks[numbers].mean(0)
         high = np.exp(-np.sum(off**2, axis=1) / (2 * bump.radius_mm**2))
         moved += high[:, None] * (np.array(bump.direction) * [side, 1, 1])
     return moved

@@ -1,9 +1,11 @@
 """Landmarks that MediaPipe's network finds in pictures of a registered scan: the extra [landmarks]."""
 
+import json
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from importlib import resources
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -28,13 +30,8 @@ _HALF_WIDTH_MM = 125.0
 """Half of a picture's side, on the face."""
 _VIEWS_DEG = ((0.0, 0.0), (-20.0, 0.0), (20.0, 0.0), (0.0, 12.0), (0.0, -12.0))
 """Yaw and pitch."""
-_POINTS = {
-    **dict(zip((18, 19, 20, 21, 22, 23, 24, 25), (63, 105, 66, 107, 336, 296, 334, 293), strict=True)),
-    **dict(zip((30, 32, 33, 34), (4, 97, 2, 326), strict=True)),
-    **dict(zip(range(36, 48), (33, 160, 158, 133, 153, 144, 362, 385, 387, 263, 373, 380), strict=True)),
-    **dict(zip(range(48, 60), (61, 39, 37, 0, 267, 269, 291, 405, 314, 17, 84, 181), strict=True)),
-    **dict(zip(range(60, 68), (78, 82, 13, 312, 308, 317, 14, 87), strict=True)),
-}
+_TABLE = resources.files(__package__).joinpath("data/mediapipe_points.json").read_text("utf-8")
+_POINTS = dict(json.loads(_TABLE))
 """Points of the network's mesh. The jaw's line, the outer ends of the brows and the bridge of
 the nose mean other places there."""
 _SIGMA_MM = {range(17, 27): 5.0, range(27, 36): 4.0, range(36, 48): 3.0, range(48, 68): 4.0}

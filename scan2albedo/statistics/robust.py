@@ -38,7 +38,7 @@ def geman_mcclure_weights(residual: FloatArray, scale: FloatArray | float) -> Fl
     .. [1] S. Geman, D. McClure, "Statistical methods for tomographic image reconstruction", Bulletin of the
        International Statistical Institute 52, 1987.
     """
-    return 1 / (1 + (residual / scale) ** 2) ** 2
+    return cauchy_weights(residual, scale) ** 2
 
 
 def huber_weights(residual: FloatArray, threshold: float) -> FloatArray:

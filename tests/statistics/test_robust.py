@@ -28,6 +28,6 @@ def test_weights_at_known_places():
     residual = np.array([0.0, 1.0, 2.0])
     np.testing.assert_array_equal(robust.huber_weights(residual, 1.0), [1, 1, 0.5])
     np.testing.assert_array_equal(robust.cauchy_weights(residual, 1.0), [1, 1 / 2, 1 / 5])
-    np.testing.assert_array_equal(robust.geman_mcclure_weights(residual, 1.0), [1, 1 / 4, 1 / 25])
+    np.testing.assert_allclose(robust.geman_mcclure_weights(residual, 1.0), [1, 1 / 4, 1 / 25])
     np.testing.assert_array_equal(robust.tukey_weights(residual, 2.0), [1, (3 / 4) ** 2, 0])
     np.testing.assert_array_equal(robust.student_t_weights(residual**2, 3.0), [4 / 3, 1, 4 / 7])

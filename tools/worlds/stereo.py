@@ -134,7 +134,7 @@ def stereo_scan(
     """
     rng = np.random.default_rng([seed, 23])
     worn = _drawn_features(features, rng)
-    names: list[Expression] = sorted(EXPRESSION_BUMPS)  # type: ignore[arg-type]
+    names: list[Expression] = sorted(EXPRESSION_BUMPS)
     expression = names[rng.integers(len(names))]
     sitter = sit_down(
         seed,
