@@ -4,11 +4,11 @@ import math
 
 
 def effective_count(area_mm2: float, length_mm: float) -> float:
-    """Return how many independent observations an area is worth, however finely it is sampled: A / (2 pi l^2).
+    """Return how many independent observations an area is worth, however finely it is sampled.
 
-    Errors whose correlation over the distance d is exp(-d / l) have 2 pi l^2 as the integral of that over the
-    plane [1]_: a mean over a much larger area A has the variance of one over A / (2 pi l^2) independent
-    errors.
+    It is A / (2 pi l^2). Errors whose correlation over the distance d is exp(-d / l) have 2 pi l^2 as the
+    integral of that over the plane [1]_: a mean over a much larger area A has the variance of one over so
+    many independent errors.
 
     Parameters
     ----------
