@@ -46,7 +46,7 @@ def machine_part(seed):
     return mesh
 
 
-@pytest.mark.parametrize("seed", [3, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 6, 8))])
+@pytest.mark.parametrize("seed", [3, pytest.param(8, marks=pytest.mark.slow)])
 def test_a_part_of_a_machine_is_refused_by_what_the_fit_finds(tmp_path, seed):
     """The search takes each of these for a face, at the scale where it resembles one most."""
     file, out = tmp_path / "part.stl", tmp_path / "out"
