@@ -25,6 +25,7 @@ from scipy.ndimage import map_coordinates, median_filter, uniform_filter
 
 from scan2albedo.core.arrays import BoolArray, ByteArray, Float32Array, FloatArray, RealArray, norms, row_sums
 from scan2albedo.geometry.rasterization import area_mean
+from scan2albedo.statistics.robust import student_t_weights
 
 CLASSES = ("unseen", "skin", "brow", "eye", "lip", "nostril", "beard", "hair", "cloth")
 """By number in `Materials.labels`. Cloth is whatever else lies before a face: a cap, a mask, glints."""
@@ -132,7 +133,7 @@ class MaterialModel:
     def skin_trust(self, features: FloatArray, wider: float) -> FloatArray:
         """Return the weights (N,) of features (N, K) as skin, by its t distribution (`log_likelihood`)."""
         square = _square(features - self.mean[0], wider**2 * self.covariance[0])
-        return (_FREEDOM + features.shape[1]) / (_FREEDOM + square)
+        return student_t_weights(square, _FREEDOM, features.shape[1])
 
     def with_own(self, number: int, features: FloatArray, patches: FloatArray) -> MaterialModel:
         """Return the model with a person's own class, known of `patches` (N,) beside one usual patch."""

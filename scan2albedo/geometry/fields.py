@@ -64,7 +64,8 @@ class Field:
         ends = links[self._used]
         self._root = np.sqrt(np.broadcast_to(weight, len(links))[self._used])[:, None]
         # Row (i, j) of `difference` takes u to sqrt(w_ij) (u_j - u_i).
-        signs, begins = (self._root * [-1.0, 1.0]).ravel(), 2 * np.arange(len(ends) + 1)
+        signs = (self._root * [-1.0, 1.0]).ravel()
+        begins = 2 * np.arange(len(ends) + 1)
         shape = len(ends), len(unknown)
         self._difference = sparse.csr_matrix((signs, ends.ravel(), begins), shape)
         free = self._difference.tocsc()[:, unknown]
@@ -95,8 +96,14 @@ def factorized(matrix: sparse.spmatrix) -> Callable[[FloatArray], FloatArray]:
     It is factored as L D L^T without pivoting, by SuperLU. Raises RuntimeError when it is singular.
     """
     # Columns on their own, neither relaxed to supernodes nor in panels, are the fastest on grids and meshes.
-    alone = {"relax": 1, "panel_size": 1, "options": {"SymmetricMode": True}}
-    return splu(sparse.csc_matrix(matrix), "MMD_AT_PLUS_A", 0.0, **alone).solve
+    return splu(
+        sparse.csc_matrix(matrix),
+        "MMD_AT_PLUS_A",
+        0.0,
+        relax=1,
+        panel_size=1,
+        options={"SymmetricMode": True},
+    ).solve
 
 
 def grid_links(usable: BoolArray) -> IntArray:
