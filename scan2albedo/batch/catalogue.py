@@ -10,8 +10,8 @@ import numpy as np
 
 from scan2albedo.batch.manifest import BatchManifest
 from scan2albedo.batch.records import CATALOGUE, FILES, FIXED, METRICS, STAGES, BatchScanRecord, path_column
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, NDArray, Values
-from scan2albedo.errors import BatchError, needs_extra, one_line
+from scan2albedo.core.arrays import BoolArray, Float32Array, Values
+from scan2albedo.errors import BatchError, errors_of, needs_extra
 from scan2albedo.geometry.rasterization import area_mean
 from scan2albedo.io.atomic import atomic_path
 from scan2albedo.io.images import read_image_linear
@@ -132,10 +132,8 @@ def load_albedos(out: str | Path, size: int | None = None) -> tuple[list[str], F
         file = folder / path
         if ".." in Path(path).parts or len(Path(path).parts) != 2 or file.parent.is_symlink():
             raise BatchError(f"{folder}: its catalogue names {path!r}, no file of a scan in it; {anew}")
-        try:
+        with errors_of(f"{file.parent}: cannot be read", BatchError, OSError):
             check_whole(file.parent)
-        except OSError as error:
-            raise BatchError(f"{file.parent}: cannot be read: {one_line(error)}") from error
         albedo, image = read_image_linear(file), file.parent / "geometry_image.npz"
         advice = "run the batch with --resume"
         more: Values = {"what": "geometry image", "advice": advice, "error": BatchError}
@@ -145,10 +143,11 @@ def load_albedos(out: str | Path, size: int | None = None) -> tuple[list[str], F
             raise BatchError(f"{file}: has {albedo.shape[:2]} texels, {image.name} {seen.shape}: of two runs")
         if size is not None and albedo.shape[:2] != (size, size):
             # Means over the texels that were seen, over all where none was.
-            weight = _resized(seen, size)
+            square = (size, size)
+            weight = area_mean(seen, square)
             some = (weight > 0)[..., None]
-            weighted = _resized(albedo * seen[..., None], size) / np.where(some, weight[..., None], 1)
-            albedo = np.where(some, weighted, _resized(albedo, size)).astype(np.float32)
+            weighted = area_mean(albedo * seen[..., None], square) / np.where(some, weight[..., None], 1)
+            albedo = np.where(some, weighted, area_mean(albedo, square)).astype(np.float32)
             seen = weight >= 0.5
         if albedos and albedo.shape != albedos[0].shape:
             raise BatchError(
@@ -158,11 +157,3 @@ def load_albedos(out: str | Path, size: int | None = None) -> tuple[list[str], F
         albedos.append(albedo)
         masks.append(seen)
     return [row["name"] for row in wanted], np.stack(albedos), np.stack(masks)
-
-
-def _resized(values: NDArray, size: int) -> FloatArray:
-    if size <= len(values):
-        return area_mean(values, (size, size))
-    from skimage.transform import resize
-
-    return resize(values.astype(float), (size, size), order=1, mode="edge", anti_aliasing=False)

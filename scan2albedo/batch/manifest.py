@@ -173,22 +173,27 @@ def _of_table(file: Path, text: str, name_columns: Texts) -> BatchManifest:
             scans[k] = replace(scan, name="-".join((*before, scan.name)))
     column = next((name for name in extra if name.casefold() == PERSON), None)
     if column is not None and PERSON not in name_columns:
-        together: dict[str | int, list[ManifestScan]] = {}
-        for k, scan in enumerate(scans):
-            together.setdefault(scan.extra[column].strip() or k, []).append(scan)
-        for k, (person, members) in enumerate(together.items()):
-            first = members[0]
-            if other := next((scan for scan in members if scan.own != first.own), None):
-                raise BatchError(
-                    f"{first.where} and {other.where}: scans of one person with other options; give all of "
-                    f"them the same {', '.join(other.own)}"
-                )
-            scans[k] = first
-            if isinstance(person, str):
-                sources = ", ".join(scan.source for scan in members)
-                cells = {
-                    name: "; ".join(dict.fromkeys(scan.extra[name] for scan in members)) for name in extra
-                }
-                scans[k] = replace(first, name=person, source=sources, extra=cells, members=tuple(members))
-        scans = scans[: len(together)]
+        scans = _joined(scans, column)
     return BatchManifest(file, tuple(scans), extra)
+
+
+def _joined(scans: list[ManifestScan], column: str) -> list[ManifestScan]:
+    """Return the scans, those of one person as one, by the cells of a column; others stay alone."""
+    together: dict[str | int, list[ManifestScan]] = {}
+    for k, scan in enumerate(scans):
+        together.setdefault(scan.extra[column].strip() or k, []).append(scan)
+    for k, (person, members) in enumerate(together.items()):
+        first = members[0]
+        if other := next((scan for scan in members if scan.own != first.own), None):
+            raise BatchError(
+                f"{first.where} and {other.where}: scans of one person with other options; give all of "
+                f"them the same {', '.join(other.own)}"
+            )
+        scans[k] = first
+        if isinstance(person, str):
+            sources = ", ".join(scan.source for scan in members)
+            cells = {
+                name: "; ".join(dict.fromkeys(scan.extra[name] for scan in members)) for name in first.extra
+            }
+            scans[k] = replace(first, name=person, source=sources, extra=cells, members=tuple(members))
+    return scans[: len(together)]

@@ -1,6 +1,5 @@
 """Records of a batch, its scans and its report, the columns of its catalogue, and where all files are."""
 
-import json
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -276,14 +275,14 @@ class Layout:
 
     def mark(self, name: str, started_at: float) -> None:
         """Note that a scan is being processed by this process since `started_at` (seconds since 1970)."""
-        write_text(self.running / name, json.dumps({"pid": os.getpid(), "started_at": started_at}))
+        write_text(self.running / name, str(started_at))
 
     def started_at(self, name: str) -> float | None:
         """Return when processing of a scan began, None when it is not in progress."""
         mark = self.running / name
-        with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
+        with suppress(OSError, ValueError):
             if mark.is_file():  # a pipe may never end
-                return float(json.loads(mark.read_text(encoding="utf-8"))["started_at"])
+                return float(mark.read_text(encoding="utf-8"))
         return None
 
     def unmark(self, name: str) -> None:

@@ -13,6 +13,7 @@ from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from scan2albedo import face_model
 from scan2albedo.batch import records
@@ -126,56 +127,25 @@ def _tasks(
     manifest: BatchManifest, layout: Layout, options: ProcessOptions, timeout_s: float | None
 ) -> list[ScanTask]:
     run, tasks = secrets.token_hex(8), []
-    models: dict[str, str | None] = {"none": None}
-    if not isinstance(options.model, str):
-        raise ValueError("a batch's model is a file, 'default' or 'none': workers read it themselves")
-    if options.model not in ("default", "none"):
-        options = replace(options, model=str(Path(options.model).absolute()))
-    if options.landmarks is not None and options.landmarks != AUTO:
-        folder, several = options.landmarks, sum(len(scan.members) or 1 for scan in manifest.scans) > 1
-        if not isinstance(folder, str) or (several and not Path(folder).is_dir()):
-            raise ValueError("a batch's landmarks are a folder with files named after the scans, or auto")
-        options = replace(options, landmarks=str(Path(folder).absolute()))
-    if options.linear_model is not None:
-        if not isinstance(options.linear_model, str):
-            raise ValueError("a batch's linear model is a file: workers read it themselves")
-        options = replace(options, linear_model=str(Path(options.linear_model).absolute()))
-    if options.textures is not None:
-        options = replace(options, textures=str(Path(options.textures).absolute()))
+    paths: dict[str, Any] = {}
+    for name in ("model", "landmarks", "linear_model", "textures"):
+        value = getattr(options, name)
+        if value is None or (isinstance(value, str) and value in ("default", "none", AUTO)):
+            continue
+        if not isinstance(value, str | Path):
+            raise ValueError(f"a batch's {name} is a file or a folder: workers read it themselves")
+        paths[name] = str(Path(value).absolute())
+    several = sum(len(scan.members) or 1 for scan in manifest.scans) > 1
+    if several and "landmarks" in paths and not Path(paths["landmarks"]).is_dir():
+        raise ValueError("a batch's landmarks are a folder with files named after the scans, or auto")
+    options = replace(options, **paths)
+    sha256_of_model = functools.cache(_model_sha256)
     for scan in manifest.scans:
         chosen = scan.options(options, manifest.folder)
-        model = str(chosen.model)
-        if model not in models:
-            path = Path(face_model.__path__[0], "data", "afm.json") if model == "default" else Path(model)
-            json_model = path.suffix.lower() == ".json"
-            try:
-                parts = [path, path.with_suffix(".npz")] if json_model else files_of_scan(path)
-                hashes = "".join(file_sha256(part) for part in parts if part.exists())
-            except OSError as error:
-                advice = "give a model's or a template's file"
-                raise ModelError(f"{model}: {error.strerror or error}; {advice}") from error
-            models[model] = hashlib.sha256(hashes.encode()).hexdigest()
-        # Whatever changes a result, and nothing else, is in this hash.
-        hashed = {"version": VERSION, "model_sha256": models[model], **asdict(chosen)}
-        if model not in ("default", "none"):
-            hashed["model"] = Path(model).name  # its place does not count
-        if isinstance(linear := hashed.pop("linear_model"), str):
-            hashed["linear_model_sha256"] = LinearFaceModel.load(linear).sha256
-        del hashed["textures"]  # those that a scan uses are part of the input
-        del hashed["landmarks"]
-        place = chosen.landmarks
-        members = scan.members or (scan,)
         if scan.members and chosen.model == "none":
             raise BatchError(f"{scan.where}: a person needs the model of a face: leave the model 'none' out")
-        if place == AUTO:
-            hashed["landmarks"] = AUTO
-        elif isinstance(place, str):
-            found = []
-            for member in members:
-                file = landmarks_file(place, member.path)
-                found.append("" if file is None else file_sha256(file) if file.is_file() else "missing")
-            if any(found):
-                hashed["landmarks"] = "/".join(found)
+        members = scan.members or (scan,)
+        model_sha256 = sha256_of_model(str(chosen.model))
         tasks.append(
             ScanTask(
                 name=scan.name,
@@ -183,8 +153,8 @@ def _tasks(
                 path=str(scan.path),
                 out=str(layout.out),
                 options=chosen,
-                options_sha256=hashlib.sha256(json.dumps(hashed, sort_keys=True).encode()).hexdigest(),
-                model_sha256=models[model],
+                options_sha256=_options_sha256(chosen, model_sha256, [member.path for member in members]),
+                model_sha256=model_sha256,
                 run=run,
                 version=VERSION,
                 timeout_s=timeout_s and timeout_s * len(members),
@@ -194,6 +164,41 @@ def _tasks(
     if any(task.options.landmarks_detected for task in tasks):
         require_detector()
     return tasks
+
+
+def _model_sha256(model: str) -> str | None:
+    """Return the hash of all files of a model or a template; None for no model."""
+    if model == "none":
+        return None
+    path = Path(face_model.__path__[0], "data", "afm.json") if model == "default" else Path(model)
+    try:
+        of_json = [path, path.with_suffix(".npz")]
+        parts = of_json if path.suffix.lower() == ".json" else files_of_scan(path)
+        hashes = "".join(file_sha256(part) for part in parts if part.exists())
+    except OSError as error:
+        raise ModelError(
+            f"{model}: {error.strerror or error}; give a model's or a template's file"
+        ) from error
+    return hashlib.sha256(hashes.encode()).hexdigest()
+
+
+def _options_sha256(options: ProcessOptions, model_sha256: str | None, scans: Sequence[Path]) -> str:
+    """Return the hash of whatever changes a result beside the scans, and of nothing else."""
+    hashed = {"version": VERSION, "model_sha256": model_sha256, **asdict(options)}
+    if options.model not in ("default", "none"):
+        hashed["model"] = Path(str(options.model)).name  # its place does not count
+    if isinstance(linear := hashed.pop("linear_model"), str):
+        hashed["linear_model_sha256"] = LinearFaceModel.load(linear).sha256
+    del hashed["textures"]  # those that a scan uses are part of the input
+    folder = hashed.pop("landmarks")
+    if folder == AUTO:
+        hashed["landmarks"] = AUTO
+    elif isinstance(folder, str):
+        files = [landmarks_file(folder, scan) for scan in scans]
+        found = ["" if file is None else file_sha256(file) if file.is_file() else "missing" for file in files]
+        if any(found):
+            hashed["landmarks"] = "/".join(found)
+    return hashlib.sha256(json.dumps(hashed, sort_keys=True).encode()).hexdigest()
 
 
 def _still_valid(task: ScanTask, layout: Layout) -> tuple[BatchScanRecord | None, str]:
@@ -268,7 +273,7 @@ class _Run:
                 set_jobs = functools.partial(setattr, self, "jobs")
                 ended = run_on_cluster(todo, self.layout, self.scheduler, set_jobs)
             else:
-                ended = run_in_processes(todo, self.layout, self.limited)
+                ended = run_in_processes(todo, self.layout, self.limited(todo) if todo else 0)
             with closing(ended):
                 for row in ended:
                     self.rows[row.name] = row
@@ -290,14 +295,13 @@ class _Run:
         return self.outcome()
 
     def limited(self, tasks: Sequence[ScanTask]) -> int:
-        """Return how many processes to use for these tasks: as many as fit into memory now."""
+        """Return how many processes to use for these tasks: as many as fit into memory."""
         asked = min(self.asked, len(tasks))
-        peaks = [row.peak_memory_mb or 0.0 for row in self.rows.values() if row.run == self.run]
         paths = [Path(path) for task in tasks for path in task.paths]
         texels = max(task.options.texels for task in tasks)
         painted = (task.options for task in tasks if task.options.model not in ("default", "none"))
         template = max((options.texture_size for options in painted), default=0)
-        worker = worker_mb(paths, texels, max(peaks, default=0.0), tasks[0].options.textures, template)
+        worker = worker_mb(paths, texels, tasks[0].options.textures, template)
         self.jobs, note = job_limit(asked, worker)
         if note:
             self.show(note=note)

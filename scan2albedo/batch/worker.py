@@ -146,9 +146,10 @@ def _processed(task: ScanTask, layout: Layout) -> Values:
     from scan2albedo.pipeline.result import ProcessResult
 
     with threadpool_limits(limits=1):
+        folder = layout.out / task.name
         earlier = layout.row(task.name)
         recorded = () if earlier is None else tuple(earlier.files)
-        RunFolder(layout.out / task.name, FILES, recorded).check()  # refused before any work
+        RunFolder(folder, FILES, recorded).check()  # refused before any work
         model = _model(task.options.model, task.model_sha256)
         chosen = task.options.arguments() | {"model": model, "name": task.name}
 
@@ -156,7 +157,7 @@ def _processed(task: ScanTask, layout: Layout) -> Values:
             if not layout.is_running(task.run):
                 raise BatchError("the batch has ended; nothing is written")
 
-        folder, timings_s = layout.out / task.name, dict[str, float]()
+        timings_s = dict[str, float]()
         sha256 = task.input_sha256() if task.members else None  # before, for the scans may change meanwhile
         if task.members:
             scans = dict(task.members)

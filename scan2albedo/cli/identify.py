@@ -1,12 +1,16 @@
 """The command `identify`: which persons of a gallery of processed scans other processed scans show."""
 
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from scan2albedo.cli.common import JsonOption, echo_json, working
+
+if TYPE_CHECKING:
+    from scan2albedo.runs.recognition import ProbeRecord
 
 
 def identify(
@@ -95,9 +99,8 @@ def identify(
         for note in found.notes:
             progress.say(f"identify: {note}")
         record = write_identification(found, out)
-        counts = {"probe": len(record.results), "person": len(record.persons), "image": record.gallery_images}
-        shown_probes, persons, images = (f"{n} {what}{'' if n == 1 else 's'}" for what, n in counts.items())
-        text = f"{shown_probes}, {persons} on {images}, decided by "
+        text = f"{len(record.results)} probes, {len(record.persons)} persons"
+        text += f" on {record.gallery_images} images, decided by "
         decided = Counter(probe.decided_by for probe in record.results)
         text += ", ".join(f"{kind} ({n})" for kind, n in decided.most_common())
         if (rates := record.rates) is not None:
@@ -110,8 +113,12 @@ def identify(
     if json_summary:
         echo_json(record.model_dump(mode="json"))
         return
+    _echo_table(record.results)
+
+
+def _echo_table(results: Sequence["ProbeRecord"]) -> None:
     rows = [("probe", "person", "predicted", "log odds", "by", "rank", "next", "log odds")]
-    for probe in record.results:
+    for probe in results:
         following = "" if probe.next_log_odds is None else f"{probe.next_log_odds:.1f}"
         own = probe.probe, probe.person or "?", probe.predicted, f"{probe.log_odds:.1f}", probe.decided_by
         rows.append((*own, str(probe.rank or "?"), probe.next_person or "", following))

@@ -117,10 +117,9 @@ def read_labelled_templates(
         if templates.names != first.names or templates.options != first.options:
             raise RecognitionError(f"{file} and those beside it come from different runs; make all anew")
     labels = tuple(f"{name} [{k}]" for k, name in enumerate(first.names))
-    absent = [kind for kind in kinds if kind not in (*found, "shading")]
-    missing = [f"{file}: holds no {kind}; it is left aside" for kind in absent]
+    missing = tuple(f"{file}: holds no {kind}" for kind in kinds if kind not in (*found, "shading"))
     rows = {kind: np.arange(len(first)) for kind in found}
-    return LabelledTemplates(file, found, rows, labels, first.names, tuple(missing))
+    return LabelledTemplates(file, found, rows, labels, first.names, missing)
 
 
 def _of_manifest(
@@ -131,27 +130,22 @@ def _of_manifest(
 ) -> LabelledTemplates:
     entries = manifest.entries
     made: dict[tpl.Kind, dict[int, Any]] = {kind: {} for kind in kinds}
-    reasons: list[dict[tpl.Kind, str]] = [{} for _ in entries]
+    reasons: dict[tpl.Kind, dict[int, str]] = {kind: {} for kind in kinds}
     chart, first = None, ""
     for k, entry in enumerate(entries):
         where = manifest.where(entry)
         for kind in kinds:
-            try:
-                face = read_face(entry.path, kind)
-                made[kind][k] = tpl.kind_coefficients(
-                    kind, face.values, face.certainty, options, entry.result
-                )
+            with errors_of(where, RecognitionError):
+                try:
+                    face = read_face(entry.path, kind)
+                    made[kind][k] = tpl.kind_coefficients(
+                        kind, face.values, face.certainty, options, entry.result
+                    )
+                except tpl.NothingToCompareError as error:
+                    reasons[kind][k] = str(error) if where in str(error) else f"{where}: {error}"
+                    continue
                 before, chart = chart, tpl.common_chart(chart, face.chart, first, where)
                 first = entry.result if chart != before else first
-            except RecognitionError as error:
-                # What is wrong, after the place where the entry is named; nothing is named twice.
-                text = str(error)
-                if where not in text:
-                    named = [f"{name}{end}" for name in (entry.path, entry.result) for end in (": ", " ")]
-                    text = f"{where}: {text.removeprefix(next(filter(text.startswith, named), ''))}"
-                if not isinstance(error, tpl.NothingToCompareError):
-                    raise RecognitionError(text) from error
-                reasons[k][kind] = text
         if on_count is not None:
             on_count(k + 1, len(entries))
     sets = {
@@ -168,27 +162,24 @@ def _of_manifest(
         if of_kind
     }
     if not sets:
-        what = "an albedo" if kinds[-1] == "albedo" else "a shape"
         raise RecognitionError(
-            f"{manifest.file}: no result has {what} to compare; the first: {reasons[0][kinds[-1]]}"
+            f"{manifest.file}: no result has {' or '.join(kinds)} to compare; "
+            f"the first: {reasons[kinds[-1]][0]}"
         )
-    # A sentence for each result that lacks something, one for all where all lack it.
     notes = [
-        f"{manifest.file}: no result has {kind}; they are compared without"
-        for kind in sorted(set(kinds) - set(sets) - {"shading"})
+        f"{manifest.file}: {len(lacking)} of {len(entries)} results have no {kind}; the first: {why}"
+        for kind, lacking in reasons.items()
+        for why in list(lacking.values())[:1]
+        if kind != "shading"
     ]
-    for lacking in reasons:
-        own = {kind: reason for kind, reason in lacking.items() if kind in sets}
-        if len(lacking) == len(kinds):
-            notes.append(f"left out: {next(iter((own or lacking).values()))}")
-        elif own:
-            kind, reason = next(iter(own.items()))
-            notes.append(f"compared without {kind}: {reason}")
+    kept = [k for k in range(len(entries)) if any(k in of_kind for of_kind in made.values())]
+    left_out = sorted(set(range(len(entries))) - set(kept))
+    notes += [f"left out: {reasons[kinds[-1]][k]}" for k in left_out]
     rows = {kind: np.array(list(made[kind])) for kind in sets}
     labels = tuple(entry.result for entry in entries)
     persons = tuple(entry.person for entry in entries)
     whole = LabelledTemplates(manifest.file, sets, rows, labels, persons, (*manifest.notes, *notes))
-    return whole.select([k for k, lacking in enumerate(reasons) if len(lacking) < len(kinds)])
+    return whole.select(kept)
 
 
 def write_labelled_templates(path: str | Path, labelled: LabelledTemplates) -> tuple[Path, ...]:

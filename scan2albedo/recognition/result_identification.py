@@ -2,12 +2,14 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib import resources
 from pathlib import Path
 from typing import get_args
 
 import numpy as np
+from pydantic import TypeAdapter
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, Texts
+from scan2albedo.core.arrays import FloatArray, Texts
 from scan2albedo.errors import RecognitionError
 from scan2albedo.recognition import identification as matching
 from scan2albedo.recognition.labelled_templates import (
@@ -45,18 +47,8 @@ class Calibration:
     """Of the level of the shape's similarity over populations."""
 
 
-CALIBRATION = Calibration(
-    ("albedo", "texture", "shape", "shading"),
-    (0.7680, 0.7509, 0.8448, 0.6629),
-    (0.5465, 0.5616, 0.7521, 0.5799),
-    (
-        (0.007828, 0.008886, 0.000176, 0.009256),
-        (0.008886, 0.011115, 0.000176, 0.012416),
-        (0.000176, 0.000176, 0.000250, 0.000214),
-        (0.009256, 0.012416, 0.000214, 0.015574),
-    ),
-    0.001435,
-    0.003509,
+CALIBRATION = TypeAdapter(Calibration).validate_json(
+    resources.files(__package__).joinpath("data/calibration.json").read_bytes()
 )
 """Of the default templates, by scans and photographs of sixteen heads under rendered lights and three scans
 each of twelve synthetic people: `python tools/build recognition_calibration FOLDER`."""
@@ -166,7 +158,7 @@ class ResultIdentification:
     of them lacks it."""
     decided_by: tuple[Kind, ...]
     """(P,): the kind that adds most to the lead of the predicted person over the next, the shading's part
-    being the texture's."""
+    being the texture's; combined as the log odds are."""
     notes: Texts
     """What is odd about the input, one sentence each."""
 
@@ -230,19 +222,20 @@ def identify_results(
             f"{known.source} can be compared by {' and '.join(known.sets)}, {shown.source} by "
             f"{' and '.join(shown.sets)}; process all scans alike, or choose what to use"
         )
-    known, shown = _with_windows(known, kinds), _with_windows(shown, kinds)
-    scores, apart = _pair_similarities(known, shown, kinds)
-    compared = common_similarities(scores)
-    parts = log_odds_by_kind(compared)
+    return _identified(_with_windows(known, kinds), _with_windows(shown, kinds), kinds, combine, together)
+
+
+def _identified(
+    known: LabelledTemplates,
+    shown: LabelledTemplates,
+    kinds: Sequence[Kind],
+    combine: matching.Combine,
+    together: bool,
+) -> ResultIdentification:
+    """Return which persons templates show, by kinds that both sides have."""
+    scores = _pair_similarities(known, shown, kinds)
+    parts = log_odds_by_kind(common_similarities(scores))
     total = np.asarray(sum(parts.values()))
-    notes = _limits(known, shown, compared)
-    for pairs, lack in ((np.isnan(total), "have nothing to compare"), (apart, "have no window")):
-        if pairs.any():
-            notes.append(
-                f"{pairs.sum()} of {pairs.size} pairs of a probe and an image {lack} in common: they count "
-                "as similarity 0"
-            )
-    notes += _repeated(known, shown)
     # Several scans of one person are one probe: the mean of its rows.
     groups: dict[str | int, list[int]] = {}
     for k, person in enumerate(shown.persons):
@@ -259,82 +252,35 @@ def identify_results(
     names = [person or "" for person in known.persons]
     persons = [person if person in known.persons else None for person in judged.persons]
     matches = matching.identify_by_similarity(log_odds, names, persons, combine=combine)
-    by_kind = {
-        kind: matching.similarities_by_person(mean(s), names, combine)[1] for kind, s in scores.items()
-    }
-    parts = {kind: mean(np.nan_to_num(part)) for kind, part in parts.items()}
+
+    def by_person(values: FloatArray) -> FloatArray:
+        return matching.similarities_by_person(mean(values), names, combine)[1]
+
+    by_kind = {kind: by_person(values) for kind, values in scores.items()}
+    parts = {kind: by_person(np.nan_to_num(part)) for kind, part in parts.items()}
     if "shading" in parts:
         parts["texture"] = parts["texture"] + parts.pop("shading")
-    decided_by = _leading_kinds(parts, matches, names, log_odds)
-    return ResultIdentification(
-        known, judged, matches, by_kind, decided_by, (*known.notes, *shown.notes, *notes)
-    )
+    first_two = matches.order[:, :2]
+    signs = np.array([1, -1])[: first_two.shape[1]]
+    leads = np.stack([np.take_along_axis(part, first_two, axis=1) @ signs for part in parts.values()])
+    decided_by = tuple(list(parts)[k] for k in leads.argmax(axis=0))
+    notes = (*known.notes, *shown.notes, *_repeated(known, shown))
+    return ResultIdentification(known, judged, matches, by_kind, decided_by, notes)
 
 
 def _pair_similarities(
     known: LabelledTemplates, shown: LabelledTemplates, kinds: Sequence[Kind]
-) -> tuple[dict[Kind, FloatArray], BoolArray]:
-    """Return similarities (P, images) by kind, NaN where one of a pair lacks it, and pairs without a window.
-
-    A pair whose masks have no window in common has similarity 0.
-    """
-    shape = len(shown), len(known)
-    scores, apart = {kind: np.full(shape, np.nan) for kind in kinds}, np.zeros(shape, bool)
+) -> dict[Kind, FloatArray]:
+    """Return similarities (P, images) by kind: NaN where one lacks it, 0 without a common window."""
+    scores: dict[Kind, FloatArray] = {}
     for kind in kinds:
-        if kind not in known.sets or kind not in shown.sets:
-            continue  # all results of the kind were left out, for they had no window
-        a, b = shown.sets[kind], known.sets[kind]
-        common_chart(b.chart, a.chart, str(known.source), str(shown.source))
-        here = np.ix_(shown.rows[kind], known.rows[kind])
-        found = comparable_similarities(a, b, WINDOW)
-        scores[kind][here], apart[here] = np.nan_to_num(found), apart[here] | np.isnan(found)
-    return scores, apart
-
-
-def _leading_kinds(
-    parts: Mapping[Kind, FloatArray],
-    matches: matching.Identification,
-    names: Sequence[str],
-    log_odds: FloatArray,
-) -> tuple[Kind, ...]:
-    """Return (P,) the kind that adds most to the lead of the predicted person over the next."""
-    found = []
-    for probe, order in enumerate(matches.order):
-        lead = np.zeros(len(parts))
-        for sign, person in zip((1, -1), order[:2], strict=False):
-            images = np.flatnonzero(np.array(names) == matches.persons[person])
-            if matches.combine == "best":
-                images = images[[log_odds[probe, images].argmax()]]
-            lead += sign * np.array([part[probe, images].mean() for part in parts.values()])
-        found.append(list(parts)[lead.argmax()])
-    return tuple(found)
-
-
-def _limits(
-    known: LabelledTemplates, shown: LabelledTemplates, compared: Mapping[Kind, FloatArray]
-) -> list[str]:
-    """Return a sentence for probes that are compared by less than others, and for unknown persons."""
-    notes = []
-    cues = [kind for kind in compared if kind != "shading"]
-    uses = np.array([(~np.isnan(compared[kind])).any(axis=1) for kind in cues])
-    for pattern in np.unique(uses[:, uses.any(axis=0) & ~uses.all(axis=0)], axis=1).T:
-        by, missing = (
-            [kind for kind, on in zip(cues, pattern, strict=True) if on == side] for side in (1, 0)
-        )
-        lacking = sorted(set(range(len(known))) - set(known.rows.get(missing[0], ())))
-        lack = f"{_few([known.labels[k] for k in lacking])} lack{'s' if len(lacking) == 1 else ''} it"
-        notes.append(
-            f"{(uses == pattern[:, None]).all(axis=0).sum()} of {len(shown)} probes are compared by "
-            f"{' and '.join(by)} alone, for {' or '.join(missing)} counts where the probe and all images of "
-            f"the gallery have it{f'; of the gallery {lack}' if lacking else ''}"
-        )
-    people = zip(shown.labels, shown.persons, strict=True)
-    if strangers := [f"{label} ({one})" for label, one in people if one not in (None, *known.persons)]:
-        notes.append(
-            f"{known.source} has no image of the persons on {len(strangers)} probes: {_few(strangers)}; "
-            "they are identified, but count in no rate"
-        )
-    return notes
+        scores[kind] = np.full((len(shown), len(known)), np.nan)
+        if kind in known.sets and kind in shown.sets:  # otherwise all that have it were left out
+            a, b = shown.sets[kind], known.sets[kind]
+            common_chart(b.chart, a.chart, str(known.source), str(shown.source))
+            here = np.ix_(shown.rows[kind], known.rows[kind])
+            scores[kind][here] = np.nan_to_num(comparable_similarities(a, b, WINDOW))
+    return scores
 
 
 def _repeated(known: LabelledTemplates, shown: LabelledTemplates) -> list[str]:
@@ -352,25 +298,18 @@ def _repeated(known: LabelledTemplates, shown: LabelledTemplates) -> list[str]:
 
 
 def _with_windows(labelled: LabelledTemplates, kinds: Sequence[Kind]) -> LabelledTemplates:
-    usable, lacking = np.zeros(len(labelled), bool), np.ones(len(labelled), bool)
+    """Return the results that have a window of one of the kinds; a note names the others."""
+    usable = np.zeros(len(labelled), bool)
     for kind in kinds:
         usable[labelled.rows[kind]] |= has_window(labelled.sets[kind], WINDOW)
-        lacking[labelled.rows[kind]] = False
     if usable.all():
         return labelled
-    either = " or ".join(kind for kind in kinds if kind != "shading")
-    left = []
-    for which, reason in (
-        (lacking, f"no {either}, which is all that both sides can be compared by"),
-        (~usable & ~lacking, f"no window of {WINDOW} x {WINDOW} coefficients lies inside the mask"),
-    ):
-        if which.any():
-            names = _few([labelled.labels[k] for k in np.flatnonzero(which)])
-            left.append(f"{labelled.source}: {names}: {reason}")
+    names = _few([labelled.labels[k] for k in np.flatnonzero(~usable)])
+    left = f"{labelled.source}: {names}: no window of {WINDOW} x {WINDOW} coefficients lies inside the mask"
     if not usable.any():
-        raise RecognitionError(f"{'; '.join(left)}, and no result is left; scan more of the faces")
+        raise RecognitionError(f"{left}, and no result is left; scan more of the faces")
     kept = labelled.select(np.flatnonzero(usable))
-    return replace(kept, notes=(*kept.notes, *(f"left out: {one}" for one in left)))
+    return replace(kept, notes=(*kept.notes, f"left out: {left}"))
 
 
 def _few(names: Sequence[str]) -> str:

@@ -10,7 +10,8 @@ from typing import Final, Literal
 
 import numpy as np
 from scipy import fft
-from scipy.ndimage import distance_transform_edt, minimum_filter, uniform_filter
+from scipy.ndimage import minimum_filter, uniform_filter
+from skimage.morphology import isotropic_closing
 
 from scan2albedo.core.arrays import (
     ArrayLike,
@@ -289,41 +290,17 @@ def image_coefficients(
     image: ArrayLike, mask: ArrayLike | None, options: TemplateOptions, what: str
 ) -> tuple[NDArray[np.complex128], Float32Array]:
     """Return coefficients (O, h, w), 0 outside their mask, and weights (h, w) of one image named `what`."""
-    pixels = np.asarray(image, float)
-    if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] != 3) or pixels.size == 0:
-        raise ValueError(f"{what} has shape {pixels.shape}, expected (H, W) or (H, W, 3)")
-    certain = np.ones(pixels.shape[:2]) if mask is None else np.asarray(mask)
+    pixels, certain = _luminance(image, mask, what)
     valid = certain > 0
-    if valid.shape != pixels.shape[:2]:
-        size, other = (" x ".join(map(str, array.shape[:2])) for array in (pixels, valid))
-        raise RecognitionError(f"{what} has {size} pixels, its mask {other}; give a mask of the image's size")
-    if certain.dtype.kind not in "bf" or not ((certain >= 0) & (certain <= 1)).all():
-        raise ValueError(f"{what}: its mask is of {certain.dtype}, expected bool, or float within [0, 1]")
-    if not valid.any():
-        raise NothingToCompareError(
-            f"{what} is masked everywhere; leave it out, or give a mask with valid pixels"
-        )
-    finite = np.isfinite(pixels) if pixels.ndim == 2 else finite_rows(pixels)
-    if bad := int((valid & ~finite).sum()):
-        raise RecognitionError(
-            f"{what}: {bad} of {valid.sum()} pixels in its mask are not finite; take them out of the mask"
-        )
-    if pixels.ndim == 3:
-        pixels = np.where(valid[..., None], pixels, 0.0) @ LUMINANCE
-    pixels = np.where(valid, pixels, 0.0)
     if options.size is not None:
         pixels, valid = averaged_down(pixels, valid, options.size, what)
         certain = area_mean(certain, (valid.shape[0], valid.shape[1]))
     if options.unit_mean:
-        with np.errstate(over="ignore"):
-            mean = float(pixels[valid].mean())
-        if mean == np.inf:
-            most = pixels[valid].max()
-            raise RecognitionError(f"{what} reaches {most:.3g}, too much to average; scale it down")
-        if not mean > 0:
+        mean = float(pixels[valid].mean())
+        if not 0 < mean < np.inf:
             raise NothingToCompareError(
-                f"{what} has the mean {mean:g} in its mask, expected > 0; leave a black image out, or "
-                "compare as it is (unit_mean=False)"
+                f"{what} has the mean {mean:g} in its mask, expected > 0 and finite; "
+                "leave a black image out, or compare as it is (unit_mean=False)"
             )
         pixels = np.cbrt(pixels / mean)
     supported = supported_mask(without_holes(valid, HOLE_RADIUS))
@@ -347,6 +324,32 @@ def image_coefficients(
     return np.where(supported, bands, 0.0), weight
 
 
+def _luminance(image: ArrayLike, mask: ArrayLike | None, what: str) -> tuple[FloatArray, NDArray]:
+    """Return the luminance (H, W) of an image, 0 where it does not count, and how certain it is (H, W)."""
+    pixels = np.asarray(image, float)
+    if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] != 3) or pixels.size == 0:
+        raise ValueError(f"{what} has shape {pixels.shape}, expected (H, W) or (H, W, 3)")
+    certain = np.ones(pixels.shape[:2]) if mask is None else np.asarray(mask)
+    valid = certain > 0
+    if valid.shape != pixels.shape[:2]:
+        size, other = (" x ".join(map(str, array.shape[:2])) for array in (pixels, valid))
+        raise RecognitionError(f"{what} has {size} pixels, its mask {other}; give a mask of the image's size")
+    if certain.dtype.kind not in "bf" or not ((certain >= 0) & (certain <= 1)).all():
+        raise ValueError(f"{what}: its mask is of {certain.dtype}, expected bool, or float within [0, 1]")
+    if not valid.any():
+        raise NothingToCompareError(
+            f"{what} is masked everywhere; leave it out, or give a mask with valid pixels"
+        )
+    finite = np.isfinite(pixels) if pixels.ndim == 2 else finite_rows(pixels)
+    if bad := int((valid & ~finite).sum()):
+        raise RecognitionError(
+            f"{what}: {bad} of {valid.sum()} pixels in its mask are not finite; take them out of the mask"
+        )
+    if pixels.ndim == 3:
+        pixels = np.where(valid[..., None], pixels, 0.0) @ LUMINANCE
+    return np.where(valid, pixels, 0.0), certain
+
+
 def averaged_down(image: FloatArray, mask: BoolArray, size: int, what: str) -> tuple[FloatArray, BoolArray]:
     """Return image and mask, the longer side at most `size`; a pixel is valid where half of its area is."""
     longest = max(image.shape)
@@ -363,11 +366,9 @@ def averaged_down(image: FloatArray, mask: BoolArray, size: int, what: str) -> t
 def without_holes(mask: BoolArray, radius: float) -> BoolArray:
     """Return the mask (H, W) closed by a disc whose radius is given in sides of the image."""
     reach = round(radius * max(mask.shape))
-    if reach == 0 or mask.all() or not mask.any():
-        return mask
-    grown = distance_transform_edt(~np.pad(mask, reach + 1)) <= reach
-    inside = slice(reach + 1, -reach - 1)
-    return distance_transform_edt(grown)[inside, inside] > reach
+    # Beyond the border nothing is known; without reach the closing would still wear off the edge.
+    closed = isotropic_closing(np.pad(mask, reach + 1), reach) if reach else np.pad(mask, 1)
+    return closed[reach + 1 : -reach - 1, reach + 1 : -reach - 1]
 
 
 def supported_mask(mask: BoolArray) -> BoolArray:

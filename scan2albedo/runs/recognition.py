@@ -95,38 +95,6 @@ def write_identification(
     matches = found.matches
     cmc = cmc_curve(matches) if matches.known.any() else None
     roc = roc_curve(matches) if cmc is not None and len(matches.persons) > 1 else None
-    rates = None
-    if cmc is not None:
-        rates = RatesRecord(
-            probes=cmc.probes,
-            confidence=cmc.confidence,
-            rank_1_rate=float(cmc.rate[0]),
-            rank_1_interval=(float(cmc.low[0]), float(cmc.high[0])),
-            equal_error_rate=None if roc is None else roc.equal_error_rate,
-            equal_error_interval=None if roc is None else roc.equal_error_interval,
-        )
-
-    def rounded(similarity: float) -> float | None:
-        """Return a similarity, 0 to 1, with the digits that sums in float32 hold; None for NaN."""
-        return None if np.isnan(similarity) else round(min(float(similarity), 1.0), 6)
-
-    results, order = [], matches.order.tolist()
-    for k, (probe, person) in enumerate(zip(found.probes.labels, found.probes.persons, strict=True)):
-        first, *others = order[k]
-        alone = {kind: rounded(values[k, first]) for kind, values in found.by_kind.items()}
-        results.append(
-            ProbeRecord(
-                probe=probe,
-                person=person,
-                predicted=matches.persons[first],
-                log_odds=round(float(matches.similarities[k, first]), 3),
-                decided_by=found.decided_by[k],
-                rank=int(matches.ranks[k]) or None,
-                next_person=matches.persons[others[0]] if others else None,
-                next_log_odds=round(float(matches.similarities[k, others[0]]), 3) if others else None,
-                **{kind: alone.get(kind) for kind in ("albedo", "texture", "shape")},
-            )
-        )
     templates = found.gallery.templates
     record = IdentificationRecord(
         scan2albedo_version=VERSION,
@@ -138,8 +106,8 @@ def write_identification(
         combine=matches.combine,
         template_options=asdict(templates.options),
         model=None if templates.chart is None else templates.chart.model,
-        rates=rates,
-        results=tuple(results),
+        rates=None if cmc is None else _rates(cmc, roc),
+        results=_results(found),
         notes=found.notes,
         files=(),
     )
@@ -151,7 +119,7 @@ def write_identification(
         writer = csv.writer(table, lineterminator="\n")
         writer.writerow(ProbeRecord.model_fields)
         formula = ("=", "+", "-", "@")  # that a spreadsheet would run, of a text that begins so
-        for result in results:
+        for result in record.results:
             cells = result.model_dump().values()
             writer.writerow(f"'{c}" if isinstance(c, str) and c.startswith(formula) else c for c in cells)
         write_text(staging.folder / "identification.csv", table.getvalue())
@@ -168,6 +136,40 @@ def write_identification(
         if roc is not None:
             staging.figure("roc.png", curve_figure(name, roc))
         return staging.write_record(**dict(record))
+
+
+def _rates(cmc: CmcCurve, roc: RocCurve | None) -> RatesRecord:
+    return RatesRecord(
+        probes=cmc.probes,
+        confidence=cmc.confidence,
+        rank_1_rate=float(cmc.rate[0]),
+        rank_1_interval=(float(cmc.low[0]), float(cmc.high[0])),
+        equal_error_rate=None if roc is None else roc.equal_error_rate,
+        equal_error_interval=None if roc is None else roc.equal_error_interval,
+    )
+
+
+def _results(found: ResultIdentification) -> tuple[ProbeRecord, ...]:
+    matches, results = found.matches, []
+    # Similarities with the digits that sums in float32 hold.
+    alone = {kind: np.minimum(values, 1).round(6) for kind, values in found.by_kind.items()}
+    for k, (first, *others) in enumerate(matches.order.tolist()):
+        similar = {kind: float(values[k, first]) for kind, values in alone.items()}
+        kinds: tuple[Kind, ...] = ("albedo", "texture", "shape")
+        results.append(
+            ProbeRecord(
+                probe=found.probes.labels[k],
+                person=found.probes.persons[k],
+                predicted=matches.persons[first],
+                log_odds=round(float(matches.similarities[k, first]), 3),
+                decided_by=found.decided_by[k],
+                rank=int(matches.ranks[k]) or None,
+                next_person=matches.persons[others[0]] if others else None,
+                next_log_odds=round(float(matches.similarities[k, others[0]]), 3) if others else None,
+                **{kind: None if np.isnan(similar.get(kind, np.nan)) else similar[kind] for kind in kinds},
+            )
+        )
+    return tuple(results)
 
 
 def curve_figure(name: str, curve: CmcCurve | RocCurve) -> Figure:

@@ -1,7 +1,7 @@
 """Synthetic eyeglasses with key points, lenses and a known bend, mirrored from their left half."""
 
 from dataclasses import dataclass, field
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -9,6 +9,7 @@ from scipy.integrate import cumulative_trapezoid
 from scan2albedo.core.arrays import FloatArray, IntArray, Texts, arc_lengths, norms, smoothstep
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.geometry.mesh import normalized, vertex_components, without_unreferenced
+from scan2albedo.synthetic.textures import drawn
 
 RIM_POINTS = 72
 """Rings around a rim."""
@@ -62,21 +63,7 @@ class GlassesShape:
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> Self:
         """Return measures in the range that opticians sell."""
-        return cls(
-            lens_width=rng.uniform(46, 56),
-            lens_height=rng.uniform(32, 46),
-            squareness=rng.uniform(2.1, 3.4),
-            bridge_width=rng.uniform(15, 22),
-            bridge_height=rng.uniform(4.2, 6),
-            rim_width=rng.uniform(2.6, 4.5),
-            rim_depth=rng.uniform(3, 4.5),
-            wrap_radius=rng.uniform(180, 400),
-            temple_length=rng.uniform(135, 150),
-            temple_spread=rng.uniform(0, 6),
-            temple_height=rng.uniform(4, 7),
-            temple_width=rng.uniform(2.4, 3.6),
-            ear_angle_deg=rng.uniform(35, 50),
-        )
+        return cls(**drawn("glasses", rng))
 
     @property
     def lens_center(self) -> FloatArray:
@@ -257,14 +244,13 @@ def eyeglasses(
     measures = shape if shape is not None else GlassesShape.drawn(np.random.default_rng(seed))
     half = _half_glasses(measures, welded=welded, nose_pads=nose_pads, double_bridge=double_bridge)
     points = np.concatenate(half.points)
-    # The mirrored vertices: the seam's own, then new ones.
-    other, apart = np.zeros(half.count, int), np.ones(half.count, bool)
-    apart[half.seam] = False
-    other[half.seam] = half.seam
-    other[apart] = half.count + np.arange(apart.sum())
-    new = np.flatnonzero(other >= len(points))
-    vertices = np.concatenate([points, points[new] * [-1.0, 1, 1]])
-    sheet, mirror = np.concatenate(half.faces), np.concatenate([other, new])
+    # Vertices on the plane x = 0 are their own mirror images; those of others are new.
+    apart = np.flatnonzero(points[:, 0])
+    mirror = np.arange(half.count + len(apart))
+    mirror[apart] = half.count + np.arange(len(apart))
+    mirror[half.count :] = apart
+    vertices = np.concatenate([points, points[apart] * [-1.0, 1, 1]])
+    sheet = np.concatenate(half.faces)
     kept, faces = without_unreferenced(vertices, np.concatenate([sheet, mirror[sheet][:, ::-1]]))
     renumbered = np.full(len(vertices), -1)
     renumbered[kept] = np.arange(len(kept))
@@ -293,12 +279,11 @@ def eyeglasses(
 
 @dataclass
 class _Half:
-    """Vertices, faces and named vertices so far; `seam` (S,) are those on the plane x = 0."""
+    """Vertices, faces and named vertices so far; what lies on the plane x = 0 joins the other half."""
 
     points: list[FloatArray] = field(default_factory=list)
     faces: list[IntArray] = field(default_factory=list)
     marks: dict[str, int] = field(default_factory=dict)
-    seam: IntArray = field(default_factory=lambda: np.zeros(0, int))
     lens_edge: IntArray = field(default_factory=lambda: np.zeros(0, int))
     count: int = 0
 
@@ -350,20 +335,12 @@ def _half_glasses(shape: GlassesShape, *, welded: bool, nose_pads: bool, double_
         rings = path[:, None] + ellipse @ _BRIDGE_FRAME
         rings[-1, :, 0] = 0.0
         last = half.add_tube(rings)[-1]
-        half.seam = np.concatenate([half.seam, last])
         half.marks["bridge_top"] = int(last[0])
     return half
 
 
-class _Patch(NamedTuple):
-    """Outline of a piece of a rim's outside, a tube's first ring: numbers (S,) and points (S, 3)."""
-
-    loop: IntArray
-    points: FloatArray
-
-
-def _add_rim(half: _Half, shape: GlassesShape, welded: bool) -> tuple[_Patch, _Patch]:
-    """Append a rim, open at its patches if `welded`; return those of bridge and temple."""
+def _add_rim(half: _Half, shape: GlassesShape, welded: bool) -> list[IntArray]:
+    """Append a rim, open at its patches if `welded`; return those of bridge and temple, (S,) each."""
     line, normal = rim_curve(shape)
     angle = -2 * np.pi * np.arange(_SECTION) / _SECTION
     sections = (
@@ -380,7 +357,7 @@ def _add_rim(half: _Half, shape: GlassesShape, welded: bool) -> tuple[_Patch, _P
     for middle in (_BRIDGE, _HINGE):
         i = (middle + np.concatenate([s - side, -full, side - s, full])) % RIM_POINTS
         j = np.concatenate([-full, side - s, full, s - side]) % _SECTION
-        patches.append(_Patch(rim[i, j], sections[i, j]))
+        patches.append(rim[i, j])
         rows, columns = np.meshgrid(middle + np.arange(-s, s + 1), np.arange(-s, s + 1), indexing="ij")
         if welded:
             faces = faces[~np.isin(faces, rim[rows % RIM_POINTS, columns % _SECTION]).all(1)]
@@ -388,12 +365,12 @@ def _add_rim(half: _Half, shape: GlassesShape, welded: bool) -> tuple[_Patch, _P
     outward = {"rim_top": 18, "rim_inner": 42, "rim_bottom": 54, "rim_outer": 66}
     half.marks |= {name: int(rim[i, 0]) for name, i in outward.items()}
     half.marks["rim_bridge"] = int(rim[_BRIDGE, _SECTION // 2])
-    return patches[0], patches[1]
+    return patches
 
 
-def _add_bridge(half: _Half, shape: GlassesShape, patch: _Patch, welded: bool) -> None:
-    """Append half the bridge, which ends in the seam."""
-    loop, points = patch
+def _add_bridge(half: _Half, shape: GlassesShape, loop: IntArray, welded: bool) -> None:
+    """Append half the bridge, which ends in the plane x = 0, from the outline `loop` (S,) on the rim."""
+    points = half.points[0][loop]
     start, t = points.mean(0), np.linspace(0, 1, 9)
     path = np.stack([start[0] * (1 - t), start[1] + 1.5 * t * (2 - t), start[2] * (1 - t) ** 2], 1)
     path[-1, 0] = 0.0
@@ -402,13 +379,13 @@ def _add_bridge(half: _Half, shape: GlassesShape, patch: _Patch, welded: bool) -
     rings = _blended(path, frames, points, ellipse, np.clip(2 * t, 0, 1))
     if not welded:
         rings[0] = path[0] + [0.6 * shape.rim_width, 0, 0] + 0.6 * ellipse @ frames[0]
-    half.seam = half.add_tube(rings, loop if welded else None)[-1]
-    half.marks |= {"bridge_top": int(half.seam[6]), "bridge_bottom": int(half.seam[14])}
+    seam = half.add_tube(rings, loop if welded else None)[-1]
+    half.marks |= {"bridge_top": int(seam[6]), "bridge_bottom": int(seam[14])}
 
 
-def _add_temple(half: _Half, shape: GlassesShape, patch: _Patch, welded: bool) -> None:
-    """Append the temple; over 8 mm its section turns from the patch's outline into an ellipse."""
-    loop, points = patch
+def _add_temple(half: _Half, shape: GlassesShape, loop: IntArray, welded: bool) -> None:
+    """Append the temple; over 8 mm its section turns from the outline `loop` (S,) into an ellipse."""
+    points = half.points[0][loop]
     start = points.mean(0) + (0.0 if welded else np.array([1.0 + 0.25 * shape.rim_width, 0, 0]))
     path = temple_path(shape, start)
     frames = _path_frames(path)

@@ -19,11 +19,9 @@ from scan2albedo.synthetic.face_shape import FaceSurface, face_surface
 from scan2albedo.synthetic.face_shape import person as sculpted
 from scan2albedo.synthetic.renderer import SHADOW_OFFSET_MM, RayScene
 from scan2albedo.synthetic.sitter import BodyPart, Sitter, sit_down
-from scan2albedo.synthetic.textures import PaintedFeatures, paint_face, smooth_noise
+from scan2albedo.synthetic.textures import LOOKS, PaintedFeatures, drawn, paint_face, smooth_noise
 
 EXPONENTS = (1, 8, 64)
-_WEIGHT_MEAN, _WEIGHT_SD = np.array([0.02, 0.03, 0.012]), np.array([0.005, 0.008, 0.003])
-"""Sums are about twice what skin reflects at normal incidence (0.028), as oily skin."""
 
 
 @dataclass(frozen=True)
@@ -79,11 +77,9 @@ class GlossyPerson:
             array[on_face] = np.einsum("nk,nkc->nc", barycentric[on_face], values[corners[on_face]])
         other = ~on_face
         diffuse[other] = self.sitter.albedo_at(face[other], barycentric[other])
-        shine = np.array([1.0, 0.8, 0.4, 0.0])[self.sitter.part[face[other]]]
+        shine = LOOKS["shine"][self.sitter.part[face[other]]]
         weights[other] = shine[:, None] * self.weights.mean(0)
-        position = np.einsum("nk,nkc->nc", barycentric, self.sitter.vertices[corners])
-        normal = normalized(np.einsum("nk,nkc->nc", barycentric, self.sitter.normals[corners]))
-        surface = position, normal, -rays[seen], diffuse, weights, on_face
+        surface = *self.sitter.points_at(face, barycentric), -rays[seen], diffuse, weights, on_face
         return SeenSurface(seen.reshape(size, size), *surface)
 
     def lit(
@@ -131,7 +127,8 @@ class GlossyPerson:
 def gloss_weights(face: FaceSurface, model: AnnotatedSurface, seed: int) -> FloatArray:
     """Return (V, 3): the person's own means, patches of more and less shine, more on lips and nose."""
     rng = np.random.default_rng([seed, 20])
-    mean = _WEIGHT_MEAN + _WEIGHT_SD * np.clip(rng.standard_normal(3), -2, 2)
+    # Sums are about twice what skin reflects at normal incidence (0.028), as oily skin.
+    mean = LOOKS["lobe_mean"] + LOOKS["lobe_deviation"] * np.clip(rng.standard_normal(3), -2, 2)
     patches = np.exp(0.25 * np.stack([smooth_noise(face.uv, (6, 6), rng) for _ in EXPONENTS], axis=1))
     scale = vertex_average(len(face.uv), face.faces, model.region_values("specular_scale")[face.region])
     return mean * patches * scale[:, None]
@@ -178,13 +175,7 @@ class Individual:
         """Return a random person with a tone in the range."""
         shape_seed, tone = int(rng.integers(2**31)), float(rng.uniform(*tones))
         # A third more or less hair, brows and lips moved by about a millimetre: what relatives differ by.
-        features = PaintedFeatures(
-            brow_thickness=float(rng.uniform(0.65, 1.35)),
-            brow_lift=float(rng.uniform(-0.006, 0.006)),
-            brow_arch=float(rng.uniform(-0.003, 0.008)),
-            brow_reach=float(rng.uniform(0.75, 1.1)),
-            lip_fullness=float(rng.uniform(-0.004, 0.004)),
-        )
+        features = PaintedFeatures(**drawn("features", rng))
         return cls(shape_seed, tone, features, int(rng.integers(2**31)))
 
     def albedo(self, uv: FloatArray, model: AnnotatedSurface) -> FloatArray:

@@ -7,10 +7,10 @@ import numpy as np
 from scan2albedo.core.arrays import ArrayLike, BoolArray, FloatArray, IntArray, NDArray, on_grid
 from scan2albedo.geometry.pinhole import camera_centers, project
 from scan2albedo.lighting.environment import DistantLights
-from scan2albedo.synthetic.glossy_person import GlossyFace, GlossyPerson
+from scan2albedo.synthetic.glossy_person import GlossyFace, GlossyPerson, SeenSurface
 from scan2albedo.synthetic.renderer import TARGET_MM, Portrait, refuse_outside, toward
+from scan2albedo.synthetic.textures import LOOKS
 
-_ROOM_COLOR = np.array([1.0, 0.93, 0.82])
 _LEAST_GAIN = 0.1
 
 
@@ -109,10 +109,7 @@ def flash_capture(
     lit, rooms, skin, brightest = [], [], [], []
     for c in range(views):
         seen = person.seen(cameras[c], centers[c], portrait.picture_size)
-        # The room: three lamps 3 m away and light from everywhere, half each.
-        places_of_lamps = (-35.0, 50.0), (40.0, 35.0), (5.0, 70.0)
-        lamps = [person.lit(seen, TARGET_MM + 3000 * toward(*lamp)) / 3 for lamp in places_of_lamps]
-        ambient = room * _ROOM_COLOR * (sum(lamps) / 2 + seen.diffuse_linear / 2 / np.pi)
+        ambient = room * _in_room(person, seen)
         rooms.append(on_grid(seen.mask, ambient.astype(np.float32)))
         skin.append(on_grid(seen.mask, seen.on_face))
         for strength, position in zip(gain, centers[:flashes], strict=True):
@@ -136,6 +133,13 @@ def flash_capture(
         light_gain=gain,
         portrait=portrait,
     )
+
+
+def _in_room(person: GlossyPerson, seen: SeenSurface) -> FloatArray:
+    """Return the radiance (N, 3) under three lamps 3 m away and light from everywhere, half each."""
+    places = (-35.0, 50.0), (40.0, 35.0), (5.0, 70.0)
+    lamps = [person.lit(seen, TARGET_MM + 3000 * toward(*place)) / 3 for place in places]
+    return LOOKS["room"] * (sum(lamps) / 2 + seen.diffuse_linear / 2 / np.pi)
 
 
 @dataclass(frozen=True)

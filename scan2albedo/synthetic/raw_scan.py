@@ -17,8 +17,8 @@ from scan2albedo.synthetic import sitter as seated
 from scan2albedo.synthetic.face_shape import Expression, face_geometry_image
 from scan2albedo.synthetic.renderer import Material, RayScene, auto_exposure, photograph, render, toward
 from scan2albedo.synthetic.scenes import light_at, texel_coordinates
+from scan2albedo.synthetic.textures import LOOKS
 
-_BACKDROP = np.array([0.010, 0.016, 0.030])
 _LEAST_COSINE = 0.12
 """Between a triangle's normal and a ray that still measures it."""
 
@@ -96,8 +96,6 @@ def capture(
     they pass a head's surface, are triangulated in the unrolled cylinder. Triangles that bridge a jump in
     depth, lean too far away, or hide from all pods are dropped, as stereo matching does.
     """
-    from scipy.spatial import Delaunay
-
     # Rays from a cylinder; unrolled coordinates are in mm at 100 mm radius.
     radius = 100.0
     far = 600.0
@@ -114,17 +112,34 @@ def capture(
     hits = scene.first_hit(origins, rays)
     seen = hits.face >= 0
     points = origins[seen] + hits.distance[seen, None] * rays[seen]
-    # Counter-clockwise triangles of the plane without long edges.
-    plane = unrolled[seen]
+    triangles = _triangles(unrolled[seen], 2.5 * spacing_mm)
+    normals = face_normals(points, triangles)
+    leaning = -dots(normals, rays[seen][triangles[:, 0]])
+    facing = _facing(scene, points, triangles, normals, pods)
+    kept = (leaning > _LEAST_COSINE) & (facing.max(1) > _LEAST_COSINE)
+    used, renumbered = np.unique(triangles[kept], return_inverse=True)
+    numbered, facing = renumbered.reshape(-1, 3).astype(int), facing[kept]
+    best = _leading_pod(len(used), numbered, facing)
+    unseen = np.take_along_axis(facing, best[:, None], 1)[:, 0] < 0
+    return RangeMesh(points[used], numbered, np.where(unseen, facing.argmax(1), best))
+
+
+def _triangles(plane: FloatArray, longest_edge: float) -> IntArray:
+    """Return counter-clockwise triangles (F, 3) of points (N, 2) without long edges."""
+    from scipy.spatial import Delaunay
+
     triangles = Delaunay(plane).simplices.astype(int)
     clockwise = signed_areas(plane, triangles) < 0
     triangles[clockwise] = triangles[clockwise][:, ::-1]
     corners = plane[triangles]
     longest = norms(corners - np.roll(corners, 1, axis=1)).max(1)
-    triangles = triangles[longest < 2.5 * spacing_mm]
-    normals = face_normals(points, triangles)
-    leaning = -dots(normals, rays[seen][triangles[:, 0]])
-    # The cosine between each triangle's normal and each pod, -1 where the pod cannot see it.
+    return triangles[longest < longest_edge]
+
+
+def _facing(
+    scene: RayScene, points: FloatArray, triangles: IntArray, normals: FloatArray, pods: FloatArray
+) -> FloatArray:
+    """Return the cosine (F, P) between each triangle's normal and each pod, -1 where that cannot see it."""
     facing = np.empty((len(triangles), len(pods)))
     for k, (camera, place) in enumerate(zip(pods, pinhole.camera_centers(pods), strict=True)):
         toward_pod = normalized(place - points)
@@ -132,17 +147,17 @@ def capture(
         hidden[~hidden] = scene.occluded((points + toward_pod / 2)[~hidden], toward_pod[~hidden])
         cosine = dots(normals, toward_pod[triangles[:, 0]])
         facing[:, k] = np.where(hidden[triangles].any(1), -1.0, cosine)
-    kept = (leaning > _LEAST_COSINE) & (facing.max(1) > _LEAST_COSINE)
-    used, renumbered = np.unique(triangles[kept], return_inverse=True)
-    numbered, facing = renumbered.reshape(-1, 3).astype(int), facing[kept]
-    # The pod that sees a face best, averaged twelve times around, so that the seam is one line.
-    lead = np.stack([facing[:, k] - np.delete(facing, k, axis=1).max(1) for k in range(len(pods))], 1)
-    for k in range(len(pods)):
+    return facing
+
+
+def _leading_pod(vertices: int, faces: IntArray, facing: FloatArray) -> IntArray:
+    """Return (F,) the pod that sees each face best, averaged twelve times around: the seam is one line."""
+    pods = facing.shape[1]
+    lead = np.stack([facing[:, k] - np.delete(facing, k, axis=1).max(1) for k in range(pods)], 1)
+    for k in range(pods):
         for _ in range(12):
-            lead[:, k] = vertex_average(len(used), numbered, lead[:, k])[numbered].mean(1)
-    best = lead.argmax(1)
-    unseen = np.take_along_axis(facing, best[:, None], 1)[:, 0] < 0
-    return RangeMesh(points[used], numbered, np.where(unseen, facing.argmax(1), best))
+            lead[:, k] = vertex_average(vertices, faces, lead[:, k])[faces].mean(1)
+    return lead.argmax(1)
 
 
 def disturbed(
@@ -199,15 +214,14 @@ def flash_pictures(
         corners = sitter.faces[face]
         under = partial(
             render,
-            np.einsum("nk,nkc->nc", barycentric, sitter.vertices[corners]),
-            normalized(np.einsum("nk,nkc->nc", barycentric, sitter.normals[corners])),
+            *sitter.points_at(face, barycentric),
             sitter.albedo_at(face, barycentric),
             material=material,
             occluder=scene,
             view_direction=-rays[hit],
             specular_scale=sitter.specular_scale_at(face),
         )
-        radiance, on_face = np.tile(_BACKDROP, (size * size, 1)), np.zeros(size * size, bool)
+        radiance, on_face = np.tile(LOOKS["backdrop"], (size * size, 1)), np.zeros(size * size, bool)
         around = np.ones(3) if soft is None else np.einsum("nk,nkc->nc", barycentric, soft[corners])
         unlit = under(()).radiance_linear
         lamps = [under((light,)).radiance_linear - unlit for light in lights]

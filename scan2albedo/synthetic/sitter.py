@@ -14,7 +14,7 @@ from scan2albedo.geometry.mesh import join, normalized, vertex_normals, without_
 from scan2albedo.geometry.parametrization import boundary_loop
 from scan2albedo.synthetic.face_shape import Expression, FaceSurface, face_surface, person, with_relief
 from scan2albedo.synthetic.renderer import RayScene
-from scan2albedo.synthetic.textures import paint_face, skin, smooth_noise
+from scan2albedo.synthetic.textures import LOOKS, layers, paint_face, skin
 
 Painter = Callable[[FloatArray], FloatArray]
 
@@ -26,12 +26,6 @@ class BodyPart(IntEnum):
     HEAD = 1
     HAIR = 2
     CLOTHES = 3
-
-
-_HAIR_COLORS = np.array(
-    [[0.035, 0.024, 0.018], [0.085, 0.050, 0.028], [0.22, 0.14, 0.07], [0.12, 0.045, 0.02]]
-)
-_CLOTH_COLORS = np.array([[0.62, 0.66, 0.64], [0.08, 0.11, 0.20], [0.30, 0.06, 0.07], [0.20, 0.26, 0.20]])
 
 
 @dataclass(frozen=True)
@@ -58,6 +52,12 @@ class Sitter:
     seed: int
     face_albedo: Painter
 
+    def points_at(self, face: IntArray, barycentric: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return positions and unit normals (N, 3) at surface points given as for `albedo_at`."""
+        corners = self.faces[face]
+        position = np.einsum("nk,nkc->nc", barycentric, self.vertices[corners])
+        return position, normalized(np.einsum("nk,nkc->nc", barycentric, self.normals[corners]))
+
     def albedo_at(self, face: IntArray, barycentric: FloatArray) -> FloatArray:
         """Return (N, 3) linear albedo at surface points given by face (N,) and barycentric (N, 3)."""
         uv = np.einsum("nk,nkc->nc", barycentric, self.corner_uv[face])
@@ -66,19 +66,17 @@ class Sitter:
         albedo[of_face] = self.face_albedo(uv[of_face])
         albedo[head] = skin(uv[head], np.random.default_rng([self.seed, 3]), tone=self.tone)
         # Hair has strands along v, cloth a weave and folds.
-        for at, color, number, low, high, waves in (
-            (hair, self.hair_color, 4, 0.004, 0.9, ((0.45, (700, 5)), (0.35, (160, 4)))),
-            (clothes, self.cloth_color, 5, 0.01, 0.95, ((0.05, (300, 300)), (0.06, (9, 9)))),
+        for at, color, number, name in (
+            (hair, self.hair_color, 4, "hair"),
+            (clothes, self.cloth_color, 5, "cloth"),
         ):
-            rng = np.random.default_rng([self.seed, number])
-            (a, cells_a), (b, cells_b) = waves
-            pattern = a * smooth_noise(uv[at], cells_a, rng) + b * smooth_noise(uv[at], cells_b, rng)
-            albedo[at] = np.clip(color * np.exp(pattern)[:, None], low, high)
+            pattern = layers(uv[at], name, np.random.default_rng([self.seed, number]))
+            albedo[at] = np.clip(color * np.exp(pattern)[:, None], *LOOKS[f"{name}_limits"])
         return albedo
 
     def specular_scale_at(self, face: IntArray) -> FloatArray:
         """Return (N,) relative strength of highlights on faces (N,)."""
-        scale = np.array([1.0, 0.8, 0.5, 0.0])[self.part[face]]
+        scale = LOOKS["specular_scale"][self.part[face]]
         on_face = self.part[face] == BodyPart.FACE
         scale[on_face] = self.model.region_values("specular_scale")[self.face.region[face[on_face]]]
         return scale
@@ -112,14 +110,6 @@ def sit_down(
     rim = boundary_loop(len(face.vertices), face.faces)
     twin = len(face.vertices) + np.arange(len(rim))
     normals[rim] = normals[twin] = normalized(normals[rim] + normals[twin])
-    # Hair around the crown and from it down, so that strands hang; a face across the seam at the back takes
-    # its low corners a turn further.
-    low, high = hair[0].min(0), hair[0].max(0)
-    offset = hair[0] - np.array([(low[0] + high[0]) / 2, 0.0, low[2] + 0.35 * (high[2] - low[2])])
-    turn = np.arctan2(offset[:, 0], offset[:, 2]) / (2 * np.pi) + 0.5
-    hair_uv = np.stack([turn, (hair[0][:, 1] - low[1]) / (high[1] - low[1])], 1)[hair[1]]
-    wide = np.ptp(hair_uv[..., 0], axis=1) > 0.5
-    hair_uv[wide, :, 0] += hair_uv[wide, :, 0] < 0.5
     # Clothes from the front, one unit for 200 mm.
     flat = (clothes[0][:, :2] - clothes[0][:, :2].min(0)) / 200
     drawn = float(rng.uniform(0, 0.8))
@@ -129,12 +119,12 @@ def sit_down(
         return paint_face(uv, model, np.random.default_rng(seed), tone=skin_tone)
 
     part = np.repeat(np.arange(4), [len(f) for _, f in parts])
-    corner_uv = np.concatenate([face.uv[face.faces], head_uv[head_faces], hair_uv, flat[clothes[1]]])
+    corner_uv = np.concatenate([face.uv[face.faces], head_uv[head_faces], hair_uv(*hair), flat[clothes[1]]])
     return Sitter(
         *(model, control_points, face, vertices, faces, normals, part, corner_uv),
         tone=skin_tone,
-        hair_color=_HAIR_COLORS[rng.integers(len(_HAIR_COLORS))],
-        cloth_color=_CLOTH_COLORS[rng.integers(len(_CLOTH_COLORS))],
+        hair_color=rng.choice(LOOKS["hair_colors"]),
+        cloth_color=rng.choice(LOOKS["cloth_colors"]),
         seed=seed,
         face_albedo=at_random if face_albedo is None else face_albedo,
     )
@@ -150,6 +140,20 @@ SKULL_SEMI_AXES_MM = np.array([74.0, 108.0, 105.0])
 def nose_tip(vertices: FloatArray) -> FloatArray:
     """Return (3,) the foremost vertex of a face that looks along +z."""
     return vertices[np.argmax(vertices[:, 2])]
+
+
+def hair_uv(vertices: FloatArray, faces: IntArray) -> FloatArray:
+    """Return (F, 3, 2) around the crown and from it down, so that strands hang.
+
+    A face across the seam at the back takes its low corners a turn further.
+    """
+    low, high = vertices.min(0), vertices.max(0)
+    offset = vertices - np.array([(low[0] + high[0]) / 2, 0.0, low[2] + 0.35 * (high[2] - low[2])])
+    turn = np.arctan2(offset[:, 0], offset[:, 2]) / (2 * np.pi) + 0.5
+    uv = np.stack([turn, (vertices[:, 1] - low[1]) / (high[1] - low[1])], 1)[faces]
+    wide = np.ptp(uv[..., 0], axis=1) > 0.5
+    uv[wide, :, 0] += uv[wide, :, 0] < 0.5
+    return uv
 
 
 def hair_shell(
@@ -189,7 +193,7 @@ def hair_shell(
     radius = gaussian_filter(np.maximum(skull, surface).reshape(size), (3, 5), mode=("nearest", "wrap"))
     # Strands that run from the crown down, over broader waves, in mm.
     locks = np.zeros(size)
-    for amplitude, sigma in ((0.6, (9, 1.2)), (1.3, (14, 3.5)), (2.2, (12, 14))):
+    for amplitude, *sigma in LOOKS["locks"]:
         noise = gaussian_filter(rng.normal(size=size), sigma, mode=("nearest", "wrap"))
         locks += amplitude * noise / noise.std()
     radius += 0.8 + (thickness_mm - 0.8) * np.sqrt(1 - share**2) + locks * (1.2 - share)
@@ -246,21 +250,7 @@ def head_around(
     for _ in range(12):
         outward = normalized(outward + np.roll(outward, 1, axis=0) + np.roll(outward, -1, axis=0))
     share = np.linspace(0, 1, rings)[:, None, None]
-    # Skull: from the rim, along its own slope, onto an ellipsoid and toward its back.
-    center = tip + SKULL_CENTER_FROM_NOSE_MM
-    sway = share * 1.15
-    direction = normalized((1 - sway) * normalized(rim - center) + sway * np.array([0.0, 0.1, -1.0]) + 1e-9)
-    ellipsoid = center + direction / np.linalg.norm(direction / SKULL_SEMI_AXES_MM, axis=-1, keepdims=True)
-    straight = rim + outward * share * 200
-    skull = straight + (ellipsoid - straight) * smoothstep(share / 0.3)
-    # Neck: Hermite curves from the rim under the chin to an ellipse at the neck's base.
-    sideways = rim[:, 0] / np.abs(rim[:, 0]).max()
-    turn = sideways * np.deg2rad(120)
-    x, z = tip[0] + 62.0 * np.sin(turn), tip[2] - 118.0 + 60.0 * np.cos(turn)
-    base = np.stack([x, np.full(len(rim), tip[1] - 190.0), z], 1)
-    leave = outward * 110 + np.array([0.0, 0.0, -60.0])
-    arrive = np.array([0.0, -170.0, 0.0]) + 110 * sideways[:, None] * np.array([1.0, 0.0, 0.0])
-    neck = CubicHermiteSpline([0, 1], [rim, base], [leave, arrive])(share[:, 0, 0])
+    skull, neck = _skull(rim, outward, tip, share), _neck(rim, outward, tip, share)
     # The angle is 0 at the crown and pi at the chin.
     angle = np.abs(np.arctan2(rim[:, 0], rim[:, 1] - (rim[:, 1].max() + rim[:, 1].min()) / 2))
     chin = smoothstep((angle - np.deg2rad(95)) / np.deg2rad(40))[None, :, None]
@@ -268,3 +258,24 @@ def head_around(
     around = np.cumsum(norms(rim - np.roll(rim, 1, axis=0)))
     uv = np.stack(np.broadcast_arrays(around[None] / 200, share[..., 0]), -1)
     return collar.reshape(-1, 3), grid_faces(rings, len(loop), wrap=True), uv.reshape(-1, 2)
+
+
+def _skull(rim: FloatArray, outward: FloatArray, tip: FloatArray, share: FloatArray) -> FloatArray:
+    """Return rings (R, B, 3) from the rim, along its own slope, onto an ellipsoid and toward its back."""
+    center = tip + SKULL_CENTER_FROM_NOSE_MM
+    sway = share * 1.15
+    direction = normalized((1 - sway) * normalized(rim - center) + sway * np.array([0.0, 0.1, -1.0]) + 1e-9)
+    ellipsoid = center + direction / np.linalg.norm(direction / SKULL_SEMI_AXES_MM, axis=-1, keepdims=True)
+    straight = rim + outward * share * 200
+    return straight + (ellipsoid - straight) * smoothstep(share / 0.3)
+
+
+def _neck(rim: FloatArray, outward: FloatArray, tip: FloatArray, share: FloatArray) -> FloatArray:
+    """Return rings (R, B, 3) on Hermite curves from the rim under the chin to an ellipse at its base."""
+    sideways = rim[:, 0] / np.abs(rim[:, 0]).max()
+    turn = sideways * np.deg2rad(120)
+    x, z = tip[0] + 62.0 * np.sin(turn), tip[2] - 118.0 + 60.0 * np.cos(turn)
+    base = np.stack([x, np.full(len(rim), tip[1] - 190.0), z], 1)
+    leave = outward * 110 + np.array([0.0, 0.0, -60.0])
+    arrive = np.array([0.0, -170.0, 0.0]) + 110 * sideways[:, None] * np.array([1.0, 0.0, 0.0])
+    return CubicHermiteSpline([0, 1], [rim, base], [leave, arrive])(share[:, 0, 0])

@@ -1,7 +1,9 @@
 """Procedural albedo at any texture coordinates: wood, plain, skin, and a face with brows, lips and eyes."""
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib import resources
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -13,13 +15,17 @@ from scan2albedo.core.arrays import ArrayLike, BoolArray, FloatArray, arc_length
 from scan2albedo.errors import ModelError
 from scan2albedo.face_model import AnnotatedSurface
 
-_LIGHT_WOOD = np.array([0.62, 0.40, 0.22])
-_DARK_WOOD = np.array([0.24, 0.11, 0.05])
-_SKIN_TONES = np.array([[0.66, 0.42, 0.31], [0.60, 0.36, 0.25], [0.45, 0.25, 0.15], [0.28, 0.145, 0.085]])
-MELANIN = np.array([0.45, 0.75, 1.0])
-"""Relative absorption of melanin in red, green, blue."""
-HEMOGLOBIN = np.array([0.12, 1.0, 0.85])
-"""Relative absorption of blood in red, green, blue."""
+_DATA = resources.files(__package__)
+LOOKS = {
+    name: np.array(values)
+    for name, values in json.loads(_DATA.joinpath("data/looks.json").read_text("utf-8")).items()
+}
+"""Linear colours, relative absorption, and layers of noise: amplitude, and bumps across u and v, of each."""
+RANGES = json.loads(_DATA.joinpath("data/ranges.json").read_text("utf-8"))
+"""Least and greatest measures of painted features and of frames of glasses, by name."""
+MELANIN = LOOKS["melanin"]
+HEMOGLOBIN = LOOKS["hemoglobin"]
+"""`MELANIN`, `HEMOGLOBIN`: relative absorption of the pigment and of blood in red, green, blue."""
 
 
 def smooth_noise(uv: ArrayLike, cells: tuple[float, float], rng: np.random.Generator) -> FloatArray:
@@ -31,16 +37,26 @@ def smooth_noise(uv: ArrayLike, cells: tuple[float, float], rng: np.random.Gener
     return map_coordinates(lattice, coordinates, order=3, mode="grid-wrap") / 0.866
 
 
+def layers(uv: ArrayLike, name: str, rng: np.random.Generator) -> FloatArray:
+    """Return (N,) the sum of the layers of noise that `LOOKS` has under a name."""
+    return np.asarray(sum(height * smooth_noise(uv, (u, v), rng) for height, u, v in LOOKS[name]))
+
+
+def drawn(name: str, rng: np.random.Generator) -> dict[str, float]:
+    """Return measures drawn uniformly from the `RANGES` of a name."""
+    return {measure: float(rng.uniform(*limits)) for measure, limits in RANGES[name].items()}
+
+
 def wood(uv: ArrayLike, rng: np.random.Generator, *, grain: float = 1.0) -> FloatArray:
     """Return (N, 3) linear albedo of a plank: about 14 / `grain` warped year rings and fibres along v."""
     xy = np.asarray(uv, float) / grain
-    warp = 0.035 * smooth_noise(xy, (3, 2), rng) + 0.008 * smooth_noise(xy, (11, 4), rng)
-    heart = np.array([0.35, -0.9]) + rng.uniform(-0.1, 0.1, 2)
-    radius = np.hypot((xy[:, 0] - heart[0]) * 1.0, (xy[:, 1] - heart[1]) * 0.25) + warp
+    warp = layers(xy, "wood_warp", rng)
+    heart = LOOKS["wood_heart"] + rng.uniform(-0.1, 0.1, 2)
+    radius = np.hypot(xy[:, 0] - heart[0], (xy[:, 1] - heart[1]) * 0.25) + warp
     phase = (radius * 22) % 1.0
     ring = np.where(phase < 0.8, phase / 0.8, (1 - phase) / 0.2)
     share = np.clip(0.15 + 0.6 * ring**1.5 + 0.13 * smooth_noise(xy, (160, 7), rng), 0, 1)[:, None]
-    return np.clip(_LIGHT_WOOD * (1 - share) + _DARK_WOOD * share, 0.02, 0.95)
+    return np.clip(LOOKS["light_wood"] * (1 - share) + LOOKS["dark_wood"] * share, 0.02, 0.95)
 
 
 def skin(
@@ -58,13 +74,13 @@ def skin(
     """
     xy = np.asarray(uv, float)
     depth = rng.uniform(0, 0.75) if tone is None else tone
-    base = np.array([np.interp(depth * 3, range(4), channel) for channel in _SKIN_TONES.T])
+    base = np.array([np.interp(depth * 3, range(4), channel) for channel in LOOKS["skin_tones"].T])
     scaled = xy / grain
-    blood = 0.07 * smooth_noise(scaled, (5, 5), rng) + 0.05 * smooth_noise(scaled, (17, 17), rng)
-    pigment = 0.05 * smooth_noise(scaled, (4, 4), rng) + 0.02 * smooth_noise(scaled, (40, 40), rng)
+    blood = layers(scaled, "blood", rng)
+    pigment = layers(scaled, "pigment", rng)
     pores = np.maximum(0, smooth_noise(scaled, (160, 160), rng)) * 0.06
-    freckles = spots(xy, rng, count=int(rng.integers(40, 200)), radius=(0.002 * grain, 0.005 * grain))
-    moles = spots(xy, rng, count=int(rng.integers(3, 9)), radius=(0.005 * grain, 0.009 * grain))
+    freckles = spots(xy, rng, count=int(rng.integers(40, 200)), radius=grain * LOOKS["freckles"])
+    moles = spots(xy, rng, count=int(rng.integers(3, 9)), radius=grain * LOOKS["moles"])
     pigment = pigment + pores + marks * (0.22 * freckles + 0.9 * moles)
     return np.clip(base * np.exp(-pigment[:, None] * MELANIN - blood[:, None] * HEMOGLOBIN), 0.01, 0.95)
 
@@ -84,16 +100,14 @@ def painter(texture: str) -> Callable[..., FloatArray]:
     return painters[texture]
 
 
-def spots(uv: FloatArray, rng: np.random.Generator, *, count: int, radius: tuple[float, float]) -> FloatArray:
+def spots(
+    uv: FloatArray, rng: np.random.Generator, *, count: int, radius: Sequence[float] | FloatArray
+) -> FloatArray:
     """Return (N,) 0 ... 1: soft-edged discs at random places, of random radii."""
-    centers, radii = rng.uniform(size=(count, 2)), rng.uniform(*radius, size=count)
+    least, most = radius
+    centers, radii = rng.uniform(size=(count, 2)), rng.uniform(least, most, count)
     distance, nearest = cKDTree(centers).query(uv)
     return smoothstep(1.3 - distance / radii[nearest])
-
-
-_SCLERA = np.array([0.66, 0.60, 0.55])
-_BROW = np.array([0.060, 0.042, 0.030])
-_IRISES = np.array([[0.12, 0.16, 0.20], [0.10, 0.055, 0.03], [0.13, 0.12, 0.06]])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,24 +158,31 @@ def paint_face(
     blood += rng.uniform(0.5, 0.9) * lips * (1 + 0.08 * smooth_noise(uv, (220, 60), rng))
     pigment += 0.15 * lips + 0.9 * line
     albedo = albedo * np.exp(-pigment[:, None] * MELANIN - blood[:, None] * HEMOGLOBIN)
-    albedo += (_BROW - albedo) * np.clip(brows, 0, 0.95)[:, None]
-    iris = _IRISES[rng.integers(len(_IRISES))]
+    albedo += (LOOKS["brow"] - albedo) * np.clip(brows, 0, 0.95)[:, None]
+    iris = rng.choice(LOOKS["irises"])
     for corners in (landmarks[36:42], landmarks[42:48]):
-        upper = _curve(corners[:4])
-        outline = np.concatenate([upper, _curve(corners[[3, 4, 5, 0]])[1:-1]])
-        near = _near(uv, outline, 0.03)
-        here = uv[near]
-        opening = smoothstep(_signed_distance(here, outline) / 0.003 + 0.5)[:, None]
-        width = np.linalg.norm(corners[3] - corners[0])
-        from_pupil = norms(here - corners.mean(0) - [0, 0.04 * width]) / width
-        ball = _SCLERA * (1 + 0.02 * smooth_noise(here, (60, 60), rng))[:, None]
-        rays = iris * (1 + 0.25 * smooth_noise(here, (300, 300), rng))[:, None]
-        ball = ball + (rays - ball) * smoothstep((0.215 - from_pupil) / 0.02)[:, None]
-        ball = ball * (1 - 0.9 * smoothstep((0.085 - from_pupil) / 0.02))[:, None]
-        lashes = 1.8 * smoothstep(1.4 - _distance(here, upper) / 0.0045)
-        painted = albedo[near] * (1 - opening) + ball * opening
-        albedo[near] = painted * np.exp(-lashes[:, None] * MELANIN)
+        _paint_eye(albedo, uv, corners, iris, rng)
     return np.clip(albedo, 0.01, 0.95)
+
+
+def _paint_eye(
+    albedo: FloatArray, uv: FloatArray, corners: FloatArray, iris: FloatArray, rng: np.random.Generator
+) -> None:
+    """Paint ball, iris, pupil and lashes over albedo (N, 3) between the six landmarks of one eye."""
+    upper = _curve(corners[:4])
+    outline = np.concatenate([upper, _curve(corners[[3, 4, 5, 0]])[1:-1]])
+    near = _near(uv, outline, 0.03)
+    here = uv[near]
+    opening = smoothstep(_signed_distance(here, outline) / 0.003 + 0.5)[:, None]
+    width = np.linalg.norm(corners[3] - corners[0])
+    from_pupil = norms(here - corners.mean(0) - [0, 0.04 * width]) / width
+    ball = LOOKS["sclera"] * (1 + 0.02 * smooth_noise(here, (60, 60), rng))[:, None]
+    rays = iris * (1 + 0.25 * smooth_noise(here, (300, 300), rng))[:, None]
+    ball = ball + (rays - ball) * smoothstep((0.215 - from_pupil) / 0.02)[:, None]
+    ball = ball * (1 - 0.9 * smoothstep((0.085 - from_pupil) / 0.02))[:, None]
+    lashes = 1.8 * smoothstep(1.4 - _distance(here, upper) / 0.0045)
+    painted = albedo[near] * (1 - opening) + ball * opening
+    albedo[near] = painted * np.exp(-lashes[:, None] * MELANIN)
 
 
 def landmark_uv(model: AnnotatedSurface) -> FloatArray:

@@ -144,27 +144,13 @@ def wearer(
     rng = np.random.default_rng([seed, 9])
     # Half a millimetre behind what a ray meets first is still the same surface.
     hidden = np.stack([scene.hidden(eye, vertices, 0.5) for eye in camera_centers(cameras)])
-    masks = np.zeros((len(cameras), picture_size, picture_size), bool)
     both = RayScene(*join([(vertices, glasses.faces), head]))
-    for mask, camera in zip(masks, cameras, strict=True):
-        # The frame takes a small part of the picture; noise moves its outline by some pixels.
-        margin, seen = 2 + 6 * mask_noise_px, project(camera, vertices)[0]
-        low = np.clip(np.floor(seen.min(0) - margin), 0, picture_size).astype(int)
-        high = np.clip(np.ceil(seen.max(0) + margin) + 1, 0, picture_size).astype(int)
-        window = (high[1] - low[1], high[0] - low[0])
-        if min(window) <= 0:
-            continue
-        rays = pixel_directions(camera, pixel_grid(window) + low)
-        first = both.first_hit(np.broadcast_to(camera_centers(camera[None])[0], rays.shape), rays).face
-        shown = ((first >= 0) & (first < len(glasses.faces))).reshape(window)
-        if mask_noise_px > 0 and shown.any():
-            # A smooth random field moves the outline.
-            wander = gaussian_filter(rng.normal(size=shown.shape), 3.0, mode="wrap")
-            wander *= mask_noise_px / wander.std()
-            inside = distance_transform_edt(shown) - distance_transform_edt(~shown)
-            inside -= np.where(shown, 0.5, -0.5)
-            shown = np.asarray(inside + wander > 0)
-        mask[low[1] : high[1], low[0] : high[0]] = shown
+    masks = np.stack(
+        [
+            _mask(camera, both, vertices, len(glasses.faces), picture_size, mask_noise_px, rng)
+            for camera in cameras
+        ]
+    )
     # Noisy labels (C, 20, 2), NaN where there is none.
     points = vertices[glasses.keypoint_vertices]
     labels = np.stack([project(camera, points)[0] for camera in cameras])
@@ -177,3 +163,37 @@ def wearer(
         view[wrong] += rng.uniform(-150, 150, (len(wrong), 2))
     labels[((labels < 0) | (labels > picture_size - 1)).any(2)] = np.nan
     return Wearer(glasses, world_from_glasses, sitter, *head, cameras, masks, labels, hidden)
+
+
+def _mask(
+    camera: FloatArray,
+    scene: RayScene,
+    vertices: FloatArray,
+    faces: int,
+    size: int,
+    noise_px: float,
+    rng: np.random.Generator,
+) -> BoolArray:
+    """Return (S, S) where a camera sees the first `faces` of a scene, those of the frame at `vertices`.
+
+    The frame takes a small part of the picture; noise moves its outline by some pixels.
+    """
+    mask = np.zeros((size, size), bool)
+    margin = 2 + 6 * noise_px
+    seen = project(camera, vertices)[0]
+    low = np.clip(np.floor(seen.min(0) - margin), 0, size).astype(int)
+    high = np.clip(np.ceil(seen.max(0) + margin) + 1, 0, size).astype(int)
+    window = (high[1] - low[1], high[0] - low[0])
+    if min(window) <= 0:
+        return mask
+    rays = pixel_directions(camera, pixel_grid(window) + low)
+    first = scene.first_hit(np.broadcast_to(camera_centers(camera[None])[0], rays.shape), rays).face
+    shown = ((first >= 0) & (first < faces)).reshape(window)
+    if noise_px > 0 and shown.any():
+        wander = gaussian_filter(rng.normal(size=shown.shape), 3.0, mode="wrap")
+        wander *= noise_px / wander.std()
+        inside = distance_transform_edt(shown) - distance_transform_edt(~shown)
+        inside -= np.where(shown, 0.5, -0.5)
+        shown = np.asarray(inside + wander > 0)
+    mask[low[1] : high[1], low[0] : high[0]] = shown
+    return mask

@@ -101,7 +101,7 @@ def test_every_reader_names_the_file(stored, tmp_path, kind):
     assert "\x1b" not in page
 
 
-@pytest.mark.parametrize("name", ["trace.csv", "overview.png"])
+@pytest.mark.parametrize("name", ["error_vs_time.png", "overview.png"])
 @pytest.mark.parametrize("make", [os.mkfifo, lambda file: file.symlink_to("/dev/zero"), os.mkdir])
 def test_a_report_reads_no_pipe_and_no_device(stored, tmp_path, name, make):
     folder = shutil.copytree(stored, tmp_path / "rest")

@@ -69,7 +69,7 @@ def test_files_and_json_tell_the_same(folder, tmp_path):
     assert record["rates"]["rank_1_rate"] == 1
     rows = table_in(tmp_path)
     assert record["use"] == ["albedo"]  # images have no shape
-    assert "no result has shape; they are compared without" in done.stderr
+    assert "gallery.csv: 3 of 3 results have no shape; the first: " in done.stderr
     assert list(rows[0])[:5] == ["probe", "person", "predicted", "log_odds", "decided_by"]
     assert [row["rank"] for row in rows] == ["1", "1", ""]
     with np.load(tmp_path / "similarities.npz") as arrays:

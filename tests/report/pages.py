@@ -1,4 +1,4 @@
-"""A page as html.parser sees it, with what must hold for each; the head of a trace."""
+"""A page as html.parser sees it, with what must hold for each."""
 
 import base64
 import hashlib
@@ -6,7 +6,6 @@ from html.parser import HTMLParser
 
 from scan2albedo.report import write_report
 
-TRACE_HEAD = "stage,elapsed_s,cpu_s,evaluations,error,unit\n"
 VOID = {"meta", "img", "input", "br", "link"}
 SELF_CLOSED = {"line", "rect", "circle", "polyline"}
 

@@ -275,18 +275,6 @@ def test_both_schemes_fit_the_window(browser, page, width):
     assert grounds[1] < 60
 
 
-def test_a_chart_tells_the_values_under_the_pointer(opened):
-    opened.run("document.querySelector('.chart svg').scrollIntoView({behavior: 'instant', block: 'center'})")
-    x, y = opened.run(
-        "(() => { const b = document.querySelector('.chart svg').getBoundingClientRect();"
-        "return [b.right - 20, b.y + b.height / 2]; })()"
-    )
-    opened.mouse("mouseMoved", x, y)
-    assert opened.run("document.querySelector('.chart .reading').textContent") == (
-        "0.2 mm · 1.5 s · 1.4 s CPU · evaluation 9"
-    )
-
-
 @pytest.fixture(scope="module")
 def batch(some_scans, write_scan, tmp_path_factory):
     out = tmp_path_factory.mktemp("batch")

@@ -34,7 +34,7 @@ from scan2albedo.recognition import (
     roc_curve,
     similarity_matrix,
 )
-from scan2albedo.recognition.similarity import WINDOW, pair_similarity
+from scan2albedo.recognition.similarity import WINDOW
 from scan2albedo.recognition.templates import LUMINANCE
 from scan2albedo.synthetic import face
 
@@ -54,8 +54,8 @@ def random_templates(count: int, size: int) -> Templates:
 
 
 def one_by_one(templates: Templates) -> FloatArray:
-    held = list(zip(templates.coefficients, templates.weight, strict=True))
-    return np.array([[pair_similarity(*one, *other) for other in held] for one in held])
+    each = [templates.select([k]) for k in range(len(templates))]
+    return np.block([[similarity_matrix(one, other) for other in each] for one in each])
 
 
 @cache

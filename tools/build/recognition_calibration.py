@@ -2,7 +2,7 @@
 
     python tools/build recognition_calibration FOLDER [--persons 12] [--seed 101] [--pairs RESULTS ...]
 
-Prints the numbers of `scan2albedo.recognition.result_identification.CALIBRATION`, and what a calibration by
+Prints the numbers of `scan2albedo/recognition/data/calibration.json`, and what a calibration by
 one half of the heads says of the other half: shares of log odds above 0, of pairs of one person and of two.
 They are learned from sixteen MIT-licensed heads in many lights (`worlds.lit_heads`), as scans and as
 photographs, and from synthetic people, each set weighing as much. FOLDER keeps what is made of them (hours).

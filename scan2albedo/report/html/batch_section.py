@@ -2,20 +2,23 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from matplotlib.figure import Figure
+
 from scan2albedo.core.arrays import Values
 from scan2albedo.errors import Scan2AlbedoError, needs_extra, one_line
 from scan2albedo.io.records import read_record
 from scan2albedo.io.result_records import ResultRecord, metric_columns
-from scan2albedo.report.html.charts import histogram
+from scan2albedo.report.html.encoding import encoded
 from scan2albedo.report.html.scan_section import relative_link
 from scan2albedo.report.html.texts import label_of, number_text, seconds_text, unit_of, value_text
+from scan2albedo.report.overview import figure_png
 
 CATALOGUE_FILE, RESULT_FILE = "catalogue.parquet", "result.json"
 DONE, FAILED, NOT_RUN = "done", "failed", "not run"
@@ -39,13 +42,6 @@ _SHOWN_ELSEWHERE = {
     "notes",
 }
 _BATCH_PREFIXES = ("metrics_", "seconds_", "path_")
-_EXTREMES = {
-    "Slowest": "seconds",
-    "Worst fits": RESIDUAL,
-    "Least scanned": COVERAGE,
-    "Least certain albedos": UNCERTAINTY,
-}
-"""Columns whose greatest values come first, of the coverage the least."""
 _LONGEST_LIST = 8
 
 
@@ -155,29 +151,18 @@ def rows_of_catalogue(file: Path) -> list[ScanRow]:
 
 
 def selected_rows(rows: Sequence[ScanRow], count: int) -> tuple[tuple[int, ...], str]:
-    """Return which scans a person wants to see first, the worst and two to compare them with, and why these.
+    """Return which scans a person wants to see first, and why these.
 
     Of the scans that are done and have files, the worst by fit residual (by the albedo's uncertainty for
-    objects without a fit), and the median and the best one. Failed scans have nothing to show.
+    objects without a fit). Failed scans have nothing to show.
     """
     there = [k for k, row in enumerate(rows) if row.status == DONE and row.folder is not None]
     if count >= len(there):
-        return (tuple(there), f"all {len(there)} scans that have results" if len(there) > 1 else "")
-    if not count:
-        return ((), "no scan, as asked for")
-    column = RESIDUAL if any(rows[k].number(RESIDUAL) is not None for k in there) else UNCERTAINTY
-    what = "fit residual" if column == RESIDUAL else "uncertainty of the albedo"
-    known = [k for k in there if rows[k].number(column) is not None]
-    ranked = sorted(known, key=lambda k: -(rows[k].number(column) or 0.0))
-    ranked += [k for k in there if rows[k].number(column) is None]
-    if not known:
-        return (tuple(ranked[:count]), f"the first {count} of {len(there)} scans that have results")
-    text = f"scans of {len(there)} with the greatest {what}"
-    if count < 4 or len(known) < count:
-        return (tuple(ranked[:count]), f"the {count} {text}")
-    compared = (ranked[len(known) // 2], ranked[len(known) - 1])
-    worst = [k for k in ranked if k not in compared][: count - 2]
-    return ((*worst, *compared), f"the {count - 2} {text}, then the median and the best one")
+        return tuple(there), f"all {len(there)} scans that have results" if len(there) > 1 else ""
+    fitted = any(rows[k].number(RESIDUAL) is not None for k in there)
+    column = RESIDUAL if fitted else UNCERTAINTY
+    worst = sorted(there, key=lambda k: -(rows[k].number(column) or 0.0))
+    return tuple(worst[:count]), f"{count} of {len(there)} scans, the worst by {label_of(column)}"
 
 
 def batch_section(
@@ -215,18 +200,16 @@ def batch_section(
         table.append(
             {"name": row.name, "status": row.status, "reason": row.reason, "link": link(k), "cells": cells}
         )
-    charts = [histogram(column, [row.number(column) for row in done]) for column in FIGURES]
     return {
         "counts": {state: counts[state] for state in states if counts[state] or state == DONE},
         "total": len(rows),
-        "facts": _facts(rows, len(done)),
+        "facts": _facts(rows),
         "reasons": reasons[:_LONGEST_LIST],
         "more_reasons": max(len(reasons) - _LONGEST_LIST, 0),
         "columns": list(columns.values()),
         "rows": table,
         "rows_left_out": len(rows) - len(shown),
-        "histograms": [chart for chart in charts if chart is not None],
-        "extremes": _extremes(rows, link),
+        "distributions": _distributions(done),
     }
 
 
@@ -247,24 +230,24 @@ def _columns(rows: Sequence[ScanRow], done: Sequence[ScanRow]) -> dict[str, Valu
     return columns
 
 
-def _extremes(rows: Sequence[ScanRow], link: Callable[[int], str]) -> list[Values]:
-    """Return the slowest and worst scans: (name, value with unit, link)."""
-    extremes = []
-    for title, column in _EXTREMES.items():
-        there = [k for k, row in enumerate(rows) if row.status == DONE and row.number(column) is not None]
-        there.sort(key=lambda k: rows[k].number(column) or 0.0, reverse=column != COVERAGE)
-        first = []
-        for k in there[:_LONGEST_LIST] if len(there) > 1 else ():
-            text = f"{value_text(column, rows[k].values[column])} {unit_of(column)}"
-            text = seconds_text(rows[k].number(column)) if column == "seconds" else text
-            first.append((rows[k].name, text, link(k)))
-        if first:
-            extremes.append({"title": title, "rows": first})
-    return extremes
+def _distributions(rows: Sequence[ScanRow]) -> str:
+    """Return a figure with a histogram of each figure that several scans have, as a data URL; "" for none."""
+    known = {column: [v for row in rows if (v := row.number(column)) is not None] for column in FIGURES}
+    known = {column: values for column, values in known.items() if len(values) > 1}
+    if not known:
+        return ""
+    figure = Figure(figsize=(13, 2.4 * math.ceil(len(known) / 4)), dpi=80, layout="constrained")
+    for number, (column, values) in enumerate(known.items(), start=1):
+        title = f"{label_of(column)}, median {value_text(column, float(np.median(values)))} {unit_of(column)}"
+        axis = figure.add_subplot(math.ceil(len(known) / 4), 4, number)
+        axis.set_title(title, fontsize=9)
+        axis.hist(values, bins="sturges")
+        axis.axvline(float(np.median(values)), color="black", linestyle="--")
+    return f"data:image/png;base64,{encoded(figure_png(figure))}"
 
 
-def _facts(rows: Sequence[ScanRow], done: int) -> list[tuple[str, str]]:
-    """Return (label, value) of the figures of the whole batch, of which so many scans are done."""
+def _facts(rows: Sequence[ScanRow]) -> list[tuple[str, str]]:
+    """Return (label, value) of the figures of the whole batch."""
     seconds, cpu, memory = (
         [number for row in rows if (number := row.number(column)) is not None]
         for column in ("seconds", "cpu_seconds", "peak_memory_mb")
@@ -275,21 +258,6 @@ def _facts(rows: Sequence[ScanRow], done: int) -> list[tuple[str, str]]:
         facts.append(("a scan, mean", seconds_text(sum(seconds) / len(seconds))))
     if cpu:
         facts.append(("CPU time", seconds_text(sum(cpu))))
-    # From the first start to the last end, where the catalogue holds both.
-    spans = []
-    for row in rows:
-        took, end = row.number("seconds"), row.number("finished_at")
-        if end is None:
-            with suppress(ValueError):
-                end = datetime.fromisoformat(str(row.values.get("finished_at"))).timestamp()
-        if end is not None and took is not None:
-            spans.append((end - took, end))
-    if spans and done and (span := max(end for _, end in spans) - min(start for start, _ in spans)):
-        facts.append(("from first start to last end", seconds_text(span)))
-        facts.append(("throughput", f"{number_text(3600 * done / span)} scans/h"))
-    workers = {row.values["worker"] for row in rows if row.values.get("worker") is not None}
-    if workers:
-        facts.append(("workers", str(len(workers))))
     if memory:
         facts.append(("greatest memory", f"{number_text(max(memory))} MB"))
     return facts

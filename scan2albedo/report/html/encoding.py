@@ -7,10 +7,10 @@ import math
 from pathlib import Path
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
+from scipy.ndimage import binary_erosion, label
 
 from scan2albedo.applications.relighting import RelightOptions, as_lit
-from scan2albedo.core import GeometryImage
+from scan2albedo.core import EnvironmentLight, GeometryImage, PointLight
 from scan2albedo.core.arrays import (
     BoolArray,
     ByteArray,
@@ -21,17 +21,15 @@ from scan2albedo.core.arrays import (
     all_finite,
     norms,
 )
-from scan2albedo.core.geometry_image import wound_like
-from scan2albedo.errors import Scan2AlbedoError, one_line
+from scan2albedo.geometry.mesh import face_areas
 from scan2albedo.geometry.rasterization import area_mean, filled_from_nearest
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.io.color import encode_srgb_bytes
-from scan2albedo.io.records import read_record
-from scan2albedo.io.result_records import RegistrationRecord, ResultRecord
+from scan2albedo.io.result_records import ResultRecord
 from scan2albedo.lighting.environment_light import environment_light_on, open_shading
 from scan2albedo.lighting.shadow_map import ShadowMap, shadow_offset_mm
 from scan2albedo.rendering.pictures import DISTANCE_MM, PORTRAIT_MARGIN, portrait_frame
-from scan2albedo.report.overview import RESIDUAL_SCALE_MM, preview_factor, white_level
+from scan2albedo.report.overview import preview_factor, white_level
 from scan2albedo.unlit.processed_face import FaceMesh, ProcessedFace
 
 _LEVELS = np.iinfo(np.uint16).max
@@ -75,33 +73,21 @@ def mesh_entry(mesh: FaceMesh, topologies: dict[str, Values]) -> Values:
 
 
 def thinned_chart(image: GeometryImage, most: int = 60_000) -> FaceMesh:
-    """Return the texel grid as a mesh of about `most` vertices or fewer.
+    """Return the texel grid as a mesh of about `most` vertices: those of each block of texels are one.
 
-    Blocks inside the mask become two triangles; those at the rim and at seams keep all their triangles, so
-    that no gap opens.
+    Vertices on the rim of the mask and at seams stay, so that no gap opens (vertex clustering on the chart,
+    Rossignac and Borrel, 1993).
     """
     full = FaceMesh.of_chart(image)
-    step = 1
-    while int(image.mask.sum()) / step**2 > most:
-        step += 1
-    if step == 1:
-        return full
-    index = np.full(image.shape, -1, int)
-    index[image.mask] = np.arange(len(full.vertices))
-    rows, columns = (np.arange(0, size - step, step) for size in image.shape)
-    blocks = sliding_window_view(image.mask, (step + 1, step + 1))[::step, ::step]
-    whole = np.asarray(blocks.all(axis=(2, 3)))
-    both = (0, step)
-    a, b, c, d = (index[np.ix_(rows + down, columns + right)][whole] for down in both for right in both)
-    coarse = np.concatenate([np.stack([a, c, b], 1), np.stack([b, c, d], 1)])
-    # Triangles of the texel grid that no whole block covers stay.
-    row, column = (texels[full.faces].min(1) // step for texels in np.nonzero(image.mask))
-    inside = (row < whole.shape[0]) & (column < whole.shape[1])
-    covered = np.zeros(len(full.faces), bool)
-    covered[inside] = whole[row[inside], column[inside]]
-    agreed = wound_like(full.vertices, np.concatenate([coarse, full.faces[~covered]]), full.normals)
-    used, place = np.unique(agreed, return_inverse=True)
-    return FaceMesh(full.vertices[used], place.reshape(-1, 3), full.uv[used])
+    step = math.ceil(math.sqrt(len(full.vertices) / most))
+    row, column = np.nonzero(image.mask)
+    height, width = image.shape
+    block = (row // step * width + column // step) * height * width + label(image.mask)[0][image.mask]
+    own = -1 - np.arange(len(block))
+    inside = binary_erosion(image.mask, np.ones((3, 3)))[image.mask]
+    _, used, place = np.unique(np.where(inside, block, own), return_index=True, return_inverse=True)
+    vertices, faces = full.vertices[used], place[full.faces]
+    return FaceMesh(vertices, faces[face_areas(vertices, faces) > 0], full.uv[used])
 
 
 def texture_entry(
@@ -143,12 +129,9 @@ def picture_entry(pixels: ByteArray, quality: int | None) -> Values:
     """Return 8-bit pixels as PNG, or as JPEG of a quality with full colour, in base64."""
     from PIL import Image
 
-    data, image = io.BytesIO(), Image.fromarray(pixels)
-    if quality is None:
-        image.save(data, "PNG", optimize=True)
-    else:
-        image.save(data, "JPEG", quality=quality, subsampling=0, optimize=True)
-    return {"type": "image/png" if quality is None else "image/jpeg", "data": encoded(data.getvalue())}
+    data, kind = io.BytesIO(), "png" if quality is None else "jpeg"
+    Image.fromarray(pixels).save(data, kind, quality=quality, subsampling=0, optimize=True)
+    return {"type": f"image/{kind}", "data": encoded(data.getvalue())}
 
 
 def picture_url(file: Path, width: int) -> tuple[str, int, int] | None:
@@ -162,9 +145,7 @@ def picture_url(file: Path, width: int) -> tuple[str, int, int] | None:
             picture = opened.convert("RGB")
     except (OSError, ValueError):
         return None
-    if picture.width > width:
-        height = max(1, round(picture.height * width / picture.width))
-        picture = picture.resize((width, height), Image.Resampling.LANCZOS)
+    picture.thumbnail((width, picture.height), Image.Resampling.LANCZOS)
     data = io.BytesIO()
     picture.save(data, "JPEG", quality=80, optimize=True, progressive=True)
     return f"data:image/jpeg;base64,{encoded(data.getvalue())}", picture.width, picture.height
@@ -179,49 +160,10 @@ def _fitted(values: FloatArray, size: int) -> FloatArray:
     return area_mean(values, (max(1, round(height * part)), max(1, round(width * part))))
 
 
-def residual_of_result(folder: Path, record: ResultRecord, mesh: FaceMesh) -> tuple[FloatArray | None, str]:
-    """Return each vertex's distance (V,) to the scan in mm, and from which file it was measured.
-
-    It is measured again from the input, as the fit does, for no file of a result holds it: NaN on the scan's
-    border, beyond the gate, and where the scan faces away. None, and why, where it cannot be measured.
-    """
-    if mesh.from_chart:
-        return None, "nothing was fitted"
-    if record.input.file is None:
-        return None, "the scan came from memory and no file holds it"
-    from scan2albedo.fitting.result import RESIDUAL_GATE_MM, residuals_mm
-    from scan2albedo.fitting.scan_surface import scan_near_model
-    from scan2albedo.io import load_scan
-    from scan2albedo.io.load_scan import input_sha256
-
-    file = Path(record.input.file)
-    try:
-        if not file.is_file():
-            return None, f"{file} is no longer there to be measured"
-        textures = record.options.get("textures")
-        if input_sha256(file, None if textures is None else str(textures)) != record.input.sha256:
-            return None, f"{file} is no longer the scan that was processed"
-        pose = read_record(folder / "registration.json", RegistrationRecord).fitted_from_scan
-        if pose is None:
-            return None, "registration.json holds no pose of the fit"
-        scan, gate = load_scan(file, unit=str(record.options.get("unit", "auto"))), RESIDUAL_GATE_MM
-        low, high = mesh.vertices.min(0) - gate, mesh.vertices.max(0) + gate
-        surface = scan_near_model(scan.vertices, scan.faces, np.array(pose), low, high)
-        distance = np.full(len(mesh.vertices), np.nan)
-        if surface is not None:
-            surface = surface.turned_outward(mesh.vertices, mesh.normals, gate)
-            distance = residuals_mm(surface, mesh.vertices, mesh.faces, gate)
-    except Scan2AlbedoError as error:
-        return None, one_line(error)
-    mean = float(np.nanmean(distance)) if np.isfinite(distance).any() else float("nan")
-    return distance, f"measured again against {file.name}: {mean:.3f} mm in the mean"
-
-
 def viewer_entry(
     face: ProcessedFace,
     record: ResultRecord,
     topologies: dict[str, Values],
-    residual_mm: FloatArray | None = None,
     *,
     size: int,
     quality: int | None = None,
@@ -230,27 +172,13 @@ def viewer_entry(
     """Return all of a scan's viewer as JSON can hold it; `topologies` gets the triangles.
 
     Relit pictures show the face as `relight` lights it, without gaps and with skin's usual gloss: "filled" is
-    its albedo where that differs, "assumed" what was done. `residual_mm` (V,) is that of the mesh's vertices,
-    NaN where there is no scan; `size` and `quality` are as in `texture_entry`. `soft_shadows` computes at
-    each vertex what the face hides from itself of the scan's soft light.
+    its albedo where that differs, "assumed" what was done. `size` and `quality` are as in `texture_entry`.
+    `soft_shadows` computes at each vertex what the face hides from itself of the scan's soft light.
     """
     image = face.image
     mesh = thinned_chart(image) if face.mesh.from_chart else face.mesh
     lit, assumed = as_lit(face, RelightOptions()) if face.has_albedo else (face, ())
     skin = lit.reflectance
-    # Soft light as 9 rows of 3 coefficients of the shading of an open surface.
-    harmonics = None
-    if record.environment is not None:
-        harmonics = open_shading(record.environment)
-    elif record.parameters.get("brdf") == "spherical-harmonics":
-        given = np.asarray(record.parameters.get("sh_coefficients"), float)
-        harmonics = given if given.shape == (9, 3) and all_finite(given) else None
-    lights = []
-    for light in record.lights:
-        place = {"azimuth": math.degrees(light.azimuth_rad), "elevation": math.degrees(light.elevation_rad)}
-        distance = light.distance_mm if math.isfinite(light.distance_mm) else None
-        shines = {"intensity": light.intensity, "color": list(light.color_linear)}
-        lights.append({**place, "distance": distance, **shines})
     # The portrait's camera, as `applications.default_camera` has it.
     middle, radius, depth = portrait_frame(face.mesh.vertices)
     frame = {"middle": middle.tolist(), "radius": radius, "margin": PORTRAIT_MARGIN, "depth": depth}
@@ -265,8 +193,8 @@ def viewer_entry(
         "reflectance": {"brdf": skin.brdf, "roughness": skin.roughness, **highlight},
         "assumed": list(assumed),
         "assumedGloss": skin.specular_strength > face.reflectance.specular_strength,
-        "lights": lights,
-        "harmonics": None if harmonics is None else np.ravel(harmonics).tolist(),
+        "lights": [_lamp(light) for light in record.lights],
+        "harmonics": _harmonics(record),
         "castsShadows": face.casts_shadows,
         "shadowOffset": shadow_offset_mm(extent, face.shadow_offset_mm),
         "reach": float(norms(face.mesh.vertices).max()),
@@ -280,16 +208,30 @@ def viewer_entry(
     if lit.image.specular_scale is not None and skin.specular_strength > 0:
         entry["gloss"] = gray_entry(lit.image.specular_scale.astype(float), image.mask, size)
     if soft_shadows and face.environment is not None and face.environment.occluded:
-        # Red, green, blue of the soft light on each vertex as 16-bit parts of a scale.
-        caster = RayCaster(*image.occluder_mesh()) if face.casts_shadows else None
-        shadows = ShadowMap(caster, mesh.vertices, mesh.normals, face.shadow_offset_mm)
-        soft = environment_light_on(face.environment, shadows)
-        scale = float(soft.max()) or 1.0
-        parts = quantized(soft, np.zeros(3), np.full(3, scale))
-        entry["soft"] = {"scale": scale, "data": encoded(parts.tobytes())}
-    if residual_mm is not None:
-        # 255 is not measured.
-        shown = np.round(254 * np.clip(residual_mm / RESIDUAL_SCALE_MM, 0, 1))
-        stored = np.where(np.isnan(residual_mm), 255, shown).astype(np.uint8)
-        entry["residual"] = {"scale": RESIDUAL_SCALE_MM, "data": encoded(stored.tobytes())}
+        entry["soft"] = _soft_light(face, face.environment, mesh)
     return entry
+
+
+def _lamp(light: PointLight) -> Values:
+    place = {"azimuth": math.degrees(light.azimuth_rad), "elevation": math.degrees(light.elevation_rad)}
+    distance = light.distance_mm if math.isfinite(light.distance_mm) else None
+    return {**place, "distance": distance, "intensity": light.intensity, "color": list(light.color_linear)}
+
+
+def _harmonics(record: ResultRecord) -> list[float] | None:
+    """Return soft light as 9 rows of 3 coefficients of the shading of an open surface; None for none."""
+    found = np.zeros(0)
+    if record.environment is not None:
+        found = open_shading(record.environment)
+    elif record.parameters.get("brdf") == "spherical-harmonics":
+        found = np.asarray(record.parameters.get("sh_coefficients"), float)
+    return found.ravel().tolist() if found.shape == (9, 3) and all_finite(found) else None
+
+
+def _soft_light(face: ProcessedFace, light: EnvironmentLight, mesh: FaceMesh) -> Values:
+    """Return red, green, blue of the soft light on each vertex as 16-bit parts of a scale."""
+    caster = RayCaster(*face.image.occluder_mesh()) if face.casts_shadows else None
+    shadows = ShadowMap(caster, mesh.vertices, mesh.normals, face.shadow_offset_mm)
+    soft = environment_light_on(light, shadows)
+    scale = float(soft.max()) or 1.0
+    return {"scale": scale, "data": encoded(quantized(soft, np.zeros(3), np.full(3, scale)).tobytes())}

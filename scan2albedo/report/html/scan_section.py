@@ -15,8 +15,7 @@ from scan2albedo.errors import Scan2AlbedoError, one_line
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.result_records import ResultRecord, flat_figures
 from scan2albedo.report.html import texts
-from scan2albedo.report.html.charts import read_trace, stage_charts
-from scan2albedo.report.html.encoding import picture_url, residual_of_result, viewer_entry
+from scan2albedo.report.html.encoding import picture_url, viewer_entry
 from scan2albedo.report.html.texts import angle_text, label_of, number_text, seconds_text, value_text
 
 
@@ -32,29 +31,19 @@ def scan_section(
 ) -> Values:
     """Return the section about the result in `folder`, as the template shows it, for the page at `page`.
 
-    Of a `single` scan textures are kept without loss, the distance to the scan is measured again and soft
-    light is shadowed, which takes seconds; one of many has small pictures. What a missing or damaged file
+    Of a `single` scan textures are kept without loss and soft light is shadowed; one of many has small
+    pictures. What a missing or damaged file
     would show is left out, and the page names the file and the reason. Raises Scan2AlbedoError when figures
     in the record are of other kinds than those of a run.
     """
     size, quality = (1024, None) if single else (256, 80)
-    viewer, viewer_missing, residual, measured = None, "", None, ""
-    charts: list[Values] = []
-    trace_missing = "no iterative stage ran"
+    viewer, viewer_missing = None, ""
     try:
         try:
             face = load_result(folder, need_albedo=False)
-            if single:
-                residual, measured = residual_of_result(folder, record, face.mesh)
-            viewer = viewer_entry(
-                face, record, topologies, residual, size=size, quality=quality, soft_shadows=single
-            )
+            viewer = viewer_entry(face, record, topologies, size=size, quality=quality, soft_shadows=single)
         except Scan2AlbedoError as error:
-            viewer_missing, measured = one_line(error), ""
-        try:
-            charts = stage_charts(read_trace(folder / "trace.csv"))
-        except Scan2AlbedoError as error:
-            trace_missing = one_line(error)
+            viewer_missing = one_line(error)
         # Each file's name, a link to it from the page or "", and its size.
         files = []
         for file in record.files:
@@ -71,16 +60,15 @@ def scan_section(
             bar = {"stage": stage.replace("_", " "), "text": seconds_text(seconds)}
             times.append({**bar, "share": share, "start": start})
             start += share
-        about = {"anchor": anchor, "name": name, "record": record}
-        shown = {"viewer": viewer, "viewer_missing": viewer_missing, "residual_note": measured}
         return {
             **_figures(record),
-            **about,
-            **shown,
+            "anchor": anchor,
+            "name": name,
+            "record": record,
+            "viewer": viewer,
+            "viewer_missing": viewer_missing,
             "overview": picture_url(folder / "overview.png", 1800 if single else 1000),
-            "charts": [chart for chart in charts if len(chart["rows"]) > 1],
-            "single_points": [chart for chart in charts if len(chart["rows"]) == 1],
-            "trace_missing": "" if charts else trace_missing,
+            "curves": picture_url(folder / "error_vs_time.png", 1800 if single else 1000),
             "times": times,
             "seconds": seconds_text(total),
             "files": files,
@@ -92,22 +80,6 @@ def scan_section(
 
 
 def _figures(record: ResultRecord) -> Values:
-    flat = flat_figures(record.metrics, "metrics")
-    residual, error = flat.get("metrics_fit_residual_mean_mm"), flat.get("metrics_albedo_expected_error")
-    headline = [] if residual is None else [f"fit {number_text(residual)} mm mean"]
-    if record.lights:
-        degrees = (np.degrees((light.azimuth_rad, light.elevation_rad)) for light in record.lights)
-        where = angles_text((float(azimuth), float(elevation)) for azimuth, elevation in degrees)
-        headline.append(f"{len(record.lights)} light{'s' if len(record.lights) > 1 else ''} at {where}")
-    elif record.parameters.get("brdf") == "spherical-harmonics":
-        headline.append("light as spherical harmonics")
-    elif record.environment is not None:
-        headline.append("soft light")
-    else:
-        headline.append("no directed light" if record.parameters else "no albedo (see the plan)")
-    if error is not None:
-        headline.append(f"albedo ± {number_text(100 * error, 2)} % a texel")
-    headline.append(seconds_text(sum(record.timings_s.values())))
     # (label, value, unit) of each stage's figures, without those that are shown elsewhere.
     warnings, groups = [], {}
     for stage, figures in record.metrics.items():
@@ -126,6 +98,45 @@ def _figures(record: ResultRecord) -> Values:
     albedo = record.metrics.get("albedo")
     found = albedo.get("uncertainty") if isinstance(albedo, Mapping) else None
     uncertainty: Mapping[str, Any] = found if isinstance(found, Mapping) else {}
+
+    # Other lights that explain the image nearly as well: where they are, and the odds against them.
+    others, alternatives = uncertainty.get("alternatives"), []
+    for other in others if isinstance(others, list) else []:
+        if isinstance(other, Mapping):
+            where = angles_text(other.get("lights_deg") or ()) or "no directed light"
+            odds = math.exp(min(float(other.get("excess") or 0), 100.0))
+            alternatives.append((where, number_text(odds, 2)))
+    return {
+        "headline": _headline(record),
+        "warnings": warnings,
+        "figures": rows,
+        "lights": _lights(record, uncertainty),
+        "alternatives": alternatives,
+    }
+
+
+def _headline(record: ResultRecord) -> list[str]:
+    flat = flat_figures(record.metrics, "metrics")
+    residual, error = flat.get("metrics_fit_residual_mean_mm"), flat.get("metrics_albedo_expected_error")
+    headline = [] if residual is None else [f"fit {number_text(residual)} mm mean"]
+    if record.lights:
+        degrees = (np.degrees((light.azimuth_rad, light.elevation_rad)) for light in record.lights)
+        where = angles_text((float(azimuth), float(elevation)) for azimuth, elevation in degrees)
+        headline.append(f"{len(record.lights)} light{'s' if len(record.lights) > 1 else ''} at {where}")
+    elif record.parameters.get("brdf") == "spherical-harmonics":
+        headline.append("light as spherical harmonics")
+    elif record.environment is not None:
+        headline.append("soft light")
+    else:
+        headline.append("no directed light" if record.parameters else "no albedo (see the plan)")
+    if error is not None:
+        headline.append(f"albedo ± {number_text(100 * error, 2)} % a texel")
+    headline.append(seconds_text(sum(record.timings_s.values())))
+    return headline
+
+
+def _lights(record: ResultRecord, uncertainty: Mapping[str, Any]) -> list[Values]:
+    """Return the lamps' number, cells of the table, and colour."""
 
     def known(name: str, k: int, factor: float, unit: str) -> str:
         """Return a standard deviation of a list that may be shorter, hold null, or be none."""
@@ -149,15 +160,7 @@ def _figures(record: ResultRecord) -> Values:
             f"{number_text(light.radius_deg, 2)}°" if light.radius_deg > 0 else "point",
         )
         lights.append({"number": k + 1, "cells": cells, "color": color})
-    # Other lights that explain the image nearly as well: where they are, and the odds against them.
-    others, alternatives = uncertainty.get("alternatives"), []
-    for other in others if isinstance(others, list) else []:
-        if isinstance(other, Mapping):
-            where = angles_text(other.get("lights_deg") or ()) or "no directed light"
-            odds = math.exp(min(float(other.get("excess") or 0), 100.0))
-            alternatives.append((where, number_text(odds, 2)))
-    words = {"headline": headline, "warnings": warnings, "figures": rows}
-    return {**words, "lights": lights, "alternatives": alternatives}
+    return lights
 
 
 def _option_text(value: Any) -> str:

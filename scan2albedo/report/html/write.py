@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 REPORT_FILE = "report.html"
 _SCRIPTS = (
     *("elements", "viewer_math", "viewer_shaders", "viewer_gl", "viewer_lights", "viewer_pointer", "viewer"),
-    *("tables", "charts", "report"),
+    *("tables", "report"),
 )
 """In the order in which they build on each other."""
 
@@ -83,15 +83,7 @@ def write_report(
     if not folder.is_dir():
         raise Scan2AlbedoError(f"{folder}: no such folder; give OUT of process or batch, or OUT/<scan name>")
     if path is None and os.path.lexists(target):
-        own = False
-        with suppress(OSError), target.open("rb") as opened:
-            title = next((line for line in opened if b"</title>" in line), b"")
-            own = not target.is_symlink() and title.rstrip().endswith("· scan2albedo</title>".encode())
-        if not own:
-            text = (
-                f"{folder}: holds {REPORT_FILE}, which no run of scan2albedo report wrote; move it away, or"
-            )
-            raise OutputError(f"{text} give -o with another name")
+        _refuse_foreign(target)
     single = (folder / RESULT_FILE).is_file() and not (folder / batch.CATALOGUE_FILE).is_file()
     chosen: tuple[int, ...] = (0,)
     if single:
@@ -141,6 +133,18 @@ def write_report(
     write_text(target, text)
     done, failed = (sum(row.status == status for row in rows) for status in (DONE, batch.FAILED))
     return WrittenReport(target, len(rows), done, failed, len(sections), len(text.encode()))
+
+
+def _refuse_foreign(target: Path) -> None:
+    """Raise OutputError for a file that is no report of ours."""
+    title = b""
+    with suppress(OSError), target.open("rb") as opened:
+        title = next((line for line in opened if b"</title>" in line), b"")
+    if target.is_symlink() or not title.rstrip().endswith("· scan2albedo</title>".encode()):
+        raise OutputError(
+            f"{target.parent}: holds {target.name}, which no run of scan2albedo report wrote; "
+            "move it away, or give -o with another name"
+        )
 
 
 def data_json(value: Any) -> str:

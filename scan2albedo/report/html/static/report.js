@@ -9,7 +9,6 @@ function openSection() {
 
 document.querySelectorAll(".viewer").forEach((root) => new FaceViewer(root));
 document.querySelectorAll(".scan-table").forEach((root) => new ScanTable(root));
-document.querySelectorAll("svg[data-points]").forEach(followPoints);
 document.querySelector(".close-all")?.addEventListener("click", () => {
   document.querySelectorAll("details.scan[open]").forEach((section) => { section.open = false; });
 });

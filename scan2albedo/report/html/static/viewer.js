@@ -1,7 +1,7 @@
 // A viewer of one face: its state, its controls, and when it holds a WebGL context.
 const MOST_AWAKE = 4; // browsers drop the oldest of 8 to 16 contexts
 const MODE_LABELS = {
-  relit: "Relit", albedo: "Albedo", scanned: "As scanned", light: "Light alone", normals: "Normals", residual: "Fit residual",
+  relit: "Relit", albedo: "Albedo", scanned: "As scanned", light: "Light alone", normals: "Normals",
 };
 const awake = new Set();
 const viewers = new Map();
@@ -89,7 +89,7 @@ class FaceViewer {
       ...(harmonic ? [element("label", { class: "check" }, this.soft, " soft light of the scan, in place of the ambient light")] : []),
       element("label", { class: "check" }, shadows, " cast shadows"),
       ...(what ? [element("label", { class: "check" }, assumed, ` assumed: ${what}`)] : []));
-    this.root.querySelector(".controls").replaceChildren(this.#modeChoice(), this.#scale(), this.lights.root,
+    this.root.querySelector(".controls").replaceChildren(this.#modeChoice(), this.lights.root,
       element("fieldset", {}, element("legend", {}, "Picture"), this.exposure.row,
         element("label", { class: "check" }, this.auto, " expose each light by itself"),
         element("div", { class: "buttons" },
@@ -108,7 +108,7 @@ class FaceViewer {
 
   #modeChoice() {
     const { face } = this, name = `mode-${this.root.dataset.face}`;
-    const there = { relit: true, albedo: face.hasAlbedo, scanned: face.texture, light: true, normals: true, residual: face.residual };
+    const there = { relit: true, albedo: face.hasAlbedo, scanned: face.texture, light: true, normals: true };
     const choices = Object.keys(MODE_LABELS).filter((mode) => there[mode]).map((mode) => {
       const radio = element("input", { type: "radio", name, value: mode, onchange: () => this.setMode(mode) });
       radio.checked = mode === this.state.mode;
@@ -117,17 +117,6 @@ class FaceViewer {
     });
     this.radios = choices.map((label) => label.firstChild);
     return element("fieldset", { class: "modes" }, element("legend", {}, "Show"), ...choices);
-  }
-
-  // The colours of the fit residual, with their values.
-  #scale() {
-    const bar = element("canvas", { width: 9, height: 1, "aria-hidden": "true" });
-    const context = bar.getContext("2d");
-    INFERNO.forEach((rgb, i) => { context.fillStyle = `rgb(${rgb.join()})`; context.fillRect(i, 0, 1, 1); });
-    const most = this.face.residual ? this.face.residual.scale : 0;
-    this.scale = element("div", { class: "heat-scale", hidden: true }, element("span", {}, "0"), bar,
-      element("span", {}, `${most} mm or more; grey: no scan near`));
-    return this.scale;
   }
 
   // A change of light is shown at once, whatever was shown before.
@@ -140,7 +129,6 @@ class FaceViewer {
   setMode(mode) {
     this.state.mode = mode;
     for (const radio of this.radios) radio.checked = radio.value === mode;
-    this.scale.hidden = mode !== "residual";
     this.request();
   }
 

@@ -1,13 +1,8 @@
 // One face on one canvas: buffers, textures, shadow maps and a picture of a state.
-const MODES = { relit: 0, albedo: 1, scanned: 2, light: 3, normals: 4, residual: 5 };
+const MODES = { relit: 0, albedo: 1, scanned: 2, light: 3, normals: 4 };
 const SHADOW_CELLS = 2048;
 const SHOWN_LEVEL = 0.4, SHOWN_PART = 0.8; // sRGB 170 of 255 for four fifths of the face, of its mean albedo
 const SAMPLES = 1500;
-const INFERNO = [
-  [0, 0, 4], [31, 12, 72], [85, 15, 109], [136, 34, 106], [186, 54, 85], [227, 89, 51], [249, 140, 10],
-  [249, 201, 50], [252, 255, 164],
-];
-
 function bytesOf(base64) {
   const text = atob(base64), bytes = new Uint8Array(text.length);
   for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
@@ -36,7 +31,7 @@ function programOf(gl, vertexSource, fragmentSource) {
       throw new Error(gl.getShaderInfoLog(shader));
     }
   }
-  ["a_position", "a_normal", "a_uv", "a_residual", "a_soft"].forEach((name, i) => gl.bindAttribLocation(program, i, name));
+  ["a_position", "a_normal", "a_uv", "a_soft"].forEach((name, i) => gl.bindAttribLocation(program, i, name));
   gl.linkProgram(program);
   if (!gl.getProgramParameter(program, gl.LINK_STATUS) && !gl.isContextLost()) {
     throw new Error(gl.getProgramInfoLog(program));
@@ -100,7 +95,6 @@ class FacePainter {
     const attributes = [
       [bytesOf(face.positions), 3, gl.UNSIGNED_SHORT], [bytesOf(face.normals), 2, gl.SHORT],
       [bytesOf(topology.uv), 2, gl.UNSIGNED_SHORT],
-      face.residual && [bytesOf(face.residual.data), 1, gl.UNSIGNED_BYTE],
       face.soft && [bytesOf(face.soft.data), 3, gl.UNSIGNED_SHORT],
     ];
     attributes.forEach((attribute, i) => {
@@ -262,7 +256,6 @@ class FacePainter {
     gl.uniform3fv(place("u_low"), face.low);
     gl.uniform3fv(place("u_span"), face.span);
     gl.uniform3fv(place("u_harmonics"), face.harmonics || new Float32Array(27));
-    gl.uniform3fv(place("u_stops"), INFERNO.flat().map((value) => value / 255));
     gl.uniformMatrix4fv(place("u_clip_from_model"), false, camera.matrix);
     lights.forEach((light, k) => {
       gl.uniform4fv(place(`u_light[${k}]`), [...directionOf(light.azimuth, light.elevation), light.distance ? 1 / light.distance : 0]);

@@ -5,13 +5,11 @@ const FACE_VERTEX_SHADER = `#version 300 es
 in vec3 a_position;
 in vec2 a_normal;
 in vec2 a_uv;
-in float a_residual;
 in vec3 a_soft;
 uniform mat4 u_clip_from_model;
 uniform vec3 u_low, u_span;
 out vec3 v_position, v_normal;
 out vec2 v_uv;
-out float v_residual, v_known;
 out vec3 v_soft;
 
 vec3 unfolded(vec2 e) {
@@ -24,9 +22,7 @@ void main() {
   v_position = u_low + u_span * a_position;
   v_normal = unfolded(a_normal);
   v_uv = vec2(a_uv.x, 1.0 - a_uv.y);
-  v_known = a_residual < 0.999 ? 1.0 : 0.0;
   v_soft = a_soft;
-  v_residual = min(a_residual * 255.0 / 254.0, 1.0);
   gl_Position = u_clip_from_model * vec4(v_position, 1.0);
 }`;
 
@@ -35,7 +31,6 @@ precision highp float;
 precision highp sampler2DArrayShadow;
 in vec3 v_position, v_normal;
 in vec2 v_uv;
-in float v_residual, v_known;
 in vec3 v_soft;
 uniform int u_mode, u_brdf, u_count;
 uniform vec3 u_eye;
@@ -49,7 +44,6 @@ uniform mat4 u_shadow_from_model[${MOST_LIGHTS}];
 uniform bool u_cast, u_harmonic, u_soft_known;
 uniform highp sampler2DArrayShadow u_shadows;
 uniform vec3 u_harmonics[9];
-uniform vec3 u_stops[9];
 out vec4 color;
 
 vec3 encoded(vec3 linear) {
@@ -89,12 +83,6 @@ vec3 harmonic_light(vec3 n) {
   return max(sum, 0.0);
 }
 
-vec3 heat(float part) {
-  float at = clamp(part, 0.0, 1.0) * 8.0;
-  int low = min(int(at), 7);
-  return mix(u_stops[low], u_stops[low + 1], at - float(low));
-}
-
 void main() {
   vec3 normal = normalize(v_normal), view = normalize(u_eye - v_position);
   // The inside of an open shell is nothing to see. Smooth normals may face away where the surface does not.
@@ -104,7 +92,6 @@ void main() {
   if (u_mode == 1) { color = vec4(encoded(u_exposure * albedo), 1.0); return; }
   if (u_mode == 2) { color = vec4(encoded(u_exposure * texture(u_texture, v_uv).rgb), 1.0); return; }
   if (u_mode == 4) { color = vec4(0.5 * normal + 0.5, 1.0); return; }
-  if (u_mode == 5) { color = vec4(v_known > 0.5 ? heat(v_residual / max(v_known, 1e-3)) : vec3(0.6), 1.0); return; }
   vec3 light = vec3(u_ambient);
   if (u_harmonic) light = u_soft_known ? u_soft_scale * v_soft : harmonic_light(normal);
   vec3 specular = vec3(0.0);
