@@ -135,9 +135,14 @@ def load_albedos(out: str | Path, size: int | None = None) -> tuple[list[str], F
         with errors_of(f"{file.parent}: cannot be read", BatchError, OSError):
             check_whole(file.parent)
         albedo, image = read_image_linear(file), file.parent / "geometry_image.npz"
-        advice = "run the batch with --resume"
-        more: Values = {"what": "geometry image", "advice": advice, "error": BatchError}
-        arrays = read_npz(image, ("mask",), optional=("texture_valid",), **more)
+        arrays = read_npz(
+            image,
+            ("mask",),
+            optional=("texture_valid",),
+            what="geometry image",
+            advice="run the batch with --resume",
+            error=BatchError,
+        )
         seen = arrays["mask"] & arrays.get("texture_valid", True)
         if seen.shape != albedo.shape[:2]:
             raise BatchError(f"{file}: has {albedo.shape[:2]} texels, {image.name} {seen.shape}: of two runs")

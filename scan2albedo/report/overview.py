@@ -90,7 +90,25 @@ def result_panels(
         mean = np.mean(known) if len(known) else np.nan
         heat = f"distance to the scan, 0 to {RESIDUAL_SCALE_MM:g} mm (mean {mean:.2f}, grey: no scan)"
         panels.append(Panel(heat, residual))
-    # On the chart: texture, skin, light, albedo, normals.
+    panels += _chart_panels(image, estimate, albedo_srgb)
+    texture_linear, mask = image.texture_linear, image.mask
+    if fitted is not None and view is not None:
+        if texture_linear is not None and albedo_srgb is not None:
+            uv = fitted.uv[fitted.faces]
+            textures = {"texture": preview_srgb(texture_linear, mask), "albedo": albedo_srgb}
+            for name, texture in textures.items():
+                picture = render_mesh(*mesh, texture_srgb=(uv, texture), view=view, shaded=False)
+                panels.append(Panel(f"face with its {name}", picture))
+        if unlit is not None:
+            panels.append(_scan_panel("scan without its light", unlit, fitted, wide))
+    return panels
+
+
+def _chart_panels(
+    image: GeometryImage, estimate: AlbedoEstimate | None, albedo_srgb: Picture | None
+) -> list[Panel]:
+    """Return texture, skin, light, albedo and normals on the chart."""
+    panels = list[Panel]()
     texture_linear, mask = image.texture_linear, image.mask
     if texture_linear is not None:
         dimmed = np.where(image.seen[..., None], texture_linear, 0.35 * texture_linear)
@@ -104,17 +122,7 @@ def result_panels(
         for title, light in lights.items():
             panels.append(Panel(title, _chart(linear_to_srgb(light / white_level(light, mask)), mask)))
         panels.append(Panel("albedo", albedo_srgb))
-    panels.append(Panel("normals", _chart((image.normal + 1) / 2, mask)))
-    if fitted is not None and view is not None:
-        if texture_linear is not None and albedo_srgb is not None:
-            uv = fitted.uv[fitted.faces]
-            textures = {"texture": preview_srgb(texture_linear, mask), "albedo": albedo_srgb}
-            for name, texture in textures.items():
-                picture = render_mesh(*mesh, texture_srgb=(uv, texture), view=view, shaded=False)
-                panels.append(Panel(f"face with its {name}", picture))
-        if unlit is not None:
-            panels.append(_scan_panel("scan without its light", unlit, fitted, wide))
-    return panels
+    return [*panels, Panel("normals", _chart((image.normal + 1) / 2, mask))]
 
 
 def preview_srgb(linear: RealArray, mask: BoolArray) -> Picture:

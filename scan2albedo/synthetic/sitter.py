@@ -180,11 +180,7 @@ def hair_shell(
     lowest_deg = 89 - 9 * np.cos(around) + (8 + side_drop_deg) * side + fringe
     share = np.linspace(0, 1, rows)[:, None] * np.ones(columns)
     polar = (np.deg2rad(lowest_deg) * (0.02 + 0.98 * share))[..., None]
-    right, crown = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.75, -0.66])
-    forward = np.cross(right, crown)
-    forward *= np.sign(forward[2]) / np.linalg.norm(forward)
-    level = np.cos(around)[:, None] * forward + np.sin(around)[:, None] * right
-    directions = np.cos(polar) * (crown / np.linalg.norm(crown)) + np.sin(polar) * level
+    directions = _from_crown(polar, around)
     flat = directions.reshape(-1, 3)
     far = 400.0
     hits = RayScene(vertices, faces).first_hit(center + far * flat, -flat)
@@ -198,6 +194,15 @@ def hair_shell(
         locks += amplitude * noise / noise.std()
     radius += 0.8 + (thickness_mm - 0.8) * np.sqrt(1 - share**2) + locks * (1.2 - share)
     return (center + radius[..., None] * directions).reshape(-1, 3), grid_faces(*size, wrap=True)
+
+
+def _from_crown(polar: FloatArray, around: FloatArray) -> FloatArray:
+    """Return unit directions (R, C, 3) by angles from the crown (R, C, 1) and around it (C,)."""
+    right, crown = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.75, -0.66])
+    forward = np.cross(right, crown)
+    forward *= np.sign(forward[2]) / np.linalg.norm(forward)
+    level = np.cos(around)[:, None] * forward + np.sin(around)[:, None] * right
+    return np.cos(polar) * (crown / np.linalg.norm(crown)) + np.sin(polar) * level
 
 
 def shoulder_sheet(vertices: FloatArray, rng: np.random.Generator) -> Mesh:

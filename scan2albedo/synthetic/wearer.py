@@ -151,18 +151,21 @@ def wearer(
             for camera in cameras
         ]
     )
-    # Noisy labels (C, 20, 2), NaN where there is none.
-    points = vertices[glasses.keypoint_vertices]
-    labels = np.stack([project(camera, points)[0] for camera in cameras])
+    labels = np.stack([project(camera, vertices[glasses.keypoint_vertices])[0] for camera in cameras])
     labels += rng.normal(0, label_noise_px, labels.shape)
     labels[hidden[:, glasses.keypoint_vertices]] = np.nan
-    labels[:, rng.choice(len(points), missing, replace=False)] = np.nan
+    _mislabel(labels, missing, outliers, rng)
+    labels[((labels < 0) | (labels > picture_size - 1)).any(2)] = np.nan
+    return Wearer(glasses, world_from_glasses, sitter, *head, cameras, masks, labels, hidden)
+
+
+def _mislabel(labels: FloatArray, missing: int, outliers: int, rng: np.random.Generator) -> None:
+    """Leave key points out of labels (C, 20, 2) in all views, and move some others of each view far away."""
+    labels[:, rng.choice(labels.shape[1], missing, replace=False)] = np.nan
     for view in labels:
         labelled = np.flatnonzero(finite_rows(view))
         wrong = rng.choice(labelled, min(outliers, len(labelled)), replace=False)
         view[wrong] += rng.uniform(-150, 150, (len(wrong), 2))
-    labels[((labels < 0) | (labels > picture_size - 1)).any(2)] = np.nan
-    return Wearer(glasses, world_from_glasses, sitter, *head, cameras, masks, labels, hidden)
 
 
 def _mask(

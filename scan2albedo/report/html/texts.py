@@ -16,7 +16,6 @@ _UNITS = {
 _SHARES = {"coverage", "seen", "confidence", "albedo_deviation", "intensity_deviation"}
 """Last parts of names whose values are parts of 1, shown in per cent."""
 _NAMES = {
-    "name": "scan",
     "metrics_fit_residual_mean_mm": "fit, mean",
     "metrics_fit_residual_p95_mm": "fit, 95 %",
     "metrics_albedo_lights": "lights",
@@ -25,9 +24,6 @@ _NAMES = {
     "seconds": "time",
     "cpu_seconds": "CPU time",
     "peak_memory_mb": "memory",
-    "finished_at": "finished",
-    "input_sha256": "input hash",
-    "options_sha256": "options hash",
 }
 
 
