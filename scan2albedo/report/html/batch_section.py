@@ -17,7 +17,7 @@ from scan2albedo.io.records import read_record
 from scan2albedo.io.result_records import ResultRecord, metric_columns
 from scan2albedo.report.html.encoding import encoded
 from scan2albedo.report.html.scan_section import relative_link
-from scan2albedo.report.html.texts import label_of, number_text, seconds_text, unit_of, value_text
+from scan2albedo.report.html.texts import is_share, label_of, number_text, seconds_text, unit_of, value_text
 from scan2albedo.report.overview import figure_png
 
 CATALOGUE_FILE, RESULT_FILE = "catalogue.parquet", "result.json"
@@ -241,8 +241,9 @@ def _distributions(rows: Sequence[ScanRow]) -> str:
         title = f"{label_of(column)}, median {value_text(column, float(np.median(values)))} {unit_of(column)}"
         axis = figure.add_subplot(math.ceil(len(known) / 4), 4, number)
         axis.set_title(title, fontsize=9)
-        axis.hist(values, bins="sturges")
-        axis.axvline(float(np.median(values)), color="black", linestyle="--")
+        shown = np.array(values) * (100 if is_share(column) else 1)
+        axis.hist(shown, bins="sturges")
+        axis.axvline(float(np.median(shown)), color="black", linestyle="--")
     return f"data:image/png;base64,{encoded(figure_png(figure))}"
 
 
