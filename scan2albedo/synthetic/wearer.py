@@ -131,16 +131,19 @@ def wearer(
     head = compact(sitter.vertices, sitter.faces[hair | (sitter.part != BodyPart.HAIR)])
     scene, eyes = RayScene(*head), sitter.face.landmarks[36:48].mean(0)
     measures = GlassesShape.drawn(np.random.default_rng(seed))
-    bend = bend if bend is not None else fit_temples(measures, seed, scene, eyes)
+    bend = bend or fit_temples(measures, seed, scene, eyes)
     glasses = eyeglasses(shape=measures, bend=bend)
     world_from_glasses = seat(glasses, scene, eyes)
     vertices = transform_points(world_from_glasses, glasses.vertices)
     # Cameras look from 600 mm away at a point between the lenses and the ears.
     target = np.array([0.0, vertices[:, 1].mean(), np.percentile(vertices[:, 2], 60)])
-    frame = (picture_size, picture_size)
     yaw_elevation_deg = (-38.0, 8.0), (0.0, -8.0), (38.0, 8.0)  # positive yaw at the wearer's left
-    places = [target + 600 * toward(*place) for place in yaw_elevation_deg]
-    cameras = np.array([look_at(place, target, focal_px=focal_px, shape=frame) for place in places])
+    cameras = np.array(
+        [
+            look_at(target + 600 * toward(*k), target, focal_px=focal_px, shape=(picture_size, picture_size))
+            for k in yaw_elevation_deg
+        ]
+    )
     rng = np.random.default_rng([seed, 9])
     # Half a millimetre behind what a ray meets first is still the same surface.
     hidden = np.stack([scene.hidden(eye, vertices, 0.5) for eye in camera_centers(cameras)])

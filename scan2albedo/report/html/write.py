@@ -111,14 +111,6 @@ def write_report(
             if single:
                 raise
             not_shown.append((scan, one_line(error)))
-    # The page's policy forbids all but its own style and script.
-    style, scripts = _static("report.css"), "\n".join(_static(f"{file}.js") for file in _SCRIPTS)
-    script = f'\n(() => {{\n"use strict";\n{scripts}}})();\n'
-    hashes = (base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in (style, script))
-    policy = (
-        "default-src 'none'; img-src data:; style-src 'sha256-{}'; script-src 'sha256-{}'; "
-        "base-uri 'none'; form-action 'none'"
-    ).format(*hashes)
     page = {
         "title": name,
         "written": datetime.now().astimezone().isoformat(" ", "minutes"),
@@ -128,11 +120,23 @@ def write_report(
         "selection": reason,
         "not_shown": not_shown,
     }
-    template = _environment().get_template("page.html")
-    text = template.render(page=page, style=style, script=script, policy=policy, version=VERSION)
+    text = _rendered(page)
     write_text(target, text)
     done, failed = (sum(row.status == status for row in rows) for status in (DONE, batch.FAILED))
     return WrittenReport(target, len(rows), done, failed, len(sections), len(text.encode()))
+
+
+def _rendered(page: Values) -> str:
+    """Return the page, whose policy forbids all but its own style and script."""
+    style, scripts = _static("report.css"), "\n".join(_static(f"{file}.js") for file in _SCRIPTS)
+    script = f'\n(() => {{\n"use strict";\n{scripts}}})();\n'
+    hashes = (base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in (style, script))
+    policy = (
+        "default-src 'none'; img-src data:; style-src 'sha256-{}'; script-src 'sha256-{}'; "
+        "base-uri 'none'; form-action 'none'"
+    ).format(*hashes)
+    template = _environment().get_template("page.html")
+    return str(template.render(page=page, style=style, script=script, policy=policy, version=VERSION))
 
 
 def _refuse_foreign(target: Path) -> None:
