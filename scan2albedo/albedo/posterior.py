@@ -19,7 +19,7 @@ from scan2albedo.albedo.shadows import ShadowLattice
 from scan2albedo.albedo.soft_terms import DARKEST, SoftTerms
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.lighting.shading import FreeLamps, LitPoints, log_rows, shade_with_derivatives
+from scan2albedo.lighting.shading import FreeLamps, LitPoints, shade_with_derivatives
 from scan2albedo.optimization.least_squares import Damping, LeastSquaresPoint, NormalEquations, minimize
 from scan2albedo.statistics.effective_count import effective_count
 from scan2albedo.statistics.robust import student_t_loss, student_t_weights
@@ -125,14 +125,19 @@ class Posterior:
         points = LitPoints(level.position, level.normal, visible, visible_slope, level.toward, level.scale)
         lamps = FreeLamps(found.rows, model.tangents(light_x), model.radius_mm, model.has("near"))
         free = {"rough": model.has("rough"), "glossy": model.has("specular")}
-        light, specular, slopes = shade_with_derivatives(points, lamps, found.reflectance, model.size, **free)
-        # The derivative by the log of a lamp's intensity is the lamp's own part.
-        parts, highlights = slopes[..., 2 : 3 * model.lights : 3].transpose(0, 2, 1).copy()
+        (parts, highlights), slopes = shade_with_derivatives(
+            points, lamps, found.reflectance, model.size, **free
+        )
+        light, specular = 1 + parts.sum(0), highlights.sum(0)
         self.soft.add(model, light_x, light, slopes[0])
+        pattern = likeness * self.mean
         if math.isnan(scale):
-            scale = np.median(self.value - np.log(np.exp(likeness * self.mean) * light + specular))
-        rows = np.empty((len(light), len(x) + 1))
-        log_rows(self.value, self.mean, light, specular, *slopes, scale, likeness, rows)
+            scale = np.median(self.value - np.log(np.exp(pattern) * light + specular))
+        albedo = np.exp(scale + pattern)
+        seen = albedo * light + specular
+        diffuse = albedo * light / seen
+        of_light = (albedo[:, None] * slopes[0] + slopes[1]) / seen[:, None]
+        rows = np.column_stack([of_light, diffuse, diffuse * self.mean, self.value - np.log(seen)])
         x = np.concatenate([light_x, [scale, likeness]])
         return LitCells(self, model, x, light, specular, parts, highlights, rows)
 

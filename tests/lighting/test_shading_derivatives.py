@@ -43,9 +43,9 @@ def _shade(model, x, points, visible=1, visible_slope=0):
     lamps = FreeLamps(found.rows, model.tangents(x), model.radius_mm, model.near)
     free = {"rough": model.rough, "glossy": model.specular}
     # One column too many, as for a model with more parameters than the lamps'.
-    light, specular, slopes = shade_with_derivatives(lit, lamps, found.reflectance, model.size + 1, **free)
+    (parts, gloss), slopes = shade_with_derivatives(lit, lamps, found.reflectance, model.size + 1, **free)
     assert not slopes[..., -1].any()
-    return light, specular, slopes[0, :, :-1].T, slopes[1, :, :-1].T
+    return 1 + parts.sum(0), gloss.sum(0), slopes[0, :, :-1].T, slopes[1, :, :-1].T
 
 
 def _differences(model, x, points, visible_at=lambda x: 1, step_length=STEP):
