@@ -96,7 +96,7 @@ class _Colours:
         whole = point.cells.light * np.exp(scale + likeness * p.mean + p.nodes @ point.u)
         self.gloss, strength_sd = point.cells.highlights / whole, NOISE
         if self.gloss.any():
-            at = point.model.position_of("specular")
+            at = point.model.slices["specular"].start
             strength_sd = min(math.sqrt(point.covariance()[at, at]) / point.x[at], 1.0)
         # Log strength follows the level of the pigment's colour, not that of the picture's.
         tie = np.eye(2 * len(deviation) + 5)

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from scan2albedo.albedo.light_colour import light_colours
-from scan2albedo.albedo.light_parameters import PARTS, Hypothesis, LightModel
-from scan2albedo.albedo.light_priors import INTENSITY, parts_steps
+from scan2albedo.albedo.light_parameters import INTENSITY, PARTS, Hypothesis, LightModel
+from scan2albedo.albedo.light_priors import parts_steps
 from scan2albedo.albedo.lit_image import Explanation, LightFound, LitImage
 from scan2albedo.albedo.node_field import Scales
 from scan2albedo.albedo.posterior import EXTRA, NOISE, TEMPER, Point, Posterior, Start, descend
@@ -98,7 +98,7 @@ class LightSearch:
             best = descend(fine, _STEPS, self.meter).rescaled()
         self._record()
         colours = light_colours(best, self.options.choice("albedo.light_colour"))
-        rows = parts_steps(best.model, best.x, best.covariance(), best.prior.rows, self.options)
+        rows = parts_steps(best.model, best.x, best.covariance(), best.prior, self.options)
         steps = [*steps, *rows, colours.step]
         explained = Explanation(best, colours, level, shift, spread)
         return LightFound(best.solution(), steps, light_uncertainty(best, others), explained)
@@ -159,7 +159,7 @@ class LightSearch:
 
     def _variants(self, point: Point) -> list[Point]:
         """Return the optima near a point: even ambient light, and a surface that errs otherwise."""
-        even, problem, found = replace(point.model, environment=False), point.problem, list[Point]()
+        even, problem, found = point.model.without("environment"), point.problem, list[Point]()
         others = [(even, problem)] if even != point.model else []
         if self.scene.shadows[0] is not None and point.model.lights:
             blurs = [blur for blur in OUTLINE_BLURS if blur != problem.blur]
@@ -173,7 +173,7 @@ class LightSearch:
 
     def _with_one_more(self, base: Point) -> list[Point]:
         meter, full = self.meter, self.scene.model(base.model.lights + 1, PARTS)
-        model = replace(full, bounce=False)
+        model = full.without("bounce")
         tried, fresh = self._followed(base, model, False, _FOLLOWED, _FIRST_SCALES), list[Point]()
         if model.lights <= _FRESH_LAMPS and not meter.exhausted:
             fresh = self._followed(base, model, True, _KEPT, _DARK_SCALES)[:1]
@@ -219,7 +219,7 @@ class LightSearch:
         head, rows = base.x[: 3 * count], base.solution().hypothesis.rows[:, :3]
         beside = self.scene.model(count) if dark else base.model
         tail = beside.extend(base.x[: beside.size], model)[3 * count :]
-        strength = math.log(_DARK_STRENGTH) if dark else INTENSITY[0]
+        strength = math.log(_DARK_STRENGTH) if dark else INTENSITY.mean
         for direction in self.scene.directions:
             if count and (rows @ direction).max() > _SAME_COSINE:
                 continue

@@ -265,10 +265,10 @@ class Point:
 
     def bounced(self) -> FloatArray:
         """Return (N,) the light that the surface throws onto itself."""
-        soft, (_, albedo, waves) = self.problem.soft, self.model.soft(self.light_x)
+        soft, (_, albedo, _) = self.problem.soft, self.model.soft(self.light_x)
         if soft.bounce is None:
             return np.zeros_like(self.error)
-        return albedo * soft.bounce(self.cells.lamps.sum(0) + soft.transfer[:, 1:] @ waves)
+        return albedo * soft.bounce(self.cells.lamps.sum(0) + soft.linear(self.model, self.light_x))
 
     @cached_property
     def quadratic(self) -> tuple[FloatArray, FloatArray]:
@@ -283,7 +283,7 @@ class Point:
     def normal_equations(self) -> NormalEquations:
         """Return the quadratic model with the bounds of a step."""
         (matrix, gradient), (lower, upper) = self.quadratic, self.model.bounds
-        x, longest, free = self.light_x, 3 * self.model.steps(), np.ones(EXTRA)
+        x, longest, free = self.light_x, 3 * self.model.table["step"], np.ones(EXTRA)
         least = np.concatenate([np.maximum(lower - x, -longest), -free])
         most = np.concatenate([np.minimum(upper - x, longest), free])
         return NormalEquations(matrix, gradient, least, most)
@@ -310,8 +310,8 @@ class Point:
         # The variances of the cells, weighed and summed, are what the cells know of the field.
         sure = len(own) - own @ left
         rough = float(self.robust @ self.error**2 + sure) * grain**2 * p.repeats / len(self.error)
-        if self.model.environment:
-            at = slice(first := self.model.position_of("environment"), first + HARMONICS)
+        if self.model.has("environment"):
+            at = self.model.slices["environment"]
             expected = self.x[at] ** 2 + np.diag(self.covariance())[at]
             square = float((expected * self.prior.curvature[at]).mean()) * soft**2
             soft = _shrunk(square, HARMONICS, _LIGHT_SD)
@@ -346,7 +346,7 @@ class Point:
         taken = node_field.solved(self.known.factor, p.onto_nodes @ (slopes * self.known.weight[:, None]))
         slopes = slopes - p.nodes @ (own @ taken)
         covariance = self.covariance()[:-EXTRA, :-EXTRA]
-        variance = node_field.cell_variances(p.nodes.indptr, p.nodes.indices, p.nodes.data, nodes)
+        variance = node_field.cell_variances(p.nodes, nodes)
         variance += ((slopes @ covariance) * slopes).sum(1)
         return np.sqrt(np.maximum(variance, 0.0))
 

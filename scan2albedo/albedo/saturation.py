@@ -7,11 +7,11 @@ from scipy.ndimage import binary_opening, binary_propagation
 
 from scan2albedo.albedo.inpainting import RADIUS, resynthesize, surroundings
 from scan2albedo.albedo.node_field import FAINT
+from scan2albedo.albedo.noise import window_sums
 from scan2albedo.albedo.options import MINIMAL_TEXELS, SATURATION_LINEAR, EstimateOptions
 from scan2albedo.albedo.texel_light import HALF_STEP
 from scan2albedo.core import GeometryImage, PlanStep
 from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray
-from scan2albedo.core.compiled import compiled
 
 _LARGEST_HIGHLIGHT = 0.25
 """More white texels than this part of the surface are not highlights but over-exposure."""
@@ -97,10 +97,24 @@ def restore_channels(albedo: FloatArray, lost: BoolArray, source: BoolArray) -> 
     if int(origin[window].sum()) < MINIMAL_TEXELS:
         window = (slice(None), slice(None))
     result, inside, field = albedo.copy(), target[window], np.log(np.maximum(albedo[window], FAINT))
-    known = np.argwhere(inside), lost[window], origin[window]
-    predicted = _predict(field, *known, radius, float(MINIMAL_TEXELS), HALF_STEP**2 / 3)
+    # A one, the x_c and their products, summed over the sources around each texel, and over all of them.
+    terms = np.concatenate([np.ones((*inside.shape, 1)), field], -1)
+    products = (terms[..., None] * terms[..., None, :])[origin[window]]
+    sums = np.zeros((*inside.shape, 16))
+    sums[origin[window]] = products.reshape(-1, 16)
+    moments = window_sums(sums, radius)[inside].reshape(-1, 4, 4) + MINIMAL_TEXELS * products.mean(0)
+    moments /= moments[:, :1, :1]
+    mean = moments[:, 0, 1:]
+    covariance = moments[:, 1:, 1:] - mean[:, :, None] * mean[:, None]
+    gone = lost[window][inside]
+    kept = ~gone
+    ridge = HALF_STEP**2 / 3
+    system = covariance * (kept[:, :, None] & kept[:, None]) + np.eye(3) * (ridge + gone[:, None])
+    right = (covariance + ridge / kept.sum(1)[:, None, None]) * kept[..., None]
+    apart = (field[inside] - mean) * kept
+    predicted = mean + np.einsum("tsc,ts->tc", np.linalg.solve(system, right), apart)
     old = albedo[window][inside]
-    result[window][inside] = np.where(lost[window][inside], np.maximum(np.exp(predicted), old), old)
+    result[window][inside] = np.where(gone, np.maximum(np.exp(predicted), old), old)
     return result
 
 
@@ -112,45 +126,3 @@ def any_channel(image: BoolArray) -> BoolArray:
 def all_channels(image: BoolArray) -> BoolArray:
     """Return (H, W) where all three channels hold."""
     return image[..., 0] & image[..., 1] & image[..., 2]
-
-
-@compiled
-def _predict(field, texels, lost, source, radius, pooled, ridge):  # type: ignore[no-untyped-def]
-    """Return (T, 3) the regression's value of every channel at `texels` (T, 2)."""
-    height, width = source.shape
-    # Running sums of the number of sources, their x_c, and their products x_c x_d.
-    sums = np.zeros((height + 1, width + 1, 13))
-    for i in range(height):
-        line = np.zeros(13)
-        for j in range(width):
-            if source[i, j]:
-                line[0] += 1
-                for c in range(3):
-                    line[1 + c] += field[i, j, c]
-                    for d in range(3):
-                        line[4 + 3 * c + d] += field[i, j, c] * field[i, j, d]
-            sums[i + 1, j + 1] = sums[i, j + 1] + line
-    result = np.empty((len(texels), 3))
-    overall = sums[height, width] * (pooled / max(sums[height, width, 0], 1.0))
-    for t in range(len(texels)):
-        row, column = texels[t]
-        top, left = max(0, row - radius), max(0, column - radius)
-        bottom, right = min(height, row + radius + 1), min(width, column + radius + 1)
-        s = sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left] + overall
-        mean = s[1:4] / s[0]
-        covariance = s[4:].copy().reshape(3, 3) / s[0] - np.outer(mean, mean)
-        survivors = np.flatnonzero(~lost[row, column])
-        count = len(survivors)
-        for c in range(3):
-            if count == 1:
-                a = survivors[0]
-                slope = (covariance[a, c] + ridge) / (covariance[a, a] + ridge)
-                result[t, c] = mean[c] + slope * (field[row, column, a] - mean[a])
-            else:
-                a, b = survivors[0], survivors[1]
-                aa, bb, ab = covariance[a, a] + ridge, covariance[b, b] + ridge, covariance[a, b]
-                ac, bc = covariance[a, c] + 0.5 * ridge, covariance[b, c] + 0.5 * ridge
-                scale = 1 / (aa * bb - ab * ab)
-                u, v = field[row, column, a] - mean[a], field[row, column, b] - mean[b]
-                result[t, c] = mean[c] + scale * ((bb * ac - ab * bc) * u + (aa * bc - ab * ac) * v)
-    return result

@@ -12,7 +12,6 @@ from scan2albedo.albedo.node_field import TINY
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.core import GeometryImage, Meter, PlanStep
 from scan2albedo.core.arrays import Float32Array, FloatArray, IntArray, dots
-from scan2albedo.core.compiled import compiled
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment_light import SKY
 from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable
@@ -130,7 +129,7 @@ class ShadowLattice:
         lights, cells = model.lights, len(self._normal)
         if self._rays is None or not lights:
             return np.ones((lights, cells), np.float32), np.zeros((lights, 2, cells), np.float32)
-        nearness = float(x[model.position_of("near")]) if model.near else 0.0
+        nearness = float(model.part(x, "near")[0])
         visible, slopes = np.zeros((lights, cells), np.float32), np.zeros((lights, 2, cells), np.float32)
         # The lattice's spacing along its axes is wide for lamps whose shadows are soft.
         step = max(self._least_step, math.radians(model.radius_deg) / _SPACING)
@@ -144,10 +143,11 @@ class ShadowLattice:
                 on_node = part < TINY
                 both = (low, 1 - part, -1 / side), (low + 1, part, 1 / side)
                 ends.append([(low, 1.0, 0.0)] if on_node else list(both))
+            nodes, weights = list[Visibility](), list[tuple[float, float, float]]()
             for (column, across, by_x), (row, along, by_y), (layer, near, _) in product(*ends):
-                node = self._node(model, (column, row, layer), steps, blur)
-                weights = across * along * near, by_x * along * near, across * by_y * near
-                _add_node(node, *weights, visible[k], slopes[k])
+                nodes.append(self._node(model, (column, row, layer), steps, blur))
+                weights.append((across * along * near, by_x * along * near, across * by_y * near))
+            visible[k], *slopes[k] = np.array(weights, np.float32).T @ np.array(nodes)
         return visible, slopes
 
     def _node(
@@ -177,12 +177,3 @@ class ShadowLattice:
         self._grid[self._cell] = self._sharp[key]
         self._known[*key, blur] = (down @ self._grid @ across.T)[self._cell] / whole
         return self._known[*key, blur]
-
-
-@compiled
-def _add_node(node, weight, by_x, by_y, visible, slopes):  # type: ignore[no-untyped-def]
-    """Add a node (N,) to what is blended of a lamp: `visible` (N,), and `slopes` (2, N) by the direction."""
-    for n in range(len(node)):
-        visible[n] += weight * node[n]
-        slopes[0, n] += by_x * node[n]
-        slopes[1, n] += by_y * node[n]

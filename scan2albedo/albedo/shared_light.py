@@ -107,7 +107,7 @@ class SharedLight:
         least, most = list[FloatArray](), list[FloatArray]()
         for point in self.points:
             lower, upper = point.model.bounds
-            longest = 3 * point.model.steps()
+            longest = 3 * point.model.table["step"]
             least += [np.maximum(lower - point.light_x, -longest), -np.ones(1)]
             most += [np.minimum(upper - point.light_x, longest), np.ones(1)]
         matrix = matrix - nodes.T @ nodes
@@ -142,9 +142,7 @@ class SharedLight:
         mean = np.asarray(self.nodes.sum(0)).ravel() / len(self.own)
         turned = np.eye(len(mean)) - mean
         covariance = turned @ left @ turned.T
-        variance = node_field.cell_variances(
-            self.nodes.indptr, self.nodes.indices, self.nodes.data, covariance
-        )
+        variance = node_field.cell_variances(self.nodes, covariance)
         return np.sqrt(np.maximum(variance, 0.0))
 
 

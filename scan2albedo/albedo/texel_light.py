@@ -9,7 +9,7 @@ from scipy.stats import norm
 
 from scan2albedo.albedo.levels import along_surface, cell_field, cell_means
 from scan2albedo.albedo.light_colour import CAST, LightColours
-from scan2albedo.albedo.light_parameters import Solution
+from scan2albedo.albedo.light_parameters import PARTS, Solution
 from scan2albedo.albedo.lit_image import LightFound, LitImage
 from scan2albedo.albedo.node_field import TINY, deviation_of_light
 from scan2albedo.albedo.posterior import FREEDOM, Point
@@ -88,6 +88,10 @@ def _of_solution(
     softly = known is not None or any(map(solution.model.has, ("occlusion", "bounce", "environment")))
     if softly:
         environment, soft = _soft_light(scene, solution, visible * whole, colors)
+        for name, part in PARTS.items():
+            if part.basis is not None and solution.model.has(name):
+                own = part.basis(hidden) @ solution.model.part(solution.x, name)
+                soft += own[:, None] * colors.ambient
     if known is not None and lights and caster is not None:
         visible = _seen_shadows(known, mask, visible, facing, whole[..., None] * colors.lamps[:, None], soft)
     shaded = shading(visible)
@@ -220,6 +224,6 @@ def _soft_light(
     hidden[:, 0] *= 1 - fill
     change = -hidden @ waves
     if terms.bounce is not None and albedo:
-        direct = cell_means(level, lamps.sum(0), mask) + terms.transfer[:, 1:] @ own
+        direct = cell_means(level, lamps.sum(0), mask) + terms.linear(model, solution.x)
         change += albedo * terms.bounce(direct)[:, None] * colours.bounce
     return environment, light + along_surface(level, change, scene.image)

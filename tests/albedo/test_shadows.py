@@ -140,7 +140,7 @@ def lattice():
     return _lattice(make_image("bumps"))
 
 
-MODEL = LightModel(1, "oren-nayar", (0.0, 0.0, 1.0), 100.0, near=True)
+MODEL = LightModel(1, "oren-nayar", (0.0, 0.0, 1.0), 100.0, frozenset({"near"}))
 
 
 def test_visibility_is_continuous_in_direction_and_nearness(lattice):

@@ -12,15 +12,17 @@ VIEW = normalized(np.array([0.1, -0.2, 1.0]))
 DIRECTIONS = normalized(np.array([[0.5, 0.2, 0.8], [-0.7, 0.4, 0.5], [0.1, -0.9, 0.4]]))
 INTENSITIES = np.array([2.0, 0.7, 1.3])
 STEP = 1e-5
-VALUES = {"near": 0.2, "rough": 0.5, "specular": 0.3, "exponent": np.log(12.0)}
+VALUES = {"near": 0.2, "rough": 0.5, "specular": (0.3, np.log(12.0))}
 
 BRDFS = pytest.mark.parametrize("brdf", ["oren-nayar", "minnaert"])
 
 
 def _model(lights, brdf, near=True, rough=True, specular=True):
-    model = LightModel(lights, brdf, tuple(VIEW), RADIUS_MM, near, rough, specular)
+    parts = {"near": near, "rough": rough, "specular": specular}
+    model = LightModel(lights, brdf, tuple(VIEW), RADIUS_MM, frozenset(filter(parts.get, parts)))
     x = model.from_lights(DIRECTIONS[:lights], INTENSITIES[:lights])
-    x[3 * lights :] = [VALUES[name] for name in model._tail]
+    for part, place in model.slices.items():
+        x[place] = VALUES[part]
     return model, x
 
 
@@ -40,8 +42,8 @@ def _shade(model, x, points, visible=1, visible_slope=0):
     reached = np.zeros((model.lights, count), np.float32) + np.float32(visible)
     slope = np.zeros((model.lights, 2, count), np.float32) + np.float32(visible_slope)
     lit = LitPoints(position, normal, reached, slope, view, scale)
-    lamps = FreeLamps(found.rows, model.tangents(x), model.radius_mm, model.near)
-    free = {"rough": model.rough, "glossy": model.specular}
+    lamps = FreeLamps(found.rows, model.tangents(x), model.radius_mm, model.has("near"))
+    free = {"rough": model.has("rough"), "glossy": model.has("specular")}
     # One column too many, as for a model with more parameters than the lamps'.
     (parts, gloss), slopes = shade_with_derivatives(lit, lamps, found.reflectance, model.size + 1, **free)
     assert not slopes[..., -1].any()
