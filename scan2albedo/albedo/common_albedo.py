@@ -188,7 +188,7 @@ def _with_shared(found: LightFound, point: Point, options: EstimateOptions) -> L
     """Return what a search found with the light of `point`, which knows the albedo of all images."""
     colours = light_colours(point, options.choice("albedo.light_colour"))
     rows = parts_steps(point.model, point.x, point.covariance(), point.prior, options)
-    cells = len(point.cells.light)
+    cells = len(point.light)
     explained = Explanation(point, colours, point.problem.level, np.zeros((cells, 3)), np.zeros(cells))
     # Shadows, lamps and their sizes stay as they were.
     steps = [*found.steps[:3], *rows, colours.step]

@@ -111,7 +111,7 @@ class LightSearch:
         values, fields, tints = list[float](), list[FloatArray](), list[FloatArray]()
         for value, point in wanted:
             # What is left of V without the highlight and the light is albedo.
-            field = np.log(point.cells.light) - np.log(point.left_of_highlight())
+            field = np.log(point.light) - np.log(point.left_of_highlight())
             field -= np.average(field, weights=point.problem.level.weight)
             # Descents from several starts meet.
             if all(np.std(field - other) > NOISE for other in fields):

@@ -23,6 +23,8 @@ def inpainted(
     usable: BoolArray,
     options: EstimateOptions,
     seed: int,
+    *,
+    late: bool = False,
 ) -> tuple[Float32Array, PlanStep]:
     """Return the albedo (H, W, 3) with saturated texels rebuilt, or as it is, and the plan's row.
 
@@ -32,6 +34,11 @@ def inpainted(
     """
     assert image.texture_linear is not None
     stage = "albedo.inpainting"
+    choice = options.choice(stage)
+    if choice is False:
+        return albedo_linear, PlanStep(stage, False, "left out by the caller")
+    if late and choice is None:
+        return albedo_linear, PlanStep(stage, False, "the budget ended before it")
     allowed = image.mask if image.inpaint is None else image.mask & image.inpaint
     clipped = (image.texture_linear >= SATURATION_LINEAR) & image.seen[..., None]
     # Texture lookup mixed the clipped values into their four neighbours (scipy's dilation is far slower).
@@ -65,7 +72,7 @@ def inpainted(
         wholly, partly, source = wholly | missed, partly & ~missed, source & ~missed
         lost &= ~missed[..., None]
     result = restore_channels(albedo, lost, source)
-    if white > _LARGEST_HIGHLIGHT * image.seen.sum() and not options.choice(stage):
+    if white > _LARGEST_HIGHLIGHT * image.seen.sum() and not choice:
         evidence += "; too many for a highlight, left"
     else:
         result = resynthesize(result, wholly, source, context=partly, seed=seed)

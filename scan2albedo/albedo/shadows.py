@@ -26,8 +26,6 @@ LEAST_SHADOW = 0.01
 """Part of the cells facing some light that has to lie in cast shadow for shadow rays to be used."""
 FEWEST = 0.05
 """Part of the cells that has to face a direction for its figure to mean something."""
-_COARSE = 160
-"""Longer side, in texels, of a chart that shows whether there are shadows."""
 _SPACING = 2.0
 """Distance of the lattice's nodes in cells of the image, and how many lie in a lamp's angular radius. Along
 nearness they lie as many times farther apart: shadows change little with it."""
@@ -39,19 +37,13 @@ def shadow_caster(
     """Return the shadow caster, or None where the surface hardly shades itself, and the plan's row.
 
     The cells of `level` are tested under distant lights from `directions` (D, 3). When the meter's budget has
-    ended, a coarse mesh casts shadows without that test.
+    ended, it casts shadows without that test.
     """
     stage = "albedo.shadows"
     choice = options.choice(stage)
     if choice is False:
         return None, PlanStep(stage, False, "left out by the caller")
-    # A coarse mesh is good enough to see whether there are shadows, which a dense chart would delay.
-    coarse, step = None, -(-max(image.shape) // _COARSE)
-    if choice is None and image.occluder is None and step > 1:
-        part = np.s_[::step, ::step]
-        mesh = GeometryImage(image.position[part], image.normal[part], image.mask[part]).triangulated()
-        coarse = mesh if len(mesh[1]) else None
-    vertices, faces = image.occluder_mesh() if coarse is None else coarse
+    vertices, faces = image.occluder_mesh()
     if not len(faces):
         return None, PlanStep(stage, False, "the surface has no triangle to cast a shadow", "0 faces")
     caster = RayCaster(vertices, faces)
@@ -67,8 +59,6 @@ def shadow_caster(
     evidence = f"at most {100 * largest:.1f} % of the texels facing a light lie in cast shadow"
     if choice is None and largest < LEAST_SHADOW:
         return None, PlanStep(stage, False, "the surface casts no shadow on itself", evidence)
-    if coarse is not None:
-        caster = RayCaster(*image.occluder_mesh())
     return caster, PlanStep(stage, True, "asked for" if choice else "the surface shades itself", evidence)
 
 

@@ -151,7 +151,7 @@ def white(skin):
 
 def _log_albedo(point):
     """Return (N,) it, with a mean of 0."""
-    field = np.log(point.left_of_highlight() / point.cells.light)
+    field = np.log(point.left_of_highlight() / point.light)
     return field - np.average(field, weights=point.problem.level.weight)
 
 

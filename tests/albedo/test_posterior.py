@@ -95,7 +95,7 @@ def test_descents_with_scales_that_follow_lead_to_the_light(ball, angle, parts, 
     assert angle_deg(_lamp(point), TOWARD) < most_deg
     cosine = np.maximum(point.problem.level.normal @ TOWARD, 0)
     # The logarithm of the true light deviates by 0.38.
-    assert np.std(np.log(point.cells.light / (1 + 2.0 * cosine))) < 0.06
+    assert np.std(np.log(point.light / (1 + 2.0 * cosine))) < 0.06
 
 
 def test_descent_takes_no_more_evaluations_than_it_may(ball):
@@ -159,7 +159,7 @@ def test_points_with_a_factor_of_their_weights_are_the_same(ball):
     kept = start.problem.at(start.model, start.x, known, fixed=True)
     assert kept.known is known
     fresh = start.problem.at(start.model, start.x, known)
-    assert np.array_equal(kept.cells.light, fresh.cells.light)
+    assert np.array_equal(kept.light, fresh.light)
     assert kept.cost == pytest.approx(fresh.cost, rel=0.05)
 
 

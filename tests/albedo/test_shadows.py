@@ -1,4 +1,4 @@
-"""Whether a surface shades itself is decided by rays, and on a dense chart by rays at a coarser mesh."""
+"""Whether a surface shades itself is decided by rays."""
 
 import re
 from dataclasses import replace
@@ -89,18 +89,7 @@ def test_the_fraction_that_has_to_lie_in_shadow_decides(monkeypatch):
         assert _decide(image)[1].ran == (part < 1)
 
 
-@pytest.mark.parametrize("shape", ["hemisphere", "bumps"])
-def test_a_dense_chart_decides_as_its_full_mesh_does(shape):
-    image = make_image(shape, 256)
-    _, ours = _decide(image)
-    _, full = _decide(replace(image, occluder=image.triangulated()))
-    assert ours.ran == full.ran == (shape == "bumps")
-    # An outline runs through another row of cells at most.
-    assert _percent(ours) == pytest.approx(_percent(full), abs=1)
-
-
 def test_a_dense_chart_casts_its_shadows_with_every_texel():
-    """A spike of one texel between those that the decision looks at."""
     image = make_image("bumps", 256)
     position = image.position.copy()
     position[129, 129, 2] += 30
@@ -125,14 +114,6 @@ def test_a_surface_without_triangles_casts_none():
         caster, step = _decide(replace(image, mask=lone), force=force)
         assert caster is None
         assert step.evidence == "0 faces"
-
-
-def test_a_chart_whose_coarse_mesh_has_no_triangle_uses_its_own():
-    """Strips of two texels fall between the texels that the decision looks at."""
-    image = make_image("bumps", 256)
-    strips = image.mask & np.isin(np.arange(256) % 4, (1, 2))[:, None]
-    _, step = _decide(replace(image, mask=strips))
-    assert step.evidence != "0 faces"
 
 
 @pytest.fixture(scope="module")
