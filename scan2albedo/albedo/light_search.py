@@ -218,7 +218,7 @@ class LightSearch:
         count, coarse = base.model.lights, self._posterior(0, base.problem.blur)
         head, rows = base.x[: 3 * count], base.solution().hypothesis.rows[:, :3]
         beside = self.scene.model(count) if dark else base.model
-        tail = beside.extend(base.x[: beside.size], model)[3 * count :]
+        tail = beside.extend(base.x[: beside.size], model)[3 * model.lights :]
         strength = math.log(_DARK_STRENGTH) if dark else INTENSITY.mean
         for direction in self.scene.directions:
             if count and (rows @ direction).max() > _SAME_COSINE:

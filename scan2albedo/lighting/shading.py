@@ -341,7 +341,7 @@ def shade_with_derivatives(
         turned = by_n_l[:, None] * n_l_slope + by_l_v[:, None] * l_v_slope - 2 * f[:, None] * stretch
         turned *= seen[:, None]
         turned[:, :2] += visible_slope * (reaching * f)[:, None]
-        of_lamps = slope[:, : 3 * count].reshape(-1, count, 3)
+        of_lamps = slope[:, : 3 * count].reshape(len(position), count, 3)
         of_lamps[..., :2] = turned[:, :2].transpose(2, 0, 1)
         of_lamps[..., 2] = part.T
         if lamps.near:

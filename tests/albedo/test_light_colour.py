@@ -57,7 +57,7 @@ def lit(ball):
             return descend(problem.start(model, x, known), 10, problem.meter)
         strength = gloss * 0.3 * GLOSS.specular_strength / problem.level.unit
         x = np.append(x, [strength, math.log(GLOSS.specular_exponent)])
-        point = problem.start(replace(model, specular=True), x, known)
+        point = problem.start(replace(model, parts=model.parts | {"specular"}), x, known)
         return point.moved(np.zeros(len(point.x)))
 
     return at
