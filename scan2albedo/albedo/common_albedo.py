@@ -194,7 +194,7 @@ def _with_shared(found: LightFound, point: Point, options: EstimateOptions) -> L
     colours = light_colours(point, options.choice("albedo.light_colour"))
     rows = parts_steps(point.model, point.x, point.covariance(), point.prior, options)
     cells = len(point.light)
-    explained = Explanation(point, colours, point.problem.level, np.zeros((cells, 3)), np.zeros(cells))
+    explained = Explanation(point, colours, point.problem.level, *np.zeros((2, cells)))
     # Shadows, lamps and their sizes stay as they were.
     steps = [*found.steps[:3], *rows, colours.step]
     return LightFound(point.solution(), steps, light_uncertainty(point), explained)

@@ -183,23 +183,16 @@ def divided(
         deviation = on_grid(mask, np.hypot(cells, lit.deviation))
     division = divide_light(image.texture_linear, shading, specular, mask, usable)
     color = division.albedo.astype(np.float32)
-    parameters: dict[str, object]
     if found is None:
         plan += [PlanStep("albedo.lights", False, "spherical harmonics stand for all light", "27 parameters")]
-        assert lit.environment is not None
-        coefficients = open_shading(lit.environment)
-        parameters = {"brdf": "spherical-harmonics", "sh_coefficients": coefficients.tolist()}
     else:
         color, inpainting = inpainted(color, image, usable, options, seed, late=meter.out_of_time)
         plan += [*found.steps, _cameras_step(scene, reflectance), inpainting]
-        far = not lit.lights or math.isinf(lit.lights[0].distance_mm)
-        distance = None if far else lit.lights[0].distance_mm
-        parameters = {"ambient": 1.0, **reflectance.parameters(), "light_distance_mm": distance}
     color = continued_smoothly(color, mask & ~image.seen, image.seen)
     return AlbedoEstimate(
         albedo_linear=color,
         lights=lit.lights,
-        parameters=parameters,
+        parameters=_parameters(lit, harmonic=found is None),
         shading=shading.astype(np.float32),
         specular=specular.mean(-1).astype(np.float32),
         shadow=on_grid(mask, lit.visible.astype(np.float32)),
@@ -218,6 +211,16 @@ def divided(
         environment=lit.environment,
         expected_error=expected_error(division.deviation, deviation, mask, image.skin),
     )
+
+
+def _parameters(lit: TexelLight, harmonic: bool) -> dict[str, object]:
+    """Return the parameters of `AlbedoEstimate`."""
+    if harmonic and lit.environment is not None:
+        coefficients = open_shading(lit.environment)
+        return {"brdf": BRDFS[-1], "sh_coefficients": coefficients.tolist()}
+    far = not lit.lights or math.isinf(lit.lights[0].distance_mm)
+    distance = None if far else lit.lights[0].distance_mm
+    return {"ambient": 1.0, **lit.reflectance.parameters(), "light_distance_mm": distance}
 
 
 def _cameras_step(scene: LitImage, reflectance: Reflectance) -> PlanStep:

@@ -36,8 +36,7 @@ class LightColours:
 
     `lamps` (L, 3), `ambient` (3,) and `bounce` (3,) multiply the white parts, `harmonics` (8, 3) are added to
     the white ones. `cast` (M, 3) is the log colour, at the nodes, of light that no part stands for. `gloss`
-    is what multiplies the strength of the highlights, which have their lamps' colours. `ratio` (N, 3) is the
-    log of all light beside the white one, on the cells.
+    is what multiplies the strength of the highlights, which have their lamps' colours.
     """
 
     lamps: FloatArray
@@ -47,7 +46,6 @@ class LightColours:
     bounce: FloatArray = field(default_factory=lambda: np.ones(3))
     cast: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))
     gloss: float = 1.0
-    ratio: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))
 
     @classmethod
     def white(cls, lamps: int, reason: str = "white", evidence: str = "", nodes: int = 1) -> Self:
@@ -145,7 +143,6 @@ class _Colours:
         """Return the colours, and the log odds for them."""
         point, p = self.point, self.point.problem
         found = LightColours.white(self.lamps, nodes=len(p.field.used))
-        log_ratio = np.zeros((len(p.value), 3))
         _, _, waves = point.model.soft(point.light_x)
         for number, (c, ratio) in enumerate(zip(self.channels, self.ratios, strict=True)):
             x = self.x[self.at(number)]
@@ -157,14 +154,13 @@ class _Colours:
             found.ambient[c], found.bounce[c] = gain, gain * math.exp(x[-3])
             found.harmonics[:, c] = gain * (waves + x[self.lamps : -3]) - waves
             found.cast[:, c] = cast
-            log_ratio[:, c] = math.log(gain) + np.log(light / point.light) + p.nodes @ cast
         # Of the colours' posterior and prior where there is none (Dickey, see `light_priors.parts_steps`).
         at = np.r_[: len(self.x) - 5, -3, -2]
         x, own = self.x[at], np.linalg.inv(np.linalg.inv(self.precision)[np.ix_(at, at)])
         before = np.linalg.slogdet(self.known[np.ix_(at, at)])[1]
         odds = float(x @ own @ x - np.linalg.slogdet(own)[1] + before) / 2
         step = PlanStep(STAGE, True, "the parts of the light have their own colours", f"log odds {odds:.1f}")
-        return replace(found, step=step, gloss=math.exp(self.x[-1]), ratio=log_ratio)
+        return replace(found, step=step, gloss=math.exp(self.x[-1]))
 
 
 class _Ratio:

@@ -200,7 +200,7 @@ class LightModel:
         return part in self.slices
 
     def extend(self, x: FloatArray, other: LightModel) -> FloatArray:
-        """Return x of `other`, which has as many lamps or more, and more or fewer free parts, at the same state."""
+        """Return x of `other`, which may have more lamps and other free parts, at the same state."""
         found = other.table["start"].copy()
         found[: 3 * self.lights] = x[: 3 * self.lights]
         for name, place in other.slices.items():

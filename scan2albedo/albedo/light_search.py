@@ -104,11 +104,8 @@ class LightSearch:
         return LightFound(best.solution(), steps, light_uncertainty(best, others), explained)
 
     def _averaged(self, wanted: list[tuple[float, Point]]) -> tuple[FloatArray, FloatArray]:
-        """Return (N, 3) what the mean log light of all explanations adds to the first, and (N,) their spread.
-
-        The colours are those of the first few.
-        """
-        values, fields, tints = list[float](), list[FloatArray](), list[FloatArray]()
+        """Return (N,) what the mean log light of all explanations adds to the first one, and their spread."""
+        values, fields = list[float](), list[FloatArray]()
         for value, point in wanted:
             # What is left of V without the highlight and the light is albedo.
             field = np.log(point.light) - np.log(point.left_of_highlight())
@@ -117,14 +114,11 @@ class LightSearch:
             if all(np.std(field - other) > NOISE for other in fields):
                 values.append(value)
                 fields.append(field)
-                if len(tints) < _KEPT:
-                    tints.append(light_colours(point, self.options.choice("albedo.light_colour")).ratio)
         weights = np.exp(TEMPER * (np.array(values) - max(values)))
         weights /= weights.sum()
-        beside_first, first_few = np.array(fields) - fields[0], weights[: len(tints)]
+        beside_first = np.array(fields) - fields[0]
         shift = weights @ beside_first
-        colour = np.average(np.array(tints) - tints[0], axis=0, weights=first_few)
-        return shift[:, None] + colour, np.sqrt(weights @ (beside_first - shift) ** 2)
+        return shift, np.sqrt(weights @ (beside_first - shift) ** 2)
 
     def _sized(self, point: Point) -> tuple[Point, PlanStep]:
         """Return the best point over the angular radii of its lamps, and the plan's row."""

@@ -37,7 +37,7 @@ _LEAST_RESIDUAL = 1e-3
 class Explanation:
     """The best explanation, its colours, and, on the N cells of `level`, what all of them together say.
 
-    `shift` (N, 3) is what their mean log light adds to the best one's, `spread` (N,) their deviation.
+    `shift` (N,) is what their mean log light adds to the best one's, `spread` (N,) their deviation.
     """
 
     best: Point

@@ -60,15 +60,7 @@ def inpainted(
         return albedo_linear, PlanStep(stage, False, reason, evidence)
     albedo, source = albedo_linear.astype(float), usable & allowed & ~touched
     if int(source.sum()) >= MINIMAL_TEXELS:
-        # White light lifts the darkest channel most, which clips last. Clipped texels in which it lies more
-        # than four (robust) deviations above the sources' median are a highlight that the light model left,
-        # with all connected to them that lies two above: what survived there is not the albedo's.
-        red, green, blue = np.moveaxis(albedo, -1, 0)
-        level = np.log(np.maximum(np.minimum(np.minimum(red, green), blue), FAINT))
-        away = level - np.median(level[source])
-        excess = away / max(1.4826 * np.median(np.abs(away[source])), HALF_STEP / math.sqrt(3))
-        seeds = binary_opening(any_channel(clipped) & allowed & (excess > 4))
-        missed = binary_propagation(seeds, mask=allowed & (excess > 2))
+        missed = _missed_highlight(albedo, any_channel(clipped) & allowed, allowed, source)
         wholly, partly, source = wholly | missed, partly & ~missed, source & ~missed
         lost &= ~missed[..., None]
     result = restore_channels(albedo, lost, source)
@@ -77,6 +69,23 @@ def inpainted(
     else:
         result = resynthesize(result, wholly, source, context=partly, seed=seed)
     return result.astype(np.float32), PlanStep(stage, True, "the texture is saturated", evidence)
+
+
+def _missed_highlight(
+    albedo: FloatArray, clipped: BoolArray, allowed: BoolArray, source: BoolArray
+) -> BoolArray:
+    """Return (H, W) where a highlight is left that the light does not have.
+
+    White light lifts the darkest channel most, which clips last. Clipped texels in which it lies more than
+    four (robust) deviations above the sources' median are such a highlight, with all connected to them that
+    lies two above: what survived there is not the albedo's.
+    """
+    red, green, blue = np.moveaxis(albedo, -1, 0)
+    level = np.log(np.maximum(np.minimum(np.minimum(red, green), blue), FAINT))
+    away = level - np.median(level[source])
+    excess = away / max(1.4826 * np.median(np.abs(away[source])), HALF_STEP / math.sqrt(3))
+    seeds = binary_opening(clipped & (excess > 4))
+    return binary_propagation(seeds, mask=allowed & (excess > 2))
 
 
 def restore_channels(albedo: FloatArray, lost: BoolArray, source: BoolArray) -> FloatArray:

@@ -66,11 +66,7 @@ def light_on_texels(scene: LitImage, found: LightFound) -> TexelLight:
         seen = visible.min(0, initial=1).astype(float)
         return TexelLight(1 + light, specular, seen, np.zeros(len(seen)), tuple(lights), None, reflectance)
     colours = replace(explained.colours, lamps=explained.colours.lamps[order])
-    for k, (lamp, color) in enumerate(zip(lights, colours.lamps, strict=True)):
-        # A colour's mean goes into the lamp's intensity.
-        mean = float(color.mean())
-        red, green, blue = (color / mean).tolist()
-        lights[k] = replace(lamp, intensity=lamp.intensity * mean, color_linear=(red, green, blue))
+    lights = list(map(_coloured, lights, colours.lamps))
     environment, soft = _soft_light(scene, solution, visible * whole, colours, hidden)
     known = _Expected(scene, explained.best, colours.step.ran)
     if lights and caster is not None:
@@ -80,10 +76,17 @@ def light_on_texels(scene: LitImage, found: LightFound) -> TexelLight:
     specular = (visible * gloss).T @ colours.lamps
     share, stray = _left_over(known, light, (specular / unit).astype(np.float32))
     of_cells = np.column_stack([explained.shift, explained.spread])
-    *shift, spread = cell_field(explained.level, of_cells, mask).T
-    light *= np.exp(stray + np.stack(shift, 1))
+    shift, spread = cell_field(explained.level, of_cells, mask).T
+    light *= np.exp(stray + shift[:, None])
     seen = visible.min(0, initial=1).astype(float)
     return TexelLight(light, specular * share, seen, spread, tuple(lights), environment, reflectance)
+
+
+def _coloured(lamp: PointLight, color: FloatArray) -> PointLight:
+    """Return a lamp in a colour (3,), whose mean goes into its intensity."""
+    mean = float(color.mean())
+    red, green, blue = (color / mean).tolist()
+    return replace(lamp, intensity=lamp.intensity * mean, color_linear=(red, green, blue))
 
 
 def _surface(scene: LitImage, softly: bool) -> ShadowMap:

@@ -297,6 +297,31 @@ class FreeLamps(NamedTuple):
     near: bool
 
 
+def _cosine_slopes(
+    points: LitPoints, lamps: FreeLamps, cosines: _Cosines
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return (L, 2 or 3, N) the derivatives of log distance, n.l and l.v by direction and nearness."""
+    distance = cosines.distance[:, None]
+
+    def moved(part: FloatArray) -> FloatArray:
+        """Return the derivatives of the products of `part` (N, 3) and the vector to a lamp."""
+        by_direction = lamps.tangents @ part.T
+        if not lamps.near:
+            return by_direction
+        by_nearness = dots(points.position, part) / -lamps.radius_mm
+        return np.concatenate(
+            [by_direction, np.broadcast_to(by_nearness, (len(lamps.rows), 1, len(part)))], 1
+        )
+
+    nearness = lamps.rows[:, 3, None, None]
+    stretch = -nearness * moved(points.position)
+    if lamps.near:
+        stretch[:, 2] -= (lamps.rows[:, :3] @ points.position.T) / lamps.radius_mm
+    stretch /= distance**2
+    n_l_slope = moved(points.normal) / distance - cosines.n_l[:, None] * stretch
+    return stretch, n_l_slope, moved(points.view) / distance - cosines.l_v[:, None] * stretch
+
+
 def shade_with_derivatives(
     points: LitPoints, lamps: FreeLamps, skin: Reflectance, size: int, *, rough: bool, glossy: bool
 ) -> tuple[FloatArray, FloatArray]:
@@ -309,23 +334,7 @@ def shade_with_derivatives(
     position, normal, visible, visible_slope, view, scale = points
     count = len(lamps.rows)
     cosines = _Cosines(position, normal, view, lamps.rows)
-    distance = cosines.distance[:, None]
-
-    def moved(part: FloatArray) -> FloatArray:
-        """Return (L, 2 or 3, N) the derivatives of the products of `part` (N, 3) and the vector to a lamp."""
-        by_direction = lamps.tangents @ part.T
-        if not lamps.near:
-            return by_direction
-        by_nearness = np.broadcast_to(dots(position, part) / -lamps.radius_mm, (count, 1, len(part)))
-        return np.concatenate([by_direction, by_nearness], 1)
-
-    nearness = lamps.rows[:, 3, None, None]
-    stretch = -nearness * moved(position)
-    if lamps.near:
-        stretch[:, 2] -= (lamps.rows[:, :3] @ position.T) / lamps.radius_mm
-    stretch /= distance**2
-    n_l_slope = moved(normal) / distance - cosines.n_l[:, None] * stretch
-    l_v_slope = moved(view) / distance - cosines.l_v[:, None] * stretch
+    stretch, n_l_slope, l_v_slope = _cosine_slopes(points, lamps, cosines)
     energy = lamps.rows[:, 4:] * cosines.falloff
     parts = np.empty((2, *energy.shape))
     slopes = np.zeros((2, len(position), size))

@@ -45,10 +45,10 @@ def _found(scene, solution, shift=0.0, spread=0.0, **colours):
     """Return a solution as the best explanation, in white light but for what `colours` replaces."""
     level, problem = scene.at(40).level, scene.posterior(40, OUTLINE_BLURS[0])
     point = problem.start(solution.model, solution.x, problem.started(Scales()))
-    cells = np.ones((len(level.value), 3))
+    cells = np.ones(len(level.value))
     shown = replace(light_colours(point, False), **colours)
     return LightFound(
-        solution, [], explanation=Explanation(point, shown, level, shift * cells, spread * cells[:, 0])
+        solution, [], explanation=Explanation(point, shown, level, shift * cells, spread * cells)
     )
 
 
