@@ -16,7 +16,7 @@ from scan2albedo.albedo.lit_image import CONE_RAD
 from scan2albedo.albedo.shadows import LEAST_SHADOW, Horizon, ShadowLattice, shadow_caster
 from scan2albedo.core import Meter
 from scan2albedo.core.geometry_image import GeometryImage
-from scan2albedo.geometry.mesh import join, normalized
+from scan2albedo.geometry.mesh import join
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.environment_light import SKY
@@ -87,16 +87,6 @@ def test_the_fraction_that_has_to_lie_in_shadow_decides(monkeypatch):
     for part in (0.9, 1.1):
         monkeypatch.setattr(shadows, "LEAST_SHADOW", part * largest)
         assert _decide(image)[1].ran == (part < 1)
-
-
-def test_a_dense_chart_casts_its_shadows_with_every_texel():
-    image = make_image("bumps", 256)
-    position = image.position.copy()
-    position[129, 129, 2] += 30
-    caster, _ = _decide(replace(image, position=position))
-    beside = position[129, 128] + [0, 0, 15]
-    along = (position[129, 129] - position[129, 128]) * [1, 1, 0]
-    assert caster.occluded(beside[None], normalized(along[None])).tolist() == [True]
 
 
 def test_an_occluder_beyond_the_chart_counts():
