@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import NamedTuple, TypeVar
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.blas import dtrsm
 
 from scan2albedo.albedo import node_field
@@ -328,12 +329,28 @@ class Point:
     def albedo_nodes(self) -> tuple[float, FloatArray]:
         """Return a level and (M,) the nodes' log albedo beside the mean pattern, given this light.
 
-        It is the albedo's part of the nodes' field; one that several images share is known from all of them.
+        Light that no part stands for is a part of the median light, relative to the light found here. An
+        albedo that several images share is known from all of them.
         """
-        field, scales, shared = self.problem.field, self.known.scales, self.shared
-        if shared is None:
-            shared = scales.albedo**2 * field.albedo_covariance @ (field.precision(scales) @ self.u)
-        return float(self.x[-EXTRA]), shared
+        if self.shared is not None:
+            return float(self.x[-EXTRA]), self.shared
+        p, scales, lit = self.problem, self.known.scales, self.light
+        dark = scales.light * node_field.deviation_of_light(lit, float(np.median(lit)))
+        albedo = scales.albedo**2 * p.field.albedo_covariance
+        total = albedo + p.field.light_error(p.onto_nodes, dark)
+        precision = cho_solve(cho_factor(total, lower=True), np.eye(len(total)))
+        left = self.left + self.x[-EXTRA]
+        weight = self.known.weight
+        level = 0.0
+        for _ in range(3):
+            factor = node_field.posterior_factor(p.nodes, weight, precision)
+            rows = np.column_stack([np.ones(len(left)), left])
+            one, u = node_field.solved(factor, p.onto_nodes @ (rows * weight[:, None])).T
+            rest = weight * (left - p.nodes @ u)
+            level = float(rest.sum() / max(float((weight * (1 - p.nodes @ one)).sum()), node_field.TINY))
+            u = u - level * one
+            weight = robust_weights(left - level - p.nodes @ u, p.variance * scales.grain**2, p.repeats)
+        return level, albedo @ (precision @ u)
 
     def solution(self) -> Solution:
         """Return the light as a solution."""
