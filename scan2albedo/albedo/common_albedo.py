@@ -140,32 +140,23 @@ def estimate_common_albedo(
             ]
             light_deviation = shared.deviation
         estimates = list[AlbedoEstimate]()
-        logs = list[Float32Array]()
-        weights = list[FloatArray]()
-        errors = list[Float32Array]()
+        measured = list[tuple[NDArray, NDArray, NDArray]]()
         for number, (image, found) in enumerate(zip(images, searched, strict=True)):
             scene, _ = scene_of(image)
-            mask = image.mask
             estimate = divided(scene, light_on_texels(scene, found), found, Plan(), seed)
-            assert estimate.expected_error is not None
-            light = np.maximum(estimate.shading.mean(-1), TINY)
-            # Light that no part stands for is a share of the lamps': an image that is mostly dark knows less.
-            # The brightest texels, but for those of bad normals.
-            dark = deviation_of_light(light[mask], float(np.quantile(light[scene.usable], 0.98)))
-            logs.append(np.log(np.maximum(estimate.albedo_linear[mask], FAINT)).astype(np.float32))
-            known = np.where(scene.usable[mask], 1.0, TINY)
-            weights.append(known / (estimate.expected_error[mask] ** 2 + dark**2))
-            errors.append(estimate.expected_error[mask])
+            measured.append(_measured(scene, estimate))
             if on_estimate is None:
                 estimates.append(estimate)
             else:
                 on_estimate(number, estimate)
-    mean, gains, weight, spread = _averaged(np.array(logs), np.array(weights))
-    variance = ((weight * np.array(errors)) ** 2).sum(0) / weight.sum(0) ** 2
+    mask = image.mask
+    logs, weights, errors = map(np.array, zip(*measured, strict=True))
+    mean, gains, weight, spread = _averaged(logs, weights)
+    variance = ((weight * errors) ** 2).sum(0) / weight.sum(0) ** 2
     if light_deviation is not None:
         level, deviation = light_deviation
         variance += cell_field(level, deviation[:, None], mask)[:, 0] ** 2
-    shown = (np.array(weights) > 1).sum(0)
+    shown = (weights > 1).sum(0)
     return CommonAlbedo(
         albedo_linear=on_grid(mask, np.exp(mean).astype(np.float32)),
         expected_error=on_grid(mask, np.minimum(np.sqrt(variance), 1).astype(np.float32)),
@@ -179,6 +170,20 @@ def estimate_common_albedo(
     )
 
 
+def _measured(scene: LitImage, estimate: AlbedoEstimate) -> tuple[NDArray, NDArray, NDArray]:
+    """Return log albedo (N, 3) on the masked texels, weights (N,), and the errors that it expects (N,)."""
+    mask = scene.image.mask
+    assert estimate.expected_error is not None
+    error = estimate.expected_error[mask]
+    light = np.maximum(estimate.shading.mean(-1), TINY)
+    # Light that no part stands for is a share of the lamps': an image that is mostly dark knows less. Its
+    # brightest texels, but for those of bad normals, say how bright the lamps are.
+    dark = deviation_of_light(light[mask], float(np.quantile(light[scene.usable], 0.98)))
+    known = np.where(scene.usable[mask], 1.0, TINY)
+    log = np.log(np.maximum(estimate.albedo_linear[mask], FAINT)).astype(np.float32)
+    return log, known / (error**2 + dark**2), error
+
+
 def _best(found: LightFound) -> Point:
     assert found.explanation is not None
     return found.explanation.best
@@ -187,9 +192,9 @@ def _best(found: LightFound) -> Point:
 def _with_shared(found: LightFound, point: Point, options: EstimateOptions) -> LightFound:
     """Return what a search found with the light of `point`, which knows the albedo of all images."""
     colours = light_colours(point, options.choice("albedo.light_colour"))
-    rows = parts_steps(point.model, point.x, point.covariance(), point.prior.rows, options)
-    cells = len(point.cells.light)
-    explained = Explanation(point, colours, point.problem.level, np.zeros((cells, 3)), np.zeros(cells))
+    rows = parts_steps(point.model, point.x, point.covariance(), point.prior, options)
+    cells = len(point.light)
+    explained = Explanation(point, colours, point.problem.level, *np.zeros((2, cells)))
     # Shadows, lamps and their sizes stay as they were.
     steps = [*found.steps[:3], *rows, colours.step]
     return LightFound(point.solution(), steps, light_uncertainty(point), explained)

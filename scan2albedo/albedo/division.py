@@ -35,7 +35,6 @@ def divide_light(
     mask: BoolArray,
     usable: BoolArray,
     *,
-    shrink: bool = True,
     usual: ChannelNoise | None = None,
 ) -> Division:
     """Return (M_T - I_s) / I, drawn toward the neighbourhood where noise outweighs texture.
@@ -45,8 +44,8 @@ def divide_light(
 
     `texture` is linear, (H, W) or (H, W, C), `light` I_a + I_d > 0 (H, W) or of the texture's shape, and
     `specular` (H, W) or (H, W, 3) I_s. `mask` and `usable` (H, W) are the texels of the surface and
-    those that were measured; the others keep the plain quotient, as all do without `shrink`. `usual` is the
-    noise of another part of the same image, so that parts join without a seam.
+    those that were measured; the others keep the plain quotient. `usual` is the noise of another part of the
+    same image, so that parts join without a seam.
     """
     channels = texture.reshape(*mask.shape, -1).astype(float)
     channels -= specular.reshape(*mask.shape, -1)
@@ -66,7 +65,7 @@ def divide_light(
             beside = _filtered(beside, weight, noise.beside[..., c])[0]
         filtered[..., c] = (leading + beside) * around[..., c]
     own[~usable] = 0.0
-    kept = np.where((usable & shrink)[..., None], filtered, quotient)
+    kept = np.where(usable[..., None], filtered, quotient)
     albedo = np.where(mask[..., None], np.maximum(kept, 0.0), 0.0).reshape(texture.shape)
     deviation = np.sqrt(left + own * noise.rounding) / np.maximum(leading, 1e-12)
     deviation = np.where(mask, np.where(usable, np.minimum(deviation, 1.0), 1.0), 0.0)

@@ -38,10 +38,10 @@ from scan2albedo.core.geometry_image import NO_CAMERA
 from scan2albedo.geometry.mesh import lengths
 from scan2albedo.lighting.environment_light import environment_of_shading, open_shading
 from scan2albedo.lighting.harmonics import harmonics
-from scan2albedo.lighting.shading import Reflectance
+from scan2albedo.lighting.shading import DIFFUSE_MODELS, Reflectance
 
 _CAMERAS = "albedo.cameras"
-BRDFS = ("oren-nayar", "lambert", "minnaert", "spherical-harmonics")
+BRDFS = (*DIFFUSE_MODELS, "spherical-harmonics")
 
 
 def estimate_albedo(
@@ -81,8 +81,9 @@ def estimate_albedo(
     lights : "auto" or int
         Number of lamps; "auto" compares numbers of them by their evidence, and may find none.
     brdf : {"oren-nayar", "lambert", "minnaert", "spherical-harmonics"}
-        Diffuse model. Spherical harmonics (27 parameters) know neither shadows nor lamps nor highlights:
-        neither `lights` nor `options` touch them, and their light has a mean of 1, not an ambient part of 1.
+        Diffuse model, an entry of `lighting.shading.DIFFUSE_MODELS`; or spherical harmonics (27 parameters),
+        which know neither shadows nor lamps nor highlights: neither `lights` nor `options` touch them, and
+        their light has a mean of 1, not an ambient part of 1.
     view_direction : (3,) sequence of float
         Toward the viewer, for roughness and highlights. Texels whose camera the image knows have their own.
     budget : Budget or float, optional
@@ -114,7 +115,7 @@ def estimate_albedo(
     """
     advice = "geometry_image(fitted, scan) and read_geometry_image(path) return one"
     require_type(image, GeometryImage, "estimate_albedo: image", advice)
-    if brdf not in BRDFS:
+    if brdf not in DIFFUSE_MODELS and brdf != BRDFS[-1]:
         raise ValueError(f"brdf is {brdf!r}, expected one of {BRDFS}")
     if lights != "auto" and (
         isinstance(lights, bool) or not isinstance(lights, Integral) or not 1 <= int(lights) <= 4
@@ -180,33 +181,18 @@ def divided(
         best = found.explanation.best
         cells = cell_field(best.problem.level, best.light_deviation()[:, None], mask)[:, 0]
         deviation = on_grid(mask, np.hypot(cells, lit.deviation))
-    # What makes a good albedo better is left out once the seconds have ended.
-    late = meter.out_of_time and found is not None
-    division = divide_light(image.texture_linear, shading, specular, mask, usable, shrink=not late)
-    color, stage = division.albedo.astype(np.float32), "albedo.inpainting"
-    parameters: dict[str, object]
+    division = divide_light(image.texture_linear, shading, specular, mask, usable)
+    color = division.albedo.astype(np.float32)
     if found is None:
         plan += [PlanStep("albedo.lights", False, "spherical harmonics stand for all light", "27 parameters")]
-        assert lit.environment is not None
-        coefficients = open_shading(lit.environment)
-        parameters = {"brdf": "spherical-harmonics", "sh_coefficients": coefficients.tolist()}
     else:
-        if options.choice(stage) is False:
-            inpainting = PlanStep(stage, False, "left out by the caller")
-        elif late and options.choice(stage) is None:
-            inpainting = PlanStep(stage, False, "the budget ended before it")
-        else:
-            color, inpainting = inpainted(color, image, usable, options, seed)
+        color, inpainting = inpainted(color, image, usable, options, seed, late=meter.out_of_time)
         plan += [*found.steps, _cameras_step(scene, reflectance), inpainting]
-        far = not lit.lights or math.isinf(lit.lights[0].distance_mm)
-        distance = None if far else lit.lights[0].distance_mm
-        parameters = {"ambient": 1.0, **reflectance.parameters(), "light_distance_mm": distance}
-    if not late:
-        color = continued_smoothly(color, mask & ~image.seen, image.seen)
+    color = continued_smoothly(color, mask & ~image.seen, image.seen)
     return AlbedoEstimate(
         albedo_linear=color,
         lights=lit.lights,
-        parameters=parameters,
+        parameters=_parameters(lit, harmonic=found is None),
         shading=shading.astype(np.float32),
         specular=specular.mean(-1).astype(np.float32),
         shadow=on_grid(mask, lit.visible.astype(np.float32)),
@@ -227,6 +213,16 @@ def divided(
     )
 
 
+def _parameters(lit: TexelLight, harmonic: bool) -> dict[str, object]:
+    """Return the parameters of `AlbedoEstimate`."""
+    if harmonic and lit.environment is not None:
+        coefficients = open_shading(lit.environment)
+        return {"brdf": BRDFS[-1], "sh_coefficients": coefficients.tolist()}
+    far = not lit.lights or math.isinf(lit.lights[0].distance_mm)
+    distance = None if far else lit.lights[0].distance_mm
+    return {"ambient": 1.0, **lit.reflectance.parameters(), "light_distance_mm": distance}
+
+
 def _cameras_step(scene: LitImage, reflectance: Reflectance) -> PlanStep:
     image = scene.image
     if scene.options.choice(_CAMERAS) is False:
@@ -237,8 +233,7 @@ def _cameras_step(scene: LitImage, reflectance: Reflectance) -> PlanStep:
     angle = math.degrees(math.acos(float(np.clip((scene.toward @ np.asarray(scene.view)).min(), -1, 1))))
     took = f"{len(image.camera_positions)} camera(s) took {100 * known.mean():.1f} % of the texels"
     evidence = f"{took}, from up to {angle:.0f} deg off the view direction"
-    plain = 1.0 if reflectance.brdf == "minnaert" else 0.0
-    if reflectance.specular_strength == 0 and reflectance.roughness == plain:
+    if reflectance.specular_strength == 0 and reflectance.roughness == reflectance.model.plain:
         return PlanStep(_CAMERAS, False, "what is found of the light looks alike from everywhere", evidence)
     return PlanStep(_CAMERAS, True, "each texel is seen from its camera", evidence)
 
@@ -282,14 +277,6 @@ def _fit_channel(level: Level, meter: Meter) -> FloatArray:
             parts.append(root * (level.value - light * (top / np.maximum(bottom, 1e-12))[block]))
         return np.concatenate(parts)
 
-    free = np.zeros(basis.shape[1] - 1)
-    # A few steps at a time, so that a budget can end the fit between them.
-    while not meter.exhausted:
-        step = least_squares(residual, free, loss="soft_l1", f_scale=0.05, max_nfev=8)
-        moved, free = float(np.abs(step.x - free).max()), step.x
-        meter.record(float(np.mean(np.abs(step.fun))))
-        if moved < 1e-5:
-            return complete(free)
-    if not meter.rows:
-        meter.record(float(np.mean(np.abs(residual(free)))))
-    return complete(free)
+    found = least_squares(residual, np.zeros(basis.shape[1] - 1), loss="soft_l1", f_scale=0.05)
+    meter.record(float(np.mean(np.abs(found.fun))))
+    return complete(found.x)

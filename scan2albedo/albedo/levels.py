@@ -10,7 +10,7 @@ from scipy.ndimage import distance_transform_edt, map_coordinates, uniform_filte
 from scan2albedo.albedo.noise import WINDOW
 from scan2albedo.albedo.options import MINIMAL_TEXELS, SATURATION_LINEAR
 from scan2albedo.core import GeometryImage
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, NDArray, RealArray
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, NDArray, RealArray, norms
 from scan2albedo.core.compiled import compiled
 from scan2albedo.errors import LightingError
 from scan2albedo.geometry.mesh import lengths, normalized
@@ -129,7 +129,10 @@ def build_level(
     position, value = mean(image.position), mean(field)[:, 0]
     scale = np.ones(len(value)) if image.specular_scale is None else mean(image.specular_scale)[:, 0]
     toward = image.toward_camera((0.0, 0.0, 1.0)) if toward is None else toward
-    anchor = _closest(index, image.position[usable].astype(float), position)
+    texels = image.position[usable].astype(float)
+    apart = norms(texels - position[index])
+    closest = np.lexsort((apart, index))
+    anchor = texels[closest[np.searchsorted(index[closest], np.arange(len(found)))]]
     unit = max(float(np.median(field[usable])), 1e-12)
     # Hair, eyes and cloth take part by a quarter; of a surface without skin every texel takes part alike.
     part = np.ones(image.shape)
@@ -139,23 +142,9 @@ def build_level(
     weight, color = count / factor**2 * mean(part)[:, 0], mean(image.texture_linear) / unit
     cell = np.stack(np.divmod(found, across), 1)
     center = mean(np.stack([row, column], 1), np.ones(len(row), bool))
-    texels = int((image.mask if image.on_face is None else image.on_face).sum())
+    whole = int((image.mask if image.on_face is None else image.on_face).sum())
     seen = position, normal, ahead, anchor, value / unit, weight, scale, unit, color
-    return Level(*seen, cell, center, texels, factor)
-
-
-@compiled
-def _closest(index, texels, mean):  # type: ignore[no-untyped-def]
-    """Return (N, 3) of the `texels` (T, 3) with each `index` (T,) the one closest to `mean` (N, 3)."""
-    found, least = np.empty(mean.shape), np.full(len(mean), np.inf)
-    for t in range(len(index)):
-        square = 0.0
-        for c in range(3):
-            square += (texels[t, c] - mean[index[t], c]) ** 2
-        if square <= least[index[t]]:
-            least[index[t]] = square
-            found[index[t]] = texels[t]
-    return found
+    return Level(*seen, cell, center, whole, factor)
 
 
 def cell_means(level: Level, values: FloatArray, mask: BoolArray) -> FloatArray:

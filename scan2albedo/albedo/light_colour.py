@@ -36,8 +36,7 @@ class LightColours:
 
     `lamps` (L, 3), `ambient` (3,) and `bounce` (3,) multiply the white parts, `harmonics` (8, 3) are added to
     the white ones. `cast` (M, 3) is the log colour, at the nodes, of light that no part stands for. `gloss`
-    is what multiplies the strength of the highlights, which have their lamps' colours. `ratio` (N, 3) is the
-    log of all light beside the white one, on the cells.
+    is what multiplies the strength of the highlights, which have their lamps' colours.
     """
 
     lamps: FloatArray
@@ -47,7 +46,6 @@ class LightColours:
     bounce: FloatArray = field(default_factory=lambda: np.ones(3))
     cast: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))
     gloss: float = 1.0
-    ratio: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))
 
     @classmethod
     def white(cls, lamps: int, reason: str = "white", evidence: str = "", nodes: int = 1) -> Self:
@@ -93,10 +91,10 @@ class _Colours:
         tint = np.transpose(_TINT_SD) @ np.array(_TINT_SD)
         both = [np.linalg.inv(change @ part @ change.T) for part in (p.prior.chroma[1:], tint)]
         scale, likeness = point.x[-EXTRA:]
-        whole = point.cells.light * np.exp(scale + likeness * p.mean + p.nodes @ point.u)
-        self.gloss, strength_sd = point.cells.highlights / whole, NOISE
+        whole = point.light * np.exp(scale + likeness * p.mean + p.nodes @ point.u)
+        self.gloss, strength_sd = point.highlights / whole, NOISE
         if self.gloss.any():
-            at = point.model.position_of("specular")
+            at = point.model.slices["specular"].start
             strength_sd = min(math.sqrt(point.covariance()[at, at]) / point.x[at], 1.0)
         # Log strength follows the level of the pigment's colour, not that of the picture's.
         tie = np.eye(2 * len(deviation) + 5)
@@ -115,15 +113,9 @@ class _Colours:
     def light(self, x: FloatArray) -> tuple[FloatArray, float]:
         """Return (N,) the untinted light of the channel whose parts, o, ... are x, and its mean by I's."""
         point, weights = self.point, self.point.problem.level.weight
-        light = (
-            point.cells.light
-            + np.expm1(x[: self.lamps]) @ point.cells.lamps
-            + point.bounced() * math.expm1(x[-3])
-        )
+        light = point.light + np.expm1(x[: self.lamps]) @ point.lamps + point.bounced() * math.expm1(x[-3])
         light = np.maximum(light + point.problem.soft.transfer[:, 1:] @ x[self.lamps : -3], DARKEST)
-        return light, float(
-            np.average(light, weights=weights) / np.average(point.cells.light, weights=weights)
-        )
+        return light, float(np.average(light, weights=weights) / np.average(point.light, weights=weights))
 
     def step(self) -> None:
         """Take one step of Gauss and Newton; the nodes' fields and the robust weights follow."""
@@ -133,11 +125,11 @@ class _Colours:
             at = self.at(number)
             x = self.x[at]
             colors, (light, white) = np.exp(x[: self.lamps]), self.light(x)
-            relative = light / point.cells.light / white
+            relative = light / point.light / white
             gloss, own = np.vstack([np.ones(self.lamps), colors / white]) @ self.gloss * math.exp(x[-1])
             own /= np.exp(x[-3] + ratio.mean) * relative
             left = ratio.log - ratio.mean - x[-3] - x[-2] - np.log(relative * (1 + own) / (1 + gloss))
-            parts = np.column_stack([point.cells.lamps.T * colors, p.soft.transfer[:, 1:]]) / light[:, None]
+            parts = np.column_stack([point.lamps.T * colors, p.soft.transfer[:, 1:]]) / light[:, None]
             parts -= np.average(parts, weights=p.level.weight * light, axis=0)
             seen = 1 / (1 + own[:, None])
             rows = [parts * seen, seen, np.ones_like(seen), 1 / (1 + gloss[:, None]) - seen, left[:, None]]
@@ -151,7 +143,6 @@ class _Colours:
         """Return the colours, and the log odds for them."""
         point, p = self.point, self.point.problem
         found = LightColours.white(self.lamps, nodes=len(p.field.used))
-        log_ratio = np.zeros((len(p.value), 3))
         _, _, waves = point.model.soft(point.light_x)
         for number, (c, ratio) in enumerate(zip(self.channels, self.ratios, strict=True)):
             x = self.x[self.at(number)]
@@ -163,14 +154,13 @@ class _Colours:
             found.ambient[c], found.bounce[c] = gain, gain * math.exp(x[-3])
             found.harmonics[:, c] = gain * (waves + x[self.lamps : -3]) - waves
             found.cast[:, c] = cast
-            log_ratio[:, c] = math.log(gain) + np.log(light / point.cells.light) + p.nodes @ cast
         # Of the colours' posterior and prior where there is none (Dickey, see `light_priors.parts_steps`).
         at = np.r_[: len(self.x) - 5, -3, -2]
         x, own = self.x[at], np.linalg.inv(np.linalg.inv(self.precision)[np.ix_(at, at)])
         before = np.linalg.slogdet(self.known[np.ix_(at, at)])[1]
         odds = float(x @ own @ x - np.linalg.slogdet(own)[1] + before) / 2
         step = PlanStep(STAGE, True, "the parts of the light have their own colours", f"log odds {odds:.1f}")
-        return replace(found, step=step, gloss=math.exp(self.x[-1]), ratio=log_ratio)
+        return replace(found, step=step, gloss=math.exp(self.x[-1]))
 
 
 class _Ratio:

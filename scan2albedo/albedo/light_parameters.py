@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from scan2albedo.core import PointLight
-from scan2albedo.core.arrays import FloatArray
-from scan2albedo.lighting.shading import Reflectance, light_from_direction
-from scan2albedo.lighting.shadow_map import view_frame
+from scan2albedo.core.arrays import FloatArray, NDArray
+from scan2albedo.lighting.shading import DIFFUSE_MODELS, Parameter, Reflectance, light_from_direction
+from scan2albedo.lighting.shadow_map import ShadowMap, view_frame
 
 HARMONICS = 8
 """Harmonics of the environment beside the constant one: orders 1 and 2."""
@@ -35,51 +36,107 @@ class Hypothesis:
 
 
 @dataclass(frozen=True)
+class LightPart:
+    """An optional part of the light, its stage of the plan, and its parameters, each with a normal prior."""
+
+    stage: str
+    parameters: tuple[Parameter, ...] = ()
+    """A part of which only the first parameter can be nothing has NaN as `plain` of the others."""
+    of_lamps: bool = False
+    """Whether it is free only where there is a lamp."""
+    basis: Callable[[ShadowMap], FloatArray] | None = None
+    """Gives (N, K) the light on the points of a map for each of K parameters, which it is linear in."""
+
+
+_DIRECTION = Parameter(0.0, -1.95, 1.95, 0.12, 0.0, math.inf)
+INTENSITY = Parameter(0.0, math.log(0.02), math.log(20.0), 0.3, math.log(1.5), 1.2)
+"""Log of a lamp's strength beside the ambient light: from a dim fill to a flash in a dark room."""
+NEAR = Parameter(0.1, 0.0, 0.6, 0.1, 0.0, 0.06)
+"""The face's radius by the lamp's distance: lamps stand a metre away and more."""
+GLOSS = Parameter(0.05, 0.0, 2.0, 0.08, 0.057, 0.47)
+"""Phong's strength. The mean is that on skin of albedo 1: Beckmann's lobe of roughness .35 and index 1.4
+(Fresnel .028) seen along the normal, .028 / (4 .35^2) [1]_; and the deviation is what its log errs by beside
+the prior's level of skin, which is 0.52 off for heads whose group is left out, 0.22 for others.
+
+.. [1] T. Weyrich et al., "Analysis of human faces using a measurement-based skin reflectance model", SIGGRAPH
+   2006.
+"""
+EXPONENT = Parameter(
+    math.log(Reflectance.exponent), math.log(4.0), math.log(200.0), 0.6, math.log(6.0), 0.4, math.nan
+)
+"""Log exponent of that lobe of skin."""
+FILL = Parameter(0.5, 0.0, 1.0, 0.2, 0.3, 0.2, 1.0)
+"""Part of the hidden ambient light that comes back from elsewhere."""
+BOUNCE = Parameter(0.3, 0.0, 0.9, 0.1, 0.0, 0.1)
+"""The albedo that bounces light, around what the colour of skin says."""
+_FIRST_ORDER = Parameter(0.0, -1.8, 1.8, 0.1, 0.0, 0.35)
+"""A harmonic beside the constant one: natural light falls so from order to order [1]_.
+
+.. [1] R. Dror, A. Willsky, E. Adelson, "Statistical characterization of real-world illumination", J. Vision
+   4, 2004.
+"""
+_SECOND_ORDER = _FIRST_ORDER._replace(deviation=0.15)
+
+PARTS = {
+    "near": LightPart("albedo.near_light", (NEAR,), of_lamps=True),
+    "rough": LightPart("albedo.roughness", of_lamps=True),
+    "specular": LightPart("albedo.specular", (GLOSS, EXPONENT), of_lamps=True),
+    "occlusion": LightPart("albedo.occlusion", (FILL,)),
+    "bounce": LightPart("albedo.bounce", (BOUNCE,)),
+    "environment": LightPart("albedo.environment", (_FIRST_ORDER,) * 3 + (_SECOND_ORDER,) * 5),
+}
+"""The optional parts by their names. Another one with a `basis` is one more entry; the parameters of "rough"
+are those of the diffuse model."""
+
+
+@dataclass(frozen=True)
 class LightModel:
     """Which parameters are free, and how a vector x holds them.
 
-    x = [p_x, p_y, log intensity] of each lamp, then, where free, radius/distance, roughness, (specular
-    strength, log exponent), fill, bounce, eight harmonics. p is the direction in exponential coordinates
-    around `view`, |p| the angle from it: without a pole among the directions that light a face. `radius_mm`,
-    the largest distance of the surface from the origin, is the unit of the lamps' common distance. `near`,
-    `rough`, `specular` free the distance, the roughness, the highlight, where there are lamps; `occlusion`,
-    `bounce`, `environment` what `SoftTerms` says of soft light.
+    x = [p_x, p_y, log intensity] of each lamp, then the parameters of those of `PARTS` that `parts` names and
+    that a lamp is there for. p is the direction in exponential coordinates around `view`, |p| the angle from
+    it: without a pole among the directions that light a face. `radius_mm`, the largest distance of the
+    surface from the origin, is the unit of the lamps' common distance.
     """
 
     lights: int
     brdf: str
     view: tuple[float, float, float]
     radius_mm: float
-    near: bool = False
-    rough: bool = False
-    specular: bool = False
-    occlusion: bool = False
-    bounce: bool = False
-    environment: bool = False
+    parts: frozenset[str] = field(default_factory=frozenset)
     radius_deg: float = 0.0
 
     @cached_property
-    def _tail(self) -> dict[str, tuple[float, float, float, float]]:
-        """Start, bounds and first step of the parameters after the lights; a part's first has its name."""
-        rows = {}
-        if self.near and self.lights:
-            rows["near"] = 0.1, 0.0, 0.6, 0.1
-        if self.rough and self.lights:
-            rows["rough"] = (1.0, 0.3, 2.0, 0.2) if self.brdf == "minnaert" else (0.04, 0.0, 1.0, 0.04)
-        if self.specular and self.lights:
-            rows["specular"] = 0.05, 0.0, 2.0, 0.08
-            rows["exponent"] = math.log(Reflectance.exponent), math.log(4.0), math.log(200.0), 0.6
-        if self.occlusion:
-            rows["occlusion"] = 0.5, 0.0, 1.0, 0.2
-        if self.bounce:
-            rows["bounce"] = 0.3, 0.0, 0.9, 0.1
-        if self.environment:
-            names = "environment", *(f"harmonic{k}" for k in range(2, HARMONICS + 1))
-            rows |= dict.fromkeys(names, (0.0, -1.8, 1.8, 0.1))
-        return rows
+    def slices(self) -> dict[str, slice]:
+        """Where in x each free part is."""
+        found = dict[str, slice]()
+        first = 3 * self.lights
+        for name, part in PARTS.items():
+            count = len(self._parameters(name))
+            if name in self.parts and count and (self.lights or not part.of_lamps):
+                found[name] = slice(first, first + count)
+                first += count
+        return found
 
-    def _values(self, x: FloatArray) -> dict[str, float]:
-        return dict(zip(self._tail, x[3 * self.lights :].tolist(), strict=True))
+    def _parameters(self, name: str) -> tuple[Parameter, ...]:
+        roughness = DIFFUSE_MODELS[self.brdf].roughness
+        own = () if roughness is None else (roughness,)
+        return own if name == "rough" else PARTS[name].parameters
+
+    @cached_property
+    def table(self) -> NDArray:
+        """(P,) what is known of each parameter, by the fields of `Parameter`."""
+        rows = [_DIRECTION, _DIRECTION, INTENSITY] * self.lights
+        for name in self.slices:
+            rows += self._parameters(name)
+        return np.array(rows, [(name, float) for name in Parameter._fields])
+
+    def part(self, x: FloatArray, name: str) -> FloatArray:
+        """Return the parameters of a part, those of light without it where it is not free."""
+        if name in self.slices:
+            return x[self.slices[name]]
+        rows = self._parameters(name)
+        return np.array([row.start if math.isnan(row.plain) else row.plain for row in rows])
 
     @cached_property
     def _frame(self) -> FloatArray:
@@ -88,24 +145,17 @@ class LightModel:
     @property
     def size(self) -> int:
         """Length of x."""
-        return 3 * self.lights + len(self._tail)
+        return len(self.table["start"])
 
-    @cached_property
+    @property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Return (lower, upper) of x."""
-        tail = self._tail.values()
-        lower = [-1.95, -1.95, math.log(0.02)] * self.lights + [row[1] for row in tail]
-        upper = [1.95, 1.95, math.log(20.0)] * self.lights + [row[2] for row in tail]
-        return np.array(lower), np.array(upper)
-
-    def steps(self) -> FloatArray:
-        """Return first step lengths of x."""
-        return np.array([0.12, 0.12, 0.3] * self.lights + [row[3] for row in self._tail.values()])
+        return self.table["lower"], self.table["upper"]
 
     def from_lights(self, directions: FloatArray, intensities: FloatArray) -> FloatArray:
         """Return x of lights in `directions` (L, 3), everything else at its start."""
         head = [[*self.coordinates(d), math.log(e)] for d, e in zip(directions, intensities, strict=True)]
-        return np.array([*np.ravel(head), *(row[0] for row in self._tail.values())], float)
+        return np.append(head, self.table["start"][3 * self.lights :])
 
     def coordinates(self, direction: FloatArray) -> tuple[float, float]:
         """Return p of a unit direction (3,)."""
@@ -126,36 +176,37 @@ class LightModel:
     def decode(self, x: FloatArray) -> Hypothesis:
         """Return the hypothesis that x stands for (x clipped to the bounds)."""
         x = np.clip(x, *self.bounds)
-        tail, lamps = self._values(x), x[: 3 * self.lights].reshape(-1, 3).tolist()
-        nearness = tail.get("near", 0.0) / self.radius_mm
+        lamps = x[: 3 * self.lights].reshape(-1, 3).tolist()
+        nearness = float(self.part(x, "near")[0]) / self.radius_mm
         rows = [[*self.direction(px, py), nearness, math.exp(log_e)] for px, py, log_e in lamps]
-        roughness = tail.get("rough", 1.0) if self.brdf == "minnaert" else math.sqrt(tail.get("rough", 0.0))
-        exponent = math.exp(tail.get("exponent", math.log(Reflectance.exponent)))
-        reflectance = Reflectance(self.brdf, roughness, tail.get("specular", 0.0), exponent)
+        roughness = float(self.part(x, "rough").sum()) ** DIFFUSE_MODELS[self.brdf].power
+        strength, exponent = self.part(x, "specular").tolist()
+        reflectance = Reflectance(self.brdf, roughness, strength, math.exp(exponent))
         return Hypothesis(np.reshape(rows, (-1, 5)), reflectance, self.radius_deg)
 
     def soft(self, x: FloatArray) -> tuple[float, float, FloatArray]:
         """Return soft light relative to ambient light of 1: its part that reaches hidden places, the mean
         albedo by which the surface lights itself, and the environment's harmonics (8,).
         """
-        tail, harmonics = self._values(x), np.zeros(HARMONICS)
-        if self.environment:
-            harmonics = x[self.position_of("environment") :][:HARMONICS]
-        return tail.get("occlusion", 1.0), tail.get("bounce", 0.0), harmonics
+        fill, albedo = self.part(x, "occlusion")[0], self.part(x, "bounce")[0]
+        return float(fill), float(albedo), self.part(x, "environment")
 
-    def position_of(self, part: str) -> int:
-        """Return where in x a part is, its first parameter; ValueError when it is not free."""
-        return 3 * self.lights + list(self._tail).index(part)
+    def without(self, part: str) -> LightModel:
+        """Return the model in which a part is not free."""
+        return replace(self, parts=self.parts - {part})
 
     def has(self, part: str) -> bool:
         """Return whether a part is free: of lamps only where there is one."""
-        return part in self._tail
+        return part in self.slices
 
     def extend(self, x: FloatArray, other: LightModel) -> FloatArray:
-        """Return x of `other`, which has the same lights and more or fewer free parts, at the same state."""
-        mine = self._values(x)
-        tail = [mine.get(name, row[0]) for name, row in other._tail.items()]
-        return np.concatenate([x[: 3 * self.lights], tail])
+        """Return x of `other`, which may have more lamps and other free parts, at the same state."""
+        found = other.table["start"].copy()
+        found[: 3 * self.lights] = x[: 3 * self.lights]
+        for name, place in other.slices.items():
+            if self.has(name):
+                found[place] = x[self.slices[name]]
+        return found
 
 
 def _with_tangents(px: float, py: float) -> list[list[float]]:
@@ -185,14 +236,3 @@ class Solution:
     def hypothesis(self) -> Hypothesis:
         """The state of the light."""
         return self.model.decode(self.x)
-
-
-PARTS = {
-    "rough": "albedo.roughness",
-    "near": "albedo.near_light",
-    "specular": "albedo.specular",
-    "occlusion": "albedo.occlusion",
-    "bounce": "albedo.bounce",
-    "environment": "albedo.environment",
-}
-"""Stages of the optional parts, by the name of their field of `LightModel`."""

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from scan2albedo.albedo.light_colour import light_colours
-from scan2albedo.albedo.light_parameters import PARTS, Hypothesis, LightModel
-from scan2albedo.albedo.light_priors import INTENSITY, parts_steps
+from scan2albedo.albedo.light_parameters import INTENSITY, PARTS, Hypothesis, LightModel
+from scan2albedo.albedo.light_priors import parts_steps
 from scan2albedo.albedo.lit_image import Explanation, LightFound, LitImage
 from scan2albedo.albedo.node_field import Scales
 from scan2albedo.albedo.posterior import EXTRA, NOISE, TEMPER, Point, Posterior, Start, descend
@@ -98,33 +98,27 @@ class LightSearch:
             best = descend(fine, _STEPS, self.meter).rescaled()
         self._record()
         colours = light_colours(best, self.options.choice("albedo.light_colour"))
-        rows = parts_steps(best.model, best.x, best.covariance(), best.prior.rows, self.options)
+        rows = parts_steps(best.model, best.x, best.covariance(), best.prior, self.options)
         steps = [*steps, *rows, colours.step]
         explained = Explanation(best, colours, level, shift, spread)
         return LightFound(best.solution(), steps, light_uncertainty(best, others), explained)
 
     def _averaged(self, wanted: list[tuple[float, Point]]) -> tuple[FloatArray, FloatArray]:
-        """Return (N, 3) what the mean log light of all explanations adds to the first, and (N,) their spread.
-
-        The colours are those of the first few.
-        """
-        values, fields, tints = list[float](), list[FloatArray](), list[FloatArray]()
+        """Return (N,) what the mean log light of all explanations adds to the first one, and their spread."""
+        values, fields = list[float](), list[FloatArray]()
         for value, point in wanted:
             # What is left of V without the highlight and the light is albedo.
-            field = np.log(point.cells.light) - np.log(point.left_of_highlight())
+            field = np.log(point.light) - np.log(point.left_of_highlight())
             field -= np.average(field, weights=point.problem.level.weight)
             # Descents from several starts meet.
             if all(np.std(field - other) > NOISE for other in fields):
                 values.append(value)
                 fields.append(field)
-                if len(tints) < _KEPT:
-                    tints.append(light_colours(point, self.options.choice("albedo.light_colour")).ratio)
         weights = np.exp(TEMPER * (np.array(values) - max(values)))
         weights /= weights.sum()
-        beside_first, first_few = np.array(fields) - fields[0], weights[: len(tints)]
+        beside_first = np.array(fields) - fields[0]
         shift = weights @ beside_first
-        colour = np.average(np.array(tints) - tints[0], axis=0, weights=first_few)
-        return shift[:, None] + colour, np.sqrt(weights @ (beside_first - shift) ** 2)
+        return shift, np.sqrt(weights @ (beside_first - shift) ** 2)
 
     def _sized(self, point: Point) -> tuple[Point, PlanStep]:
         """Return the best point over the angular radii of its lamps, and the plan's row."""
@@ -159,7 +153,7 @@ class LightSearch:
 
     def _variants(self, point: Point) -> list[Point]:
         """Return the optima near a point: even ambient light, and a surface that errs otherwise."""
-        even, problem, found = replace(point.model, environment=False), point.problem, list[Point]()
+        even, problem, found = point.model.without("environment"), point.problem, list[Point]()
         others = [(even, problem)] if even != point.model else []
         if self.scene.shadows[0] is not None and point.model.lights:
             blurs = [blur for blur in OUTLINE_BLURS if blur != problem.blur]
@@ -173,7 +167,7 @@ class LightSearch:
 
     def _with_one_more(self, base: Point) -> list[Point]:
         meter, full = self.meter, self.scene.model(base.model.lights + 1, PARTS)
-        model = replace(full, bounce=False)
+        model = full.without("bounce")
         tried, fresh = self._followed(base, model, False, _FOLLOWED, _FIRST_SCALES), list[Point]()
         if model.lights <= _FRESH_LAMPS and not meter.exhausted:
             fresh = self._followed(base, model, True, _KEPT, _DARK_SCALES)[:1]
@@ -218,8 +212,8 @@ class LightSearch:
         count, coarse = base.model.lights, self._posterior(0, base.problem.blur)
         head, rows = base.x[: 3 * count], base.solution().hypothesis.rows[:, :3]
         beside = self.scene.model(count) if dark else base.model
-        tail = beside.extend(base.x[: beside.size], model)[3 * count :]
-        strength = math.log(_DARK_STRENGTH) if dark else INTENSITY[0]
+        tail = beside.extend(base.x[: beside.size], model)[3 * model.lights :]
+        strength = math.log(_DARK_STRENGTH) if dark else INTENSITY.mean
         for direction in self.scene.directions:
             if count and (rows @ direction).max() > _SAME_COSINE:
                 continue

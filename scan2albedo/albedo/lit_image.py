@@ -37,7 +37,7 @@ _LEAST_RESIDUAL = 1e-3
 class Explanation:
     """The best explanation, its colours, and, on the N cells of `level`, what all of them together say.
 
-    `shift` (N, 3) is what their mean log light adds to the best one's, `spread` (N,) their deviation.
+    `shift` (N,) is what their mean log light adds to the best one's, `spread` (N,) their deviation.
     """
 
     best: Point
@@ -72,14 +72,11 @@ class LitImage:
 
     def model(self, lights: int, parts: Iterable[str] = ()) -> LightModel:
         """Return the model of so many lights, with `parts` but for those that caller or surface leave out."""
-        left_out = {part for part in parts if self.options.choice(PARTS[part]) is False}
-        if self.brdf == "lambert":
-            left_out.add("rough")
+        left_out = {part for part in parts if self.options.choice(PARTS[part].stage) is False}
         if parts and self.shadows[0] is None:
             left_out |= {"occlusion", "bounce"}
         radius = float(lengths(self.image.position)[self.image.mask].max()) or 1.0
-        free = dict.fromkeys(set(parts) - left_out, True)
-        return LightModel(lights, self.brdf, self.view, radius, **free)
+        return LightModel(lights, self.brdf, self.view, radius, frozenset(parts) - left_out)
 
     def at(self, size: int) -> SizedImage:
         """Return the image with `size` cells along its longer side; known ones are kept."""
@@ -184,7 +181,8 @@ class SizedImage:
         """What soft light does to them."""
         level, patches = self.level, self.scene.patches
         bounce = None if patches is None else patches.seen_from(level.anchor, level.normal)
-        return SoftTerms(shadowed_transfer(self._shadows, self._sky), bounce)
+        others = {name: part.basis(self._shadows) for name, part in PARTS.items() if part.basis is not None}
+        return SoftTerms(shadowed_transfer(self._shadows, self._sky), bounce, others)
 
 
 def shading_direction(level: Level) -> FloatArray:

@@ -10,7 +10,7 @@ from scipy.linalg.lapack import dpotrf, dpotri, dpotrs
 
 from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.prior import NODES, AlbedoPrior
-from scan2albedo.core.arrays import FloatArray, IntArray, norms
+from scan2albedo.core.arrays import FloatArray, IntArray, norms, row_sums
 from scan2albedo.core.compiled import compiled
 
 UNMODELLED = 0.06
@@ -126,15 +126,9 @@ def inverse(factor: FloatArray) -> FloatArray:
     return np.tril(low) + np.tril(low, -1).T
 
 
-@compiled
-def cell_variances(start, node, share, matrix):  # type: ignore[no-untyped-def]
-    """Return (N,) s_n^T matrix s_n of the rows s_n of a sparse matrix (N, M): its indptr, indices, data."""
-    found = np.zeros(len(start) - 1)
-    for n in range(len(found)):
-        for i in range(start[n], start[n + 1]):
-            for j in range(start[n], start[n + 1]):
-                found[n] += share[i] * share[j] * matrix[node[i], node[j]]
-    return found
+def cell_variances(nodes: sparse.csr_matrix, covariance: FloatArray) -> FloatArray:
+    """Return (N,) the variances at cells of `nodes` (N, M), of the `covariance` (M, M) at the nodes."""
+    return row_sums(nodes.multiply(nodes @ covariance))
 
 
 @compiled

@@ -108,7 +108,7 @@ def white_variance(fields: FloatArray, usable: BoolArray) -> FloatArray:
             middle, pairs = slice(lag // 2, lag // 2 - lag), known[lag:] & known[:-lag]
             sums[middle, :, -1] = pairs
             sums[middle, :, :-1] = (values[lag:] - values[:-lag]) ** 2 / 2 * pairs[..., None]
-            sums = _window_sums(sums, WINDOW // 2)
+            sums = window_sums(sums, WINDOW // 2)
             number = sums[..., -1:]
             # Fewer pairs than the window's side tell nothing.
             variogram.append(sums[..., :-1] * np.where(number >= WINDOW, 1 / np.maximum(number, 1), 0.0))
@@ -120,13 +120,13 @@ def white_variance(fields: FloatArray, usable: BoolArray) -> FloatArray:
 def window_mean(field: FloatArray, weight: FloatArray, window: int) -> FloatArray:
     """Return the weighted means of (H, W) or (H, W, C) over a square window; 0 where nothing has weight."""
     each = field.reshape(*weight.shape, -1)
-    sums = _window_sums(np.dstack([weight[..., None] * each, weight]), window // 2)
+    sums = window_sums(np.dstack([weight[..., None] * each, weight]), window // 2)
     mass = sums[..., -1:]
     return np.where(mass > 1e-9, sums[..., :-1] / np.maximum(mass, 1e-9), 0.0).reshape(field.shape)
 
 
 @compiled
-def _window_sums(values, radius):  # type: ignore[no-untyped-def]
+def window_sums(values, radius):  # type: ignore[no-untyped-def]
     """Return the sums of `values` (H, W, C) over windows: what enters is added, what leaves is taken off."""
     rows, columns, channels = values.shape
     sums, total, result = np.zeros((columns, channels)), np.empty(channels), np.empty(values.shape)

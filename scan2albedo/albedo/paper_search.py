@@ -9,9 +9,9 @@ from scipy.optimize import minimize
 from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.light_parameters import PARTS, LightModel, Solution
 from scan2albedo.albedo.lit_image import CONE_RAD, LightFound, LitImage
+from scan2albedo.albedo.node_field import TINY
 from scan2albedo.core import PlanStep
-from scan2albedo.core.arrays import FloatArray
-from scan2albedo.core.compiled import compiled
+from scan2albedo.core.arrays import FloatArray, NDArray
 from scan2albedo.lighting.shading import shade_rows
 from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable, cone_directions
 from scan2albedo.optimization.annealing import simulated_annealing
@@ -28,32 +28,28 @@ _LIGHT_SHARE = 0.1
 """Intensity of one more light beside the strongest one's."""
 
 
-@compiled
-def albedo_deviation(value, weight, light, specular, blocks, block_count):  # type: ignore[no-untyped-def]
+def albedo_deviation(
+    value: FloatArray,
+    weight: FloatArray,
+    light: FloatArray,
+    specular: FloatArray,
+    blocks: NDArray,
+    block_count: int,
+) -> float:
     """Return sum w |A - mean_b A| / sum w A with A = (T - I_s) / I: the paper's objective, normalised.
 
     Without the division it falls as the lights grow stronger. `blocks` (S, N) are S partitions.
     """
-    mean, mass = np.zeros(block_count), np.zeros(block_count)
-    cost = 0.0
-    total = 0.0
-    for s in range(blocks.shape[0]):
-        for i in range(value.size):
-            b = blocks[s, i]
-            albedo = max(value[i] - specular[i], 0.0) / light[i]
-            mean[b] += weight[i] * albedo
-            mass[b] += weight[i]
-            total += weight[i] * albedo
-    if total <= 0.0:
+    albedo = np.maximum(value - specular, 0.0) / light
+    total = float(weight @ albedo)
+    if total <= 0:
         return np.inf
-    for b in range(block_count):
-        if mass[b] > 0.0:
-            mean[b] /= mass[b]
-    for s in range(blocks.shape[0]):
-        for i in range(value.size):
-            albedo = max(value[i] - specular[i], 0.0) / light[i]
-            cost += weight[i] * abs(albedo - mean[blocks[s, i]])
-    return cost / total
+    deviation = 0.0
+    for block in blocks:
+        mass = np.maximum(np.bincount(block, weight, block_count), TINY)
+        mean = np.bincount(block, weight * albedo, block_count) / mass
+        deviation += float(weight @ np.abs(albedo - mean[block]))
+    return deviation / (len(blocks) * total)
 
 
 class DeviationProblem:
@@ -77,7 +73,7 @@ class DeviationProblem:
         where = level.position, level.normal, np.array(list(seen))
         lit = shade_rows(*where, found.rows, self._view, found.reflectance, level.scale)
         known = level.value, level.weight, lit.light, lit.specular, self._blocks, self._count
-        return float(albedo_deviation(*known))
+        return albedo_deviation(*known)
 
 
 def paper_search(scene: LitImage, lights: int | None, seed: int) -> LightFound:
@@ -105,9 +101,9 @@ def paper_search(scene: LitImage, lights: int | None, seed: int) -> LightFound:
     best = _polished(largest, best, 2 * _POLISH)
     asked = reason if lights is None else f"{lights} asked for"
     steps = [scene.shadows[1], PlanStep("albedo.lights", True, asked, evidence)]
-    for name, stage in PARTS.items():
-        why = "left out by the caller" if options.choice(stage) is False else "part of the paper's model"
-        steps.append(PlanStep(stage, model.has(name), why))
+    for name, part in PARTS.items():
+        why = "left out by the caller" if options.choice(part.stage) is False else "part of the paper's model"
+        steps.append(PlanStep(part.stage, model.has(name), why))
     meter.record(best.cost)
     return LightFound(best, steps)
 
@@ -119,7 +115,7 @@ def _annealed(problem: DeviationProblem, model: LightModel, x: FloatArray, seed:
         x,
         *model.bounds,
         seed=seed,
-        initial_step=4 * model.steps(),
+        initial_step=4 * model.table["step"],
         evaluations=_ANNEALING * model.lights,
         meter=meter,
     )
@@ -133,7 +129,7 @@ def _polished(problem: DeviationProblem, start: Solution, evaluations: int) -> S
     left = min(evaluations, (meter.budget.evaluations or evaluations + meter.evaluations) - meter.evaluations)
     if meter.exhausted or left <= model.size + 1:
         return start
-    bounds, step = np.stack(model.bounds, 1), model.steps()
+    bounds, step = np.stack(model.bounds, 1), model.table["step"]
     simplex = np.vstack([start.x, start.x + np.diag(np.where(start.x + step > bounds[:, 1], -step, step))])
 
     def cost(x: FloatArray) -> float:

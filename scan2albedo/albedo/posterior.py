@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple, TypeVar
 
@@ -19,7 +19,7 @@ from scan2albedo.albedo.shadows import ShadowLattice
 from scan2albedo.albedo.soft_terms import DARKEST, SoftTerms
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import BoolArray, FloatArray
-from scan2albedo.lighting.shading import FreeLamps, LitPoints, log_rows, shade_with_derivatives
+from scan2albedo.lighting.shading import FreeLamps, LitPoints, shade_with_derivatives
 from scan2albedo.optimization.least_squares import Damping, LeastSquaresPoint, NormalEquations, minimize
 from scan2albedo.statistics.effective_count import effective_count
 from scan2albedo.statistics.robust import student_t_loss, student_t_weights
@@ -112,68 +112,33 @@ class Posterior:
     def at(self, model: LightModel, x: FloatArray, known: Start, *, fixed: bool = False) -> Point:
         """Return the point at x: one counted evaluation.
 
-        The cells are weighed once more by what they err by under `known`, or have its weights when `fixed`.
+        The cells are weighed once more by what they err by under `known`, or have its weights when `fixed`. A
+        scale of the albedo that is NaN becomes the one that fits best.
         """
         self.meter.count()
-        return self._lit(model, x).settled(known, fixed)
-
-    def _lit(self, model: LightModel, x: FloatArray) -> LitCells:
-        """Return the cells under a light, with the albedo's scale that fits best where it is NaN."""
         light_x, (scale, likeness) = np.clip(x[:-EXTRA], *model.bounds), x[-EXTRA:]
         level, found = self.level, model.decode(light_x)
         visible, visible_slope = self.lattice.visibility(model, light_x, self.blur)
         points = LitPoints(level.position, level.normal, visible, visible_slope, level.toward, level.scale)
         lamps = FreeLamps(found.rows, model.tangents(light_x), model.radius_mm, model.has("near"))
         free = {"rough": model.has("rough"), "glossy": model.has("specular")}
-        light, specular, slopes = shade_with_derivatives(points, lamps, found.reflectance, model.size, **free)
-        # The derivative by the log of a lamp's intensity is the lamp's own part.
-        parts, highlights = slopes[..., 2 : 3 * model.lights : 3].transpose(0, 2, 1).copy()
+        (parts, highlights), slopes = shade_with_derivatives(
+            points, lamps, found.reflectance, model.size, **free
+        )
+        light, specular = 1 + parts.sum(0), highlights.sum(0)
         self.soft.add(model, light_x, light, slopes[0])
+        pattern = likeness * self.mean
         if math.isnan(scale):
-            scale = np.median(self.value - np.log(np.exp(likeness * self.mean) * light + specular))
-        rows = np.empty((len(light), len(x) + 1))
-        log_rows(self.value, self.mean, light, specular, *slopes, scale, likeness, rows)
+            scale = np.median(self.value - np.log(np.exp(pattern) * light + specular))
+        albedo = np.exp(scale + pattern)
+        seen = albedo * light + specular
+        diffuse = albedo * light / seen
+        of_light = (albedo[:, None] * slopes[0] + slopes[1]) / seen[:, None]
+        rows = np.column_stack([of_light, diffuse, diffuse * self.mean, self.value - np.log(seen)])
         x = np.concatenate([light_x, [scale, likeness]])
-        return LitCells(self, model, x, light, specular, parts, highlights, rows)
-
-
-@dataclass(frozen=True)
-class LitCells:
-    """The N cells under the light of x = [light, scale, likeness].
-
-    `light` (N,) is I, `specular` (N,) I_s, `lamps` and `highlights` (L, N) are each lamp's parts of them.
-    `rows` (N, P + 1) are the derivatives of log(A I + I_s) by x, and last what it leaves of log V.
-    """
-
-    problem: Posterior
-    model: LightModel
-    x: FloatArray
-    light: FloatArray
-    specular: FloatArray
-    lamps: FloatArray
-    highlights: FloatArray
-    rows: FloatArray
-
-    @cached_property
-    def left(self) -> FloatArray:
-        """(N,) log V less the log of what light and mean albedo make of it."""
-        return self.rows[:, -1].copy()
-
-    def settled(self, known: Start, fixed: bool = False) -> Point:
-        """Return the posterior with the nodes' field for robust weights, for those `known` when `fixed`."""
-        p, variance = self.problem, self.problem.variance * known.scales.grain**2
-        u, error = self._field(known)
-        if fixed:
-            return Point(self, known, u, error, known.weight)
-        known = p.started(known.scales, robust_weights(error, variance, p.repeats))
-        u, error = self._field(known)
-        return Point(self, known, u, error, robust_weights(error, variance, p.repeats))
-
-    def _field(self, known: Start) -> tuple[FloatArray, FloatArray]:
-        """Return the nodes' best field (M,), and what it leaves of the cells (N,)."""
-        p = self.problem
-        u = node_field.solved(known.factor, p.onto_nodes @ (known.weight * self.left))
-        return u, self.left - p.nodes @ u
+        lit = self, model, x, light, specular, parts, highlights, rows
+        nothing = np.zeros(0)
+        return Point(*lit, known, nothing, nothing, known.weight).settled(known, fixed)
 
 
 class Start(NamedTuple):
@@ -202,13 +167,22 @@ def robust_weights(
 
 @dataclass(frozen=True)
 class Point:
-    """The posterior at the x of its `cells`.
+    """The posterior at x (P,) = [light, scale, likeness], on N cells and M nodes.
 
-    `u` (M,) is the nodes' best field under the weights of `known`, `error` (N,) what it leaves, and `robust`
-    (N,) the weights that follow from it.
+    `light` (N,) is I, `specular` (N,) I_s, `lamps` and `highlights` (L, N) are each lamp's parts of them.
+    `rows` (N, P + 1) are the derivatives of log(A I + I_s) by x, and last what it leaves of log V. `u` (M,)
+    is the nodes' best field under the weights of `known`, `error` (N,) what it leaves, and `robust` (N,) the
+    weights that follow from it.
     """
 
-    cells: LitCells
+    problem: Posterior
+    model: LightModel
+    x: FloatArray
+    light: FloatArray
+    specular: FloatArray
+    lamps: FloatArray
+    highlights: FloatArray
+    rows: FloatArray
     known: Start
     u: FloatArray
     error: FloatArray
@@ -216,20 +190,27 @@ class Point:
     shared: FloatArray | None = None
     """(M,) the field of several images of one albedo."""
 
-    @property
-    def problem(self) -> Posterior:
-        """Of the cells."""
-        return self.cells.problem
+    @cached_property
+    def left(self) -> FloatArray:
+        """(N,) log V less the log of what light and mean albedo make of it."""
+        return self.rows[:, -1].copy()
 
-    @property
-    def model(self) -> LightModel:
-        """Of the light."""
-        return self.cells.model
+    def settled(self, known: Start, fixed: bool = False) -> Point:
+        """Return the same light with the nodes' field for robust weights, for those `known` when `fixed`."""
+        p, variance = self.problem, self.problem.variance * known.scales.grain**2
+        u, error = self._field(known)
+        if fixed:
+            return replace(self, known=known, u=u, error=error, robust=known.weight)
+        known = p.started(known.scales, robust_weights(error, variance, p.repeats))
+        u, error = self._field(known)
+        robust = robust_weights(error, variance, p.repeats)
+        return replace(self, known=known, u=u, error=error, robust=robust)
 
-    @property
-    def x(self) -> FloatArray:
-        """Light, scale, likeness (P,)."""
-        return self.cells.x
+    def _field(self, known: Start) -> tuple[FloatArray, FloatArray]:
+        """Return the nodes' best field (M,), and what it leaves of the cells (N,)."""
+        p = self.problem
+        u = node_field.solved(known.factor, p.onto_nodes @ (known.weight * self.left))
+        return u, self.left - p.nodes @ u
 
     @property
     def light_x(self) -> FloatArray:
@@ -256,19 +237,19 @@ class Point:
     def left_of_highlight(self) -> FloatArray:
         """Return (N,) V without the highlight, which leaves some of it."""
         value = np.exp(self.problem.value)
-        return np.maximum(value - self.cells.specular, DARKEST * value)
+        return np.maximum(value - self.specular, DARKEST * value)
 
     def bounced(self) -> FloatArray:
         """Return (N,) the light that the surface throws onto itself."""
-        soft, (_, albedo, waves) = self.problem.soft, self.model.soft(self.light_x)
+        soft, (_, albedo, _) = self.problem.soft, self.model.soft(self.light_x)
         if soft.bounce is None:
             return np.zeros_like(self.error)
-        return albedo * soft.bounce(self.cells.lamps.sum(0) + soft.transfer[:, 1:] @ waves)
+        return albedo * soft.bounce(self.lamps.sum(0) + soft.linear(self.model, self.light_x))
 
     @cached_property
     def quadratic(self) -> tuple[FloatArray, FloatArray]:
         """Matrix (P, P) and gradient (P,) of the cost in x, the nodes' field following each step."""
-        rows = self.cells.rows
+        rows = self.rows
         weighted = rows * self.known.weight[:, None]
         nodes = dtrsm(1.0, self.known.factor, self.problem.onto_nodes @ weighted, lower=1)
         inner = rows.T @ weighted - nodes.T @ nodes
@@ -278,7 +259,7 @@ class Point:
     def normal_equations(self) -> NormalEquations:
         """Return the quadratic model with the bounds of a step."""
         (matrix, gradient), (lower, upper) = self.quadratic, self.model.bounds
-        x, longest, free = self.light_x, 3 * self.model.steps(), np.ones(EXTRA)
+        x, longest, free = self.light_x, 3 * self.model.table["step"], np.ones(EXTRA)
         least = np.concatenate([np.maximum(lower - x, -longest), -free])
         most = np.concatenate([np.minimum(upper - x, longest), free])
         return NormalEquations(matrix, gradient, least, most)
@@ -305,14 +286,14 @@ class Point:
         # The variances of the cells, weighed and summed, are what the cells know of the field.
         sure = len(own) - own @ left
         rough = float(self.robust @ self.error**2 + sure) * grain**2 * p.repeats / len(self.error)
-        if self.model.environment:
-            at = slice(first := self.model.position_of("environment"), first + HARMONICS)
+        if self.model.has("environment"):
+            at = self.model.slices["environment"]
             expected = self.x[at] ** 2 + np.diag(self.covariance())[at]
             square = float((expected * self.prior.curvature[at]).mean()) * soft**2
             soft = _shrunk(square, HARMONICS, _LIGHT_SD)
         grain = max(_shrunk(rough, len(self.error) / p.repeats, _MISFIT_SD), _LEAST_GRAIN)
         scales = node_field.Scales(parts[0], parts[1], grain, soft)
-        return self.cells.settled(p.started(scales, self.robust))
+        return self.settled(p.started(scales, self.robust))
 
     def log_evidence(self) -> float:
         """Return the log of the model's evidence by Laplace's method [1]_.
@@ -335,13 +316,13 @@ class Point:
         light = self.known.scales.light**2 * p.field.light_covariance
         own = light @ p.field.precision(self.known.scales)
         nodes = light - own @ light + own @ node_field.inverse(self.known.factor) @ own.T
-        slopes = self.cells.rows[:, : self.model.size]
+        slopes = self.rows[:, : self.model.size]
         slopes = slopes - slopes.mean(0)
         # What x changes, the nodes' part of light partly takes back.
         taken = node_field.solved(self.known.factor, p.onto_nodes @ (slopes * self.known.weight[:, None]))
         slopes = slopes - p.nodes @ (own @ taken)
         covariance = self.covariance()[:-EXTRA, :-EXTRA]
-        variance = node_field.cell_variances(p.nodes.indptr, p.nodes.indices, p.nodes.data, nodes)
+        variance = node_field.cell_variances(p.nodes, nodes)
         variance += ((slopes @ covariance) * slopes).sum(1)
         return np.sqrt(np.maximum(variance, 0.0))
 
@@ -353,12 +334,12 @@ class Point:
         """
         if self.shared is not None:
             return float(self.x[-EXTRA]), self.shared
-        p, scales, lit = self.problem, self.known.scales, self.cells.light
+        p, scales, lit = self.problem, self.known.scales, self.light
         dark = scales.light * node_field.deviation_of_light(lit, float(np.median(lit)))
         albedo = scales.albedo**2 * p.field.albedo_covariance
         total = albedo + p.field.light_error(p.onto_nodes, dark)
         precision = cho_solve(cho_factor(total, lower=True), np.eye(len(total)))
-        left = self.cells.left + self.x[-EXTRA]
+        left = self.left + self.x[-EXTRA]
         weight = self.known.weight
         level = 0.0
         for _ in range(3):

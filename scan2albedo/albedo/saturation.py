@@ -7,11 +7,11 @@ from scipy.ndimage import binary_opening, binary_propagation
 
 from scan2albedo.albedo.inpainting import RADIUS, resynthesize, surroundings
 from scan2albedo.albedo.node_field import FAINT
+from scan2albedo.albedo.noise import window_sums
 from scan2albedo.albedo.options import MINIMAL_TEXELS, SATURATION_LINEAR, EstimateOptions
 from scan2albedo.albedo.texel_light import HALF_STEP
 from scan2albedo.core import GeometryImage, PlanStep
 from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray
-from scan2albedo.core.compiled import compiled
 
 _LARGEST_HIGHLIGHT = 0.25
 """More white texels than this part of the surface are not highlights but over-exposure."""
@@ -23,6 +23,8 @@ def inpainted(
     usable: BoolArray,
     options: EstimateOptions,
     seed: int,
+    *,
+    late: bool = False,
 ) -> tuple[Float32Array, PlanStep]:
     """Return the albedo (H, W, 3) with saturated texels rebuilt, or as it is, and the plan's row.
 
@@ -32,6 +34,11 @@ def inpainted(
     """
     assert image.texture_linear is not None
     stage = "albedo.inpainting"
+    choice = options.choice(stage)
+    if choice is False:
+        return albedo_linear, PlanStep(stage, False, "left out by the caller")
+    if late and choice is None:
+        return albedo_linear, PlanStep(stage, False, "the budget ended before it")
     allowed = image.mask if image.inpaint is None else image.mask & image.inpaint
     clipped = (image.texture_linear >= SATURATION_LINEAR) & image.seen[..., None]
     # Texture lookup mixed the clipped values into their four neighbours (scipy's dilation is far slower).
@@ -53,23 +60,32 @@ def inpainted(
         return albedo_linear, PlanStep(stage, False, reason, evidence)
     albedo, source = albedo_linear.astype(float), usable & allowed & ~touched
     if int(source.sum()) >= MINIMAL_TEXELS:
-        # White light lifts the darkest channel most, which clips last. Clipped texels in which it lies more
-        # than four (robust) deviations above the sources' median are a highlight that the light model left,
-        # with all connected to them that lies two above: what survived there is not the albedo's.
-        red, green, blue = np.moveaxis(albedo, -1, 0)
-        level = np.log(np.maximum(np.minimum(np.minimum(red, green), blue), FAINT))
-        away = level - np.median(level[source])
-        excess = away / max(1.4826 * np.median(np.abs(away[source])), HALF_STEP / math.sqrt(3))
-        seeds = binary_opening(any_channel(clipped) & allowed & (excess > 4))
-        missed = binary_propagation(seeds, mask=allowed & (excess > 2))
+        missed = _missed_highlight(albedo, any_channel(clipped) & allowed, allowed, source)
         wholly, partly, source = wholly | missed, partly & ~missed, source & ~missed
         lost &= ~missed[..., None]
     result = restore_channels(albedo, lost, source)
-    if white > _LARGEST_HIGHLIGHT * image.seen.sum() and not options.choice(stage):
+    if white > _LARGEST_HIGHLIGHT * image.seen.sum() and not choice:
         evidence += "; too many for a highlight, left"
     else:
         result = resynthesize(result, wholly, source, context=partly, seed=seed)
     return result.astype(np.float32), PlanStep(stage, True, "the texture is saturated", evidence)
+
+
+def _missed_highlight(
+    albedo: FloatArray, clipped: BoolArray, allowed: BoolArray, source: BoolArray
+) -> BoolArray:
+    """Return (H, W) where a highlight is left that the light does not have.
+
+    White light lifts the darkest channel most, which clips last. Clipped texels in which it lies more than
+    four (robust) deviations above the sources' median are such a highlight, with all connected to them that
+    lies two above: what survived there is not the albedo's.
+    """
+    red, green, blue = np.moveaxis(albedo, -1, 0)
+    level = np.log(np.maximum(np.minimum(np.minimum(red, green), blue), FAINT))
+    away = level - np.median(level[source])
+    excess = away / max(1.4826 * np.median(np.abs(away[source])), HALF_STEP / math.sqrt(3))
+    seeds = binary_opening(clipped & (excess > 4))
+    return binary_propagation(seeds, mask=allowed & (excess > 2))
 
 
 def restore_channels(albedo: FloatArray, lost: BoolArray, source: BoolArray) -> FloatArray:
@@ -97,10 +113,24 @@ def restore_channels(albedo: FloatArray, lost: BoolArray, source: BoolArray) -> 
     if int(origin[window].sum()) < MINIMAL_TEXELS:
         window = (slice(None), slice(None))
     result, inside, field = albedo.copy(), target[window], np.log(np.maximum(albedo[window], FAINT))
-    known = np.argwhere(inside), lost[window], origin[window]
-    predicted = _predict(field, *known, radius, float(MINIMAL_TEXELS), HALF_STEP**2 / 3)
+    # A one, the x_c and their products, summed over the sources around each texel, and over all of them.
+    terms = np.concatenate([np.ones((*inside.shape, 1)), field], -1)
+    products = (terms[..., None] * terms[..., None, :])[origin[window]]
+    sums = np.zeros((*inside.shape, 16))
+    sums[origin[window]] = products.reshape(-1, 16)
+    moments = window_sums(sums, radius)[inside].reshape(-1, 4, 4) + MINIMAL_TEXELS * products.mean(0)
+    moments /= moments[:, :1, :1]
+    mean = moments[:, 0, 1:]
+    covariance = moments[:, 1:, 1:] - mean[:, :, None] * mean[:, None]
+    gone = lost[window][inside]
+    kept = ~gone
+    ridge = HALF_STEP**2 / 3
+    system = covariance * (kept[:, :, None] & kept[:, None]) + np.eye(3) * (ridge + gone[:, None])
+    right = (covariance + ridge / kept.sum(1)[:, None, None]) * kept[..., None]
+    apart = (field[inside] - mean) * kept
+    predicted = mean + np.einsum("tsc,ts->tc", np.linalg.solve(system, right), apart)
     old = albedo[window][inside]
-    result[window][inside] = np.where(lost[window][inside], np.maximum(np.exp(predicted), old), old)
+    result[window][inside] = np.where(gone, np.maximum(np.exp(predicted), old), old)
     return result
 
 
@@ -112,45 +142,3 @@ def any_channel(image: BoolArray) -> BoolArray:
 def all_channels(image: BoolArray) -> BoolArray:
     """Return (H, W) where all three channels hold."""
     return image[..., 0] & image[..., 1] & image[..., 2]
-
-
-@compiled
-def _predict(field, texels, lost, source, radius, pooled, ridge):  # type: ignore[no-untyped-def]
-    """Return (T, 3) the regression's value of every channel at `texels` (T, 2)."""
-    height, width = source.shape
-    # Running sums of the number of sources, their x_c, and their products x_c x_d.
-    sums = np.zeros((height + 1, width + 1, 13))
-    for i in range(height):
-        line = np.zeros(13)
-        for j in range(width):
-            if source[i, j]:
-                line[0] += 1
-                for c in range(3):
-                    line[1 + c] += field[i, j, c]
-                    for d in range(3):
-                        line[4 + 3 * c + d] += field[i, j, c] * field[i, j, d]
-            sums[i + 1, j + 1] = sums[i, j + 1] + line
-    result = np.empty((len(texels), 3))
-    overall = sums[height, width] * (pooled / max(sums[height, width, 0], 1.0))
-    for t in range(len(texels)):
-        row, column = texels[t]
-        top, left = max(0, row - radius), max(0, column - radius)
-        bottom, right = min(height, row + radius + 1), min(width, column + radius + 1)
-        s = sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left] + overall
-        mean = s[1:4] / s[0]
-        covariance = s[4:].copy().reshape(3, 3) / s[0] - np.outer(mean, mean)
-        survivors = np.flatnonzero(~lost[row, column])
-        count = len(survivors)
-        for c in range(3):
-            if count == 1:
-                a = survivors[0]
-                slope = (covariance[a, c] + ridge) / (covariance[a, a] + ridge)
-                result[t, c] = mean[c] + slope * (field[row, column, a] - mean[a])
-            else:
-                a, b = survivors[0], survivors[1]
-                aa, bb, ab = covariance[a, a] + ridge, covariance[b, b] + ridge, covariance[a, b]
-                ac, bc = covariance[a, c] + 0.5 * ridge, covariance[b, c] + 0.5 * ridge
-                scale = 1 / (aa * bb - ab * ab)
-                u, v = field[row, column, a] - mean[a], field[row, column, b] - mean[b]
-                result[t, c] = mean[c] + scale * ((bb * ac - ab * bc) * u + (aa * bc - ab * ac) * v)
-    return result

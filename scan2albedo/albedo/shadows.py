@@ -12,7 +12,6 @@ from scan2albedo.albedo.node_field import TINY
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.core import GeometryImage, Meter, PlanStep
 from scan2albedo.core.arrays import Float32Array, FloatArray, IntArray, dots
-from scan2albedo.core.compiled import compiled
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment_light import SKY
 from scan2albedo.lighting.shadow_map import ShadowMap, VisibilityTable
@@ -27,8 +26,6 @@ LEAST_SHADOW = 0.01
 """Part of the cells facing some light that has to lie in cast shadow for shadow rays to be used."""
 FEWEST = 0.05
 """Part of the cells that has to face a direction for its figure to mean something."""
-_COARSE = 160
-"""Longer side, in texels, of a chart that shows whether there are shadows."""
 _SPACING = 2.0
 """Distance of the lattice's nodes in cells of the image, and how many lie in a lamp's angular radius. Along
 nearness they lie as many times farther apart: shadows change little with it."""
@@ -40,19 +37,13 @@ def shadow_caster(
     """Return the shadow caster, or None where the surface hardly shades itself, and the plan's row.
 
     The cells of `level` are tested under distant lights from `directions` (D, 3). When the meter's budget has
-    ended, a coarse mesh casts shadows without that test.
+    ended, it casts shadows without that test.
     """
     stage = "albedo.shadows"
     choice = options.choice(stage)
     if choice is False:
         return None, PlanStep(stage, False, "left out by the caller")
-    # A coarse mesh is good enough to see whether there are shadows, which a dense chart would delay.
-    coarse, step = None, -(-max(image.shape) // _COARSE)
-    if choice is None and image.occluder is None and step > 1:
-        part = np.s_[::step, ::step]
-        mesh = GeometryImage(image.position[part], image.normal[part], image.mask[part]).triangulated()
-        coarse = mesh if len(mesh[1]) else None
-    vertices, faces = image.occluder_mesh() if coarse is None else coarse
+    vertices, faces = image.occluder_mesh()
     if not len(faces):
         return None, PlanStep(stage, False, "the surface has no triangle to cast a shadow", "0 faces")
     caster = RayCaster(vertices, faces)
@@ -68,8 +59,6 @@ def shadow_caster(
     evidence = f"at most {100 * largest:.1f} % of the texels facing a light lie in cast shadow"
     if choice is None and largest < LEAST_SHADOW:
         return None, PlanStep(stage, False, "the surface casts no shadow on itself", evidence)
-    if coarse is not None:
-        caster = RayCaster(*image.occluder_mesh())
     return caster, PlanStep(stage, True, "asked for" if choice else "the surface shades itself", evidence)
 
 
@@ -130,7 +119,7 @@ class ShadowLattice:
         lights, cells = model.lights, len(self._normal)
         if self._rays is None or not lights:
             return np.ones((lights, cells), np.float32), np.zeros((lights, 2, cells), np.float32)
-        nearness = float(x[model.position_of("near")]) if model.near else 0.0
+        nearness = float(model.part(x, "near")[0])
         visible, slopes = np.zeros((lights, cells), np.float32), np.zeros((lights, 2, cells), np.float32)
         # The lattice's spacing along its axes is wide for lamps whose shadows are soft.
         step = max(self._least_step, math.radians(model.radius_deg) / _SPACING)
@@ -144,10 +133,11 @@ class ShadowLattice:
                 on_node = part < TINY
                 both = (low, 1 - part, -1 / side), (low + 1, part, 1 / side)
                 ends.append([(low, 1.0, 0.0)] if on_node else list(both))
+            nodes, weights = list[Visibility](), list[tuple[float, float, float]]()
             for (column, across, by_x), (row, along, by_y), (layer, near, _) in product(*ends):
-                node = self._node(model, (column, row, layer), steps, blur)
-                weights = across * along * near, by_x * along * near, across * by_y * near
-                _add_node(node, *weights, visible[k], slopes[k])
+                nodes.append(self._node(model, (column, row, layer), steps, blur))
+                weights.append((across * along * near, by_x * along * near, across * by_y * near))
+            visible[k], *slopes[k] = np.array(weights, np.float32).T @ np.array(nodes)
         return visible, slopes
 
     def _node(
@@ -177,12 +167,3 @@ class ShadowLattice:
         self._grid[self._cell] = self._sharp[key]
         self._known[*key, blur] = (down @ self._grid @ across.T)[self._cell] / whole
         return self._known[*key, blur]
-
-
-@compiled
-def _add_node(node, weight, by_x, by_y, visible, slopes):  # type: ignore[no-untyped-def]
-    """Add a node (N,) to what is blended of a lamp: `visible` (N,), and `slopes` (2, N) by the direction."""
-    for n in range(len(node)):
-        visible[n] += weight * node[n]
-        slopes[0, n] += by_x * node[n]
-        slopes[1, n] += by_y * node[n]

@@ -48,7 +48,7 @@ class SharedLight:
             self.own[cell] = self.repeats * (scales.grain * deviation) ** 2
         dark = [
             point.known.scales.light
-            * node_field.deviation_of_light(point.cells.light, float(np.median(point.cells.light)))
+            * node_field.deviation_of_light(point.light, float(np.median(point.light)))
             for point in points
         ]
         self.variance = [
@@ -64,15 +64,13 @@ class SharedLight:
             self.weights, (known, top) = weights, np.zeros((2, len(self.own)))
             for point, cell, weight in zip(self.points, self.cells, weights, strict=True):
                 known[cell] += weight
-                top[cell] += weight * point.cells.left
+                top[cell] += weight * point.left
             share = 1 / (1 + known * self.own)
             self.factor = node_field.posterior_factor(self.nodes, known * share, self.precision)
             self.u = node_field.solved(self.factor, onto @ (top * share))
             self.total, smooth = known + 1 / self.own, self.nodes @ self.u
             beside = (top - known * smooth) / self.total
-            self.error = [
-                p.cells.left - (smooth + beside)[c] for p, c in zip(self.points, self.cells, strict=True)
-            ]
+            self.error = [p.left - (smooth + beside)[c] for p, c in zip(self.points, self.cells, strict=True)]
             pairs = list(zip(self.error, self.variance, strict=True))
             weights = [robust_weights(e, v, repeats, e < 0) for e, v in pairs]
         misfit = 0.0
@@ -86,7 +84,7 @@ class SharedLight:
     @cached_property
     def _equations(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Matrix (P, P) and gradient (P,) of all x for a known smooth albedo, and what u adds (M, P)."""
-        rows = [point.cells.rows[:, :-EXTRA] for point in self.points]
+        rows = [point.rows[:, :-EXTRA] for point in self.points]
         blocks, gradients, onto_cells = list[FloatArray](), list[FloatArray](), list[FloatArray]()
         each = zip(self.points, self.cells, rows, self.weights, self.error, strict=True)
         for point, cell, row, weight, error in each:
@@ -107,7 +105,7 @@ class SharedLight:
         least, most = list[FloatArray](), list[FloatArray]()
         for point in self.points:
             lower, upper = point.model.bounds
-            longest = 3 * point.model.steps()
+            longest = 3 * point.model.table["step"]
             least += [np.maximum(lower - point.light_x, -longest), -np.ones(1)]
             most += [np.minimum(upper - point.light_x, longest), np.ones(1)]
         matrix = matrix - nodes.T @ nodes
@@ -142,9 +140,7 @@ class SharedLight:
         mean = np.asarray(self.nodes.sum(0)).ravel() / len(self.own)
         turned = np.eye(len(mean)) - mean
         covariance = turned @ left @ turned.T
-        variance = node_field.cell_variances(
-            self.nodes.indptr, self.nodes.indices, self.nodes.data, covariance
-        )
+        variance = node_field.cell_variances(self.nodes, covariance)
         return np.sqrt(np.maximum(variance, 0.0))
 
 

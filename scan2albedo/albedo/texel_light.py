@@ -9,17 +9,17 @@ from scipy.stats import norm
 
 from scan2albedo.albedo.levels import along_surface, cell_field, cell_means
 from scan2albedo.albedo.light_colour import CAST, LightColours
-from scan2albedo.albedo.light_parameters import Solution
+from scan2albedo.albedo.light_parameters import PARTS, Solution
 from scan2albedo.albedo.lit_image import LightFound, LitImage
 from scan2albedo.albedo.node_field import TINY, deviation_of_light
 from scan2albedo.albedo.posterior import FREEDOM, Point
 from scan2albedo.albedo.prior import SPREADS
 from scan2albedo.albedo.soft_terms import DARKEST
 from scan2albedo.core import EnvironmentLight, PointLight
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, NDArray, row_sums
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, row_sums
 from scan2albedo.lighting.environment_light import open_shading, open_transfer
 from scan2albedo.lighting.harmonics import harmonics
-from scan2albedo.lighting.shading import Reflectance, Shading, shade_rows
+from scan2albedo.lighting.shading import Reflectance, lamp_factors
 from scan2albedo.lighting.shadow_map import ShadowMap
 
 HALF_STEP = 2 / 255
@@ -50,60 +50,71 @@ class TexelLight:
 
 def light_on_texels(scene: LitImage, found: LightFound) -> TexelLight:
     """Return the light found on the image at its full size, with the mean of what explains it as well."""
-    told = found.explanation
-    if told is None:
-        return _of_solution(scene, found.solution, None, LightColours.white(found.solution.model.lights))
-    lit = _of_solution(scene, found.solution, told.best, told.colours)
-    *shift, spread = cell_field(told.level, np.column_stack([told.shift, told.spread]), scene.image.mask).T
-    return replace(lit, light_linear=lit.light_linear * np.exp(np.stack(shift, 1)), deviation=spread)
-
-
-def _of_solution(
-    scene: LitImage, solution: Solution, point: Point | None, colours: LightColours
-) -> TexelLight:
-    """Return the light of one explanation; without `point` it is that of the paper's search."""
-    image, mask, state, caster = scene.image, scene.image.mask, solution.hypothesis, scene.shadows[0]
-    unit = scene.at(scene.options.sizes[0]).level.unit
-    strength = state.reflectance.specular_strength * unit * colours.gloss
-    reflectance = replace(state.reflectance, specular_strength=strength)
+    mask, caster = scene.image.mask, scene.shadows[0]
+    solution, explained = found.solution, found.explanation
+    state = solution.hypothesis
     order, lights = np.argsort(-state.rows[:, 4], kind="stable"), list(state.lights())
-    surface = image.position[mask], image.normal[mask].astype(float)
-    soft_size = scene.at(scene.options.sizes[2]) if point is not None and caster is not None else None
-    above = None if soft_size is None else soft_size.horizon.at(np.argwhere(mask))
-    hidden, attached = ShadowMap(caster, *surface, open_above=above), ShadowMap(None, *surface)
-    visible, facing = np.ones((2, len(lights), len(surface[0])), np.float32)
-    for k, lamp in enumerate(lights):
-        at = lamp.direction, lamp.distance_mm, lamp.radius_deg
-        visible[k], facing[k] = hidden.reached(*at), attached.reached(*at)
-    ones, scaled = np.ones(len(surface[0])), image.specular_scale
-    scale = ones if scaled is None else scaled[mask].astype(float)
-    colors = replace(colours, lamps=colours.lamps[order])
+    rows = state.rows[order]
+    unit = scene.at(scene.options.sizes[0]).level.unit
+    gain = 1.0 if explained is None else explained.colours.gloss
+    strength = state.reflectance.specular_strength * unit * gain
+    reflectance = replace(state.reflectance, specular_strength=strength)
+    hidden = _surface(scene, softly=explained is not None)
+    visible, whole, gloss = _lamps_on_texels(scene, rows, lights, reflectance, hidden)
+    if explained is None:
+        light, specular = (np.tile((visible * part).sum(0)[:, None], 3) for part in (whole, gloss))
+        seen = visible.min(0, initial=1).astype(float)
+        return TexelLight(1 + light, specular, seen, np.zeros(len(seen)), tuple(lights), None, reflectance)
+    colours = replace(explained.colours, lamps=explained.colours.lamps[order])
+    lights = list(map(_coloured, lights, colours.lamps))
+    environment, soft = _soft_light(scene, solution, visible * whole, colours, hidden)
+    known = _Expected(scene, explained.best, colours.step.ran)
+    if lights and caster is not None:
+        visible = _seen_shadows(known, mask, visible, whole[..., None] * colours.lamps[:, None], soft)
+    light = np.maximum((visible * whole).T @ colours.lamps + soft, DARKEST)
+    light *= np.exp(known.nodes @ colours.cast)
+    specular = (visible * gloss).T @ colours.lamps
+    share, stray = _left_over(known, light, (specular / unit).astype(np.float32))
+    of_cells = np.column_stack([explained.shift, explained.spread])
+    shift, spread = cell_field(explained.level, of_cells, mask).T
+    light *= np.exp(stray + shift[:, None])
+    seen = visible.min(0, initial=1).astype(float)
+    return TexelLight(light, specular * share, seen, spread, tuple(lights), environment, reflectance)
 
-    def shading(seen: NDArray) -> Shading:
-        return shade_rows(*surface, seen, state.rows[order], scene.toward, reflectance, scale, colors.lamps)
 
-    whole = shading(np.ones_like(visible)).lamps
-    known = None if point is None else _Expected(scene, point, colours.step.ran)
-    environment, soft = None, np.zeros((1, 3))
-    softly = known is not None or any(map(solution.model.has, ("occlusion", "bounce", "environment")))
-    if softly:
-        environment, soft = _soft_light(scene, solution, visible * whole, colors)
-    if known is not None and lights and caster is not None:
-        visible = _seen_shadows(known, mask, visible, facing, whole[..., None] * colors.lamps[:, None], soft)
-    shaded = shading(visible)
-    gloss = shaded.specular_linear
-    light = np.maximum(shaded.lamps.T @ colors.lamps + soft, DARKEST) if softly else shaded.light_linear
-    if known is not None:
-        for k, (lamp, color) in enumerate(zip(lights, colors.lamps, strict=True)):
-            # A colour's mean goes into the lamp's intensity.
-            mean = float(color.mean())
-            red, green, blue = (color / mean).tolist()
-            lights[k] = replace(lamp, intensity=lamp.intensity * mean, color_linear=(red, green, blue))
-        light *= np.exp(known.nodes @ colors.cast)
-        share, stray = _left_over(known, light, (gloss / unit).astype(np.float32))
-        gloss, light = gloss * share, light * np.exp(stray)
-    seen, spread = visible.min(0, initial=1).astype(float), np.zeros(len(light))
-    return TexelLight(light, gloss, seen, spread, tuple(lights), environment, reflectance)
+def _coloured(lamp: PointLight, color: FloatArray) -> PointLight:
+    """Return a lamp in a colour (3,), whose mean goes into its intensity."""
+    mean = float(color.mean())
+    red, green, blue = (color / mean).tolist()
+    return replace(lamp, intensity=lamp.intensity * mean, color_linear=(red, green, blue))
+
+
+def _surface(scene: LitImage, softly: bool) -> ShadowMap:
+    """Return the texels, with the horizon above which nothing hides a lamp where soft light knows it."""
+    image, mask, caster = scene.image, scene.image.mask, scene.shadows[0]
+    above = None
+    if softly and caster is not None:
+        above = scene.at(scene.options.sizes[2]).horizon.at(np.argwhere(mask))
+    return ShadowMap(caster, image.position[mask], image.normal[mask].astype(float), open_above=above)
+
+
+def _lamps_on_texels(
+    scene: LitImage,
+    rows: FloatArray,
+    lights: list[PointLight],
+    reflectance: Reflectance,
+    surface: ShadowMap,
+) -> tuple[Float32Array, FloatArray, FloatArray]:
+    """Return (L, N) the part of each lamp that reaches texels, its light and highlight where all does."""
+    count = len(surface.position)
+    traced = [surface.reached(lamp.direction, lamp.distance_mm, lamp.radius_deg) for lamp in lights]
+    visible = np.reshape(traced, (len(lights), count)).astype(np.float32)
+    lit = surface.position, surface.normal, np.ones_like(visible)
+    whole, gloss = lamp_factors(*lit, rows, scene.toward, reflectance) * rows[:, 4:]
+    gloss *= reflectance.specular_strength
+    if scene.image.specular_scale is not None:
+        gloss *= scene.image.specular_scale[scene.image.mask]
+    return visible, whole, gloss
 
 
 class _Expected:
@@ -147,7 +158,7 @@ class _Expected:
 
 
 def _seen_shadows(
-    known: _Expected, mask: BoolArray, visible: NDArray, facing: NDArray, lamps: FloatArray, soft: FloatArray
+    known: _Expected, mask: BoolArray, visible: Float32Array, lamps: FloatArray, soft: FloatArray
 ) -> Float32Array:
     """Return (L, N) the part of each lamp that reaches each texel, as far as is known.
 
@@ -155,7 +166,7 @@ def _seen_shadows(
     any part. The picture adds how well brightness and colour go with the albedo that is expected there.
     `lamps` (L, N, 3) is the light of each lamp where nothing hides it, `soft` (N, 3) all other light.
     """
-    away = facing == 0
+    away = lamps.max(2) == 0
 
     def blurred(values: FloatArray) -> FloatArray:
         field = np.zeros(mask.shape)
@@ -200,9 +211,9 @@ def _left_over(known: _Expected, light: FloatArray, gloss: FloatArray) -> tuple[
 
 
 def _soft_light(
-    scene: LitImage, solution: Solution, lamps: FloatArray, colours: LightColours
+    scene: LitImage, solution: Solution, lamps: FloatArray, colours: LightColours, surface: ShadowMap
 ) -> tuple[EnvironmentLight, FloatArray]:
-    """Return the environment, and its light (N, 3) with what the surface throws onto itself.
+    """Return the environment, and its light (N, 3) on texels, with what their `surface` throws onto itself.
 
     `lamps` (L, N) is the light of the lamps, of which it throws too; the colours are in their order.
     """
@@ -210,7 +221,10 @@ def _soft_light(
     fill, albedo, own = model.soft(solution.x)
     occluded, waves = caster is not None, np.vstack([colours.ambient, own[:, None] + colours.harmonics])
     environment = EnvironmentLight(waves, occluded=occluded, fill=fill, bounce=albedo)
-    light = harmonics(scene.image.normal[mask], 2) @ open_shading(environment)
+    light = harmonics(surface.normal, 2) @ open_shading(environment)
+    for name, part in PARTS.items():
+        if part.basis is not None and model.has(name):
+            light += (part.basis(surface) @ model.part(solution.x, name))[:, None] * colours.ambient
     if caster is None:
         return environment, light
     # What the surface hides and what it throws back changes slowly along it, and comes from cells.
@@ -220,6 +234,6 @@ def _soft_light(
     hidden[:, 0] *= 1 - fill
     change = -hidden @ waves
     if terms.bounce is not None and albedo:
-        direct = cell_means(level, lamps.sum(0), mask) + terms.transfer[:, 1:] @ own
+        direct = cell_means(level, lamps.sum(0), mask) + terms.linear(model, solution.x)
         change += albedo * terms.bounce(direct)[:, None] * colours.bounce
     return environment, light + along_surface(level, change, scene.image)

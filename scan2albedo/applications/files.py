@@ -25,7 +25,7 @@ from scan2albedo.io.limits import DAMAGE
 from scan2albedo.io.records import plain_json, read_record
 from scan2albedo.io.result_records import APPLICATION_FILE, RESULT_FILE, ApplicationRecord, ResultRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
-from scan2albedo.lighting.shading import Reflectance
+from scan2albedo.lighting.shading import DIFFUSE_MODELS, Reflectance
 from scan2albedo.rendering.pictures import auto_exposure
 from scan2albedo.unlit.processed_face import NO_MODEL, OF_LIGHT, SAME_PLACE_MM, FaceMesh, ProcessedFace
 
@@ -106,12 +106,12 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
     if parameters:
         image, albedo = geometry_image_files.read_image_and_albedo(folder)
         brdf, skin = parameters.get("brdf"), Reflectance("lambert")
-        rough = parameters.get("minnaert_exponent" if brdf == "minnaert" else "sigma_rad")
-        numbers = rough, parameters.get("specular_strength"), parameters.get("specular_exponent")
         try:
             if brdf != "spherical-harmonics":
+                names = DIFFUSE_MODELS[str(brdf)].roughness_name, "specular_strength", "specular_exponent"
+                numbers = map(parameters.get, names)
                 skin = Reflectance(str(brdf), *map(float, numbers))  # type: ignore[arg-type]
-        except (TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError) as error:
             raise ApplicationError(f"{file}: is no reflectance ({error}); process the scan again") from error
         found |= {"albedo_linear": albedo, "reflectance": skin}
         if (stored := folder / "expected_error.exr").is_file():

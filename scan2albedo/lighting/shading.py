@@ -1,28 +1,116 @@
 """The analytical skin reflectance model: ambient, diffuse and specular light of several point lights."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from scan2albedo.core import PointLight
-from scan2albedo.core.arrays import ArrayLike, Float32Array, FloatArray, NDArray, all_finite, checked_array
-from scan2albedo.core.compiled import compiled, triple
-from scan2albedo.geometry.rigid import dot, minus
+from scan2albedo.core.arrays import ArrayLike, FloatArray, NDArray, all_finite, checked_array, dots
 
-_BRDFS = "lambert", "minnaert", "oren-nayar"
+COSINE_FLOOR = 1e-4
+"""Cosines below this count as this where a model divides by them."""
+_CLOSEST = 1e-6
+"""Parts of its distance from the origin to which a lamp comes near a point."""
+
+
+class Parameter(NamedTuple):
+    """A number that a search for the light may free: where it starts, its bounds, first step, and prior."""
+
+    start: float
+    lower: float
+    upper: float
+    step: float
+    mean: float
+    deviation: float
+    plain: float = 0.0
+    """The value at which what it stands for is not there."""
+
+
+Lobe = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+"""(L, N) a reflectance f and its derivatives by n.l, by l.v and by its own parameter."""
+
+
+class DiffuseModel(NamedTuple):
+    """A diffuse reflectance, chosen as `brdf` by its name in `DIFFUSE_MODELS`."""
+
+    lobe: Callable[[FloatArray, FloatArray, FloatArray, float], Lobe]
+    """Of the cosines n.l > 0 (L, N), n.v (N,), l.v (L, N), and the roughness."""
+    roughness_name: str = "roughness"
+    """Of the roughness in files of results."""
+    roughness: Parameter | None = None
+    """The parameter; None where there is none."""
+    power: float = 1.0
+    """The roughness is the parameter to this power."""
+
+    @property
+    def plain(self) -> float:
+        """The roughness at which the surface looks the same from everywhere."""
+        return 0.0 if self.roughness is None else self.roughness.plain
+
+
+def _lambert(n_l: FloatArray, n_v: FloatArray, l_v: FloatArray, roughness: float) -> Lobe:
+    nothing = np.zeros_like(n_l)
+    return n_l, np.ones_like(n_l), nothing, nothing
+
+
+def _oren_nayar(n_l: FloatArray, n_v: FloatArray, l_v: FloatArray, roughness: float) -> Lobe:
+    """cos_i (A + B s / max(cos_i, cos_r)), s = max(0, l.v - cos_i cos_r): neither azimuth nor tangent [1]_.
+
+    .. [1] M. Oren, S. Nayar, "Generalization of Lambert's reflectance model", SIGGRAPH 1994, eq. 30.
+    """
+    variance = roughness * roughness
+    a = 1 - 0.5 * variance / (variance + 0.33)
+    b = 0.45 * variance / (variance + 0.09)
+    cos_r = np.maximum(n_v, 0.0)
+    larger = np.maximum(np.maximum(n_l, cos_r), COSINE_FLOOR)
+    s = np.maximum(l_v - n_l * cos_r, 0.0)
+    ratio = s / larger
+    of_s = n_l / larger * (s > 0)
+    by_n_l = a + b * (ratio * (n_l < larger) - cos_r * of_s)
+    by_variance = n_l * (0.45 * 0.09 / (variance + 0.09) ** 2 * ratio - 0.5 * 0.33 / (variance + 0.33) ** 2)
+    return n_l * (a + b * ratio), by_n_l, b * of_s, by_variance
+
+
+def _minnaert(n_l: FloatArray, n_v: FloatArray, l_v: FloatArray, roughness: float) -> Lobe:
+    """cos_i^k cos_r^(k - 1)."""
+    cos_r = np.maximum(n_v, COSINE_FLOOR)
+    f = n_l**roughness * cos_r ** (roughness - 1)
+    return f, roughness * f / n_l, np.zeros_like(f), f * np.log(n_l * cos_r)
+
+
+def _phong(n_l: FloatArray, n_v: FloatArray, l_v: FloatArray, exponent: float) -> Lobe:
+    """(r.v)^m, 0 where the mirrored light points away from the viewer; the last derivative is by log m."""
+    r_v = np.clip(2 * n_l * n_v - l_v, 0.0, 1.0)
+    f = np.where(r_v > 0, r_v**exponent, 0.0)
+    logs = np.log(np.maximum(r_v, 1e-12))
+    steep = exponent * f / np.maximum(r_v, 1e-9)
+    return f, 2 * n_v * steep, -steep, exponent * f * logs
+
+
+DIFFUSE_MODELS = {
+    # Skin has a variance of the facets of some .1: S. Marschner et al., "Image-based BRDF measurement
+    # including human skin", EGWR 1999.
+    "oren-nayar": DiffuseModel(_oren_nayar, "sigma_rad", Parameter(0.04, 0.0, 1.0, 0.04, 0.1, 0.1), 0.5),
+    "lambert": DiffuseModel(_lambert, "sigma_rad"),
+    "minnaert": DiffuseModel(_minnaert, "minnaert_exponent", Parameter(1.0, 0.3, 2.0, 0.2, 1.0, 0.2, 1.0)),
+}
+"""The diffuse reflectances by the names that `brdf` takes; another one is one more entry.
+
+Oren-Nayar's roughness is sigma in radians (0 is Lambert), and its parameter sigma^2; Minnaert's roughness is
+his exponent (1 is Lambert).
+"""
 
 
 @dataclass(frozen=True)
 class Reflectance:
     """How the surface reflects; the albedo is not part of it.
 
-    `brdf` is "oren-nayar", "lambert" or "minnaert"; `roughness` is Oren-Nayar's sigma in radians (0 is
-    Lambert) or Minnaert's exponent (1 is Lambert). `specular_strength` is Phong's k_s for a light of
-    intensity 1, in the unit of the texture; `exponent` is Phong's m. ValueError for an unknown `brdf`, rough
-    Lambert, or a number that is negative or not finite.
+    `brdf` is one of `DIFFUSE_MODELS`, which says what `roughness` is. `specular_strength` is Phong's k_s for
+    a light of intensity 1, in the unit of the texture; `exponent` is Phong's m. ValueError for an unknown
+    `brdf`, rough Lambert, or a number that is negative or not finite.
     """
 
     brdf: str = "oren-nayar"
@@ -31,19 +119,24 @@ class Reflectance:
     exponent: float = 16.0
 
     def __post_init__(self) -> None:
-        if self.brdf not in _BRDFS:
-            raise ValueError(f"brdf is {self.brdf!r}, expected one of {_BRDFS}")
-        if self.brdf == "lambert" and self.roughness != 0:
-            raise ValueError(f"a Lambertian surface has roughness 0, got {self.roughness}")
+        if self.brdf not in DIFFUSE_MODELS:
+            raise ValueError(f"brdf is {self.brdf!r}, expected one of {tuple(DIFFUSE_MODELS)}")
+        if self.model.roughness is None and self.roughness != 0:
+            raise ValueError(f"a surface that is {self.brdf} has roughness 0, got {self.roughness}")
         for name in ("roughness", "specular_strength", "exponent"):
             if not 0 <= getattr(self, name) < math.inf:
                 raise ValueError(f"{name} is {getattr(self, name)}, expected a finite number, 0 or more")
+
+    @property
+    def model(self) -> DiffuseModel:
+        """The diffuse reflectance."""
+        return DIFFUSE_MODELS[self.brdf]
 
     def parameters(self) -> dict[str, object]:
         """Return the numbers by their names in files of results."""
         return {
             "brdf": self.brdf,
-            "minnaert_exponent" if self.brdf == "minnaert" else "sigma_rad": self.roughness,
+            self.model.roughness_name: self.roughness,
             "specular_strength": self.specular_strength,
             "specular_exponent": self.exponent,
         }
@@ -106,7 +199,7 @@ def shade_points(
     view = np.asarray(view_direction, float)
     if view.shape not in ((3,), (count, 3)) or not all_finite(view) or not view.any(-1).all():
         raise ValueError(f"view_direction is {view.tolist()}, expected three finite numbers, not all zero")
-    colors = None if all(lamp.white for lamp in lights) else np.array([lamp.color_linear for lamp in lights])
+    colors = np.reshape([lamp.color_linear for lamp in lights], (-1, 3))
     toward = view / np.linalg.norm(view, axis=-1, keepdims=True)
     rows = [(*lamp.direction, 1 / lamp.distance_mm, lamp.intensity) for lamp in lights]
     return shade_rows(xyz, unit, seen, np.reshape(rows, (-1, 5)), toward, reflectance, scale, colors)
@@ -126,97 +219,51 @@ def shade_rows(
 
     `view`, (3,) or (N, 3), is unit; `colors` (L, 3) are the lamps', all white when None.
     """
-    count = len(position)
-    light, gloss, lamps = np.ones(count), np.zeros(count), np.empty((len(rows), count))
-    tint, sheen = np.zeros((2, count, 3))
-    for k, (row, seen) in enumerate(zip(rows, visible, strict=True)):
-        at = row[:3], row[3], np.atleast_2d(view), reflectance
-        lamps[k], highlight = row[4] * lamp_factors(position, normal, seen, *at)
-        light += lamps[k]
-        gloss += highlight
-        if colors is not None:
-            tint += lamps[k][:, None] * (colors[k] - 1)
-            sheen += highlight[:, None] * (colors[k] - 1)
+    tint = np.ones((len(rows), 3)) if colors is None else colors
+    lamps, highlights = lamp_factors(position, normal, visible, rows, view, reflectance) * rows[:, 4:]
     strength = reflectance.specular_strength * scale
-    whole = strength[:, None] * (gloss[:, None] + sheen)
-    return Shading(light, strength * gloss, light[:, None] + tint, whole, lamps)
+    specular = strength[:, None] * (highlights.T @ tint)
+    return Shading(1 + lamps.sum(0), strength * highlights.sum(0), 1 + lamps.T @ tint, specular, lamps)
 
 
 def lamp_factors(
     position: FloatArray,
     normal: FloatArray,
     visible: NDArray,
-    direction: FloatArray,
-    nearness: float,
+    rows: FloatArray,
     view: FloatArray,
     reflectance: Reflectance,
 ) -> FloatArray:
-    """Return (2, N) what multiplies a lamp's intensity in light on the albedo, in highlights of k_s = 1."""
-    lamp = np.ascontiguousarray(visible), np.ascontiguousarray(direction), float(nearness)
-    exponent = float(reflectance.exponent) if reflectance.specular_strength > 0 else -1.0
-    model = reflectance.brdf == "minnaert", float(reflectance.roughness), exponent
-    factors: FloatArray = factors_of_lamp(position, normal, *lamp, view, *model)
-    return factors
+    """Return (2, L, N) what multiplies a lamp's intensity in light on the albedo, in highlights of k_s = 1.
 
-
-COSINE_FLOOR = 1e-4
-"""Cosines below this count as this where a model divides by them."""
-
-
-@compiled
-def oren_nayar_coefficients(sigma):  # type: ignore[no-untyped-def]
-    """Return A and B of Oren and Nayar, "Generalization of Lambert's reflectance model", 1994, eq. 30."""
-    variance = sigma * sigma
-    return 1.0 - 0.5 * variance / (variance + 0.33), 0.45 * variance / (variance + 0.09)
-
-
-@compiled
-def lamp_from(place, direction, nearness):  # type: ignore[no-untyped-def]
-    """Return the vector from a place (3,) to a lamp in its distances, inside other compiled functions."""
-    return minus(direction, (nearness * place[0], nearness * place[1], nearness * place[2]))
-
-
-@compiled
-def factors_of_lamp(  # type: ignore[no-untyped-def]
-    position, normal, visible, direction, nearness, view, minnaert, roughness, exponent
-):
-    """Return (2, N) f / r^2 and (r.v)^m / r^2 of N points under a lamp of intensity 1, r in its distances.
-
-    f is Oren-Nayar's cos_i (A + B s / max(cos_i, cos_r)), s = max(0, l.v - cos_i cos_r), which has neither an
-    azimuth nor a tangent; or Minnaert's cos_i^k cos_r^(k - 1). The highlight is Phong's, 0 where the mirrored
-    light points away from the viewer, whatever the exponent.
-
-    `position`, `normal` (N, 3) are in mm and unit; `visible` (N,) is the part of the lamp that reaches each
-    point; `direction` (3,) and `view`, (N, 3) or (1, 3), are unit; `nearness` is 1/distance, 0 for a distant
-    lamp. `roughness` is Oren-Nayar's sigma in radians (0 is Lambert), or Minnaert's exponent; an `exponent`
-    below 0 leaves the highlight out.
+    That is f / r^2 and (r.v)^m / r^2, r in the lamp's distances, times the part `visible` (L, N) of it.
     """
-    a, b = oren_nayar_coefficients(roughness)
-    factors = np.zeros((2, len(position)))
-    diffuse, lobe = factors
-    for i in range(position.shape[0]):
-        if visible[i] == 0:
-            continue
-        n, v = triple(normal, i), triple(view, i if view.shape[0] > 1 else 0)
-        toward = lamp_from(triple(position, i), direction, nearness)
-        n_l, n_v, l_v = dot(n, toward), dot(n, v), dot(toward, v)
-        if n_l <= 0.0:
-            continue
-        square = max(dot(toward, toward), 1e-12)
-        length = np.sqrt(square)
-        n_l /= length
-        l_v /= length
-        energy = visible[i] / square
-        if minnaert:
-            diffuse[i] = energy * n_l**roughness * max(n_v, COSINE_FLOOR) ** (roughness - 1.0)
-        else:
-            cos_r = max(n_v, 0.0)
-            s = max(l_v - n_l * cos_r, 0.0)
-            diffuse[i] = energy * n_l * (a + b * s / max(max(n_l, cos_r), COSINE_FLOOR))
-        r_v = min(2.0 * n_l * n_v - l_v, 1.0)
-        if exponent >= 0.0 and r_v > 0.0:
-            lobe[i] = energy * r_v**exponent
-    return factors
+    cosines = _Cosines(position, normal, np.atleast_2d(view), rows)
+    known = cosines.n_l, cosines.n_v, cosines.l_v
+    factors = np.zeros((2, *cosines.n_l.shape))
+    factors[0] = reflectance.model.lobe(*known, reflectance.roughness)[0]
+    if reflectance.specular_strength > 0:
+        factors[1] = _phong(*known, reflectance.exponent)[0]
+    return factors * (visible * cosines.falloff)
+
+
+class _Cosines:
+    """Of N points under L lamps: n.l (L, N), 1 where it is not above 0, n.v (N,) and l.v (L, N).
+
+    `distance` (L, N) is in those of the lamps from the origin; `falloff` is 1 / distance^2 where n.l > 0.
+    """
+
+    def __init__(self, position: FloatArray, normal: FloatArray, view: FloatArray, rows: FloatArray) -> None:
+        direction, nearness = rows[:, :3], rows[:, 3:4]
+        outward = dots(position, position)
+        square = 1 - 2 * nearness * (direction @ position.T) + nearness**2 * outward
+        self.distance = np.sqrt(np.maximum(square, _CLOSEST**2))
+        cosine = (direction @ normal.T - nearness * dots(position, normal)) / self.distance
+        facing = cosine > 0
+        self.n_l = np.where(facing, cosine, 1.0)
+        self.n_v = dots(normal, view)
+        self.l_v = (direction @ view.T - nearness * dots(position, view)) / self.distance
+        self.falloff = facing / self.distance**2
 
 
 class LitPoints(NamedTuple):
@@ -230,8 +277,8 @@ class LitPoints(NamedTuple):
 
     position: FloatArray
     normal: FloatArray
-    visible: Float32Array
-    visible_slope: Float32Array
+    visible: NDArray
+    visible_slope: NDArray
     view: FloatArray
     specular_scale: FloatArray
 
@@ -250,149 +297,69 @@ class FreeLamps(NamedTuple):
     near: bool
 
 
+def _cosine_slopes(
+    points: LitPoints, lamps: FreeLamps, cosines: _Cosines
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return (L, 2 or 3, N) the derivatives of log distance, n.l and l.v by direction and nearness."""
+    distance = cosines.distance[:, None]
+
+    def moved(part: FloatArray) -> FloatArray:
+        """Return the derivatives of the products of `part` (N, 3) and the vector to a lamp."""
+        by_direction = lamps.tangents @ part.T
+        if not lamps.near:
+            return by_direction
+        by_nearness = dots(points.position, part) / -lamps.radius_mm
+        return np.concatenate(
+            [by_direction, np.broadcast_to(by_nearness, (len(lamps.rows), 1, len(part)))], 1
+        )
+
+    nearness = lamps.rows[:, 3, None, None]
+    stretch = -nearness * moved(points.position)
+    if lamps.near:
+        stretch[:, 2] -= (lamps.rows[:, :3] @ points.position.T) / lamps.radius_mm
+    stretch /= distance**2
+    n_l_slope = moved(points.normal) / distance - cosines.n_l[:, None] * stretch
+    return stretch, n_l_slope, moved(points.view) / distance - cosines.l_v[:, None] * stretch
+
+
 def shade_with_derivatives(
     points: LitPoints, lamps: FreeLamps, skin: Reflectance, size: int, *, rough: bool, glossy: bool
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return I = I_a + I_d (N,) with I_a = 1, I_s (N,), and the derivatives (2, N, `size`) of both.
+) -> tuple[FloatArray, FloatArray]:
+    """Return each lamp's part (2, L, N) of diffuse and specular light, and the derivatives (2, N, `size`).
 
     They are by the parameters of the light: for each lamp two coordinates of its direction and the logarithm
-    of its intensity; then, where free, radius / distance, sigma^2 (or Minnaert's exponent) where `rough`,
-    strength of the highlight and the logarithm of its exponent where `glossy`. The columns after them are 0.
+    of its intensity; then, where free, radius / distance, that of `DiffuseModel` where `rough`, strength of
+    the highlight and the logarithm of its exponent where `glossy`. The columns after them are 0.
     """
-    look = skin.brdf == "minnaert", skin.roughness, skin.specular_strength, skin.exponent, rough, glossy
-    light, specular, slopes = _shaded(tuple(points), tuple(lamps), look, size)
-    return light, specular, slopes
-
-
-@compiled(error_model="numpy")
-def _shaded(points, lamps, skin, size):  # type: ignore[no-untyped-def]
     position, normal, visible, visible_slope, view, scale = points
-    rows, tangents, radius_mm, near = lamps
-    minnaert, roughness, specular, exponent, rough, glossy = skin
-    oren_nayar = oren_nayar_coefficients(roughness)
-    light_out, specular_out = np.empty(len(position)), np.empty(len(position))
+    count = len(lamps.rows)
+    cosines = _Cosines(position, normal, view, lamps.rows)
+    stretch, n_l_slope, l_v_slope = _cosine_slopes(points, lamps, cosines)
+    energy = lamps.rows[:, 4:] * cosines.falloff
+    parts = np.empty((2, *energy.shape))
     slopes = np.zeros((2, len(position), size))
-    light_slope, specular_slope = slopes
-    at_near = 3 * len(rows)
-    at_rough = at_near + int(near)
-    at_gloss = at_rough + int(rough)
-    for i in range(len(position)):
-        n = triple(normal, i)
-        v = triple(view, i)
-        n_v = dot(n, v)
-        cos_r = max(n_v, 0.0)
-        strength = specular * scale[i]
-        light = 1.0
-        gloss = 0.0
-        for k in range(len(rows)):
-            seen = visible[k, i]
-            if seen == 0.0 and visible_slope[k, 0, i] == 0.0 and visible_slope[k, 1, i] == 0.0:
-                continue
-            nearness = rows[k, 3]
-            toward = lamp_from(triple(position, i), triple(rows, k), nearness)
-            length = np.sqrt(max(dot(toward, toward), 1e-12))
-            n_l = dot(n, toward) / length
-            if n_l <= 0.0:
-                continue
-            l_v = dot(toward, v) / length
-            energy = rows[k, 4] / (length * length)
-            diffuse = _diffuse(minnaert, roughness, oren_nayar, n_l, n_v, l_v)
-            r_v = 0.0
-            lobe = 0.0
-            if glossy or specular > 0.0:
-                r_v = min(2.0 * n_l * n_v - l_v, 1.0)
-                if r_v > 0.0:
-                    lobe = r_v**exponent
-            light += seen * energy * diffuse
-            gloss += seen * energy * lobe
-            for q in range(3 if near else 2):
-                if q < 2:
-                    j = 3 * k + q
-                    tangent = triple(tangents[k], q)
-                else:
-                    j = at_near
-                    tangent = (
-                        -position[i, 0] / radius_mm,
-                        -position[i, 1] / radius_mm,
-                        -position[i, 2] / radius_mm,
-                    )
-                stretch = dot(toward, tangent) / (length * length)
-                n_l_slope = dot(n, tangent) / length - n_l * stretch
-                l_v_slope = dot(v, tangent) / length - l_v * stretch
-                if minnaert:
-                    turned = roughness * diffuse / n_l * n_l_slope
-                else:
-                    turned = _oren_nayar_slope(oren_nayar, n_l, cos_r, l_v, n_l_slope, l_v_slope)
-                light_slope[i, j] += seen * energy * (turned - 2.0 * diffuse * stretch)
-                if q < 2:
-                    light_slope[i, j] += visible_slope[k, q, i] * energy * diffuse
-                if r_v > 0.0:
-                    lobe_slope = exponent * lobe / max(r_v, 1e-9) * (2.0 * n_v * n_l_slope - l_v_slope)
-                    specular_slope[i, j] += strength * seen * energy * (lobe_slope - 2.0 * lobe * stretch)
-                    if q < 2:
-                        specular_slope[i, j] += strength * visible_slope[k, q, i] * energy * lobe
-            shine = strength * seen * energy * lobe
-            light_slope[i, 3 * k + 2] += seen * energy * diffuse
-            specular_slope[i, 3 * k + 2] += shine
-            if rough and minnaert:
-                light_slope[i, at_rough] += seen * energy * diffuse * np.log(n_l * max(n_v, COSINE_FLOOR))
-            elif rough:
-                light_slope[i, at_rough] += seen * energy * n_l * _variance_slope(roughness, n_l, cos_r, l_v)
-            if glossy and r_v > 0.0:
-                specular_slope[i, at_gloss] += scale[i] * seen * energy * lobe
-                specular_slope[i, at_gloss + 1] += shine * exponent * np.log(max(r_v, 1e-12))
-        light_out[i] = light
-        specular_out[i] = strength * gloss
-    return light_out, specular_out, slopes
-
-
-@compiled(error_model="numpy")
-def _diffuse(minnaert, roughness, oren_nayar, n_l, n_v, l_v):  # type: ignore[no-untyped-def]
-    """Return f of `factors_of_lamp`."""
-    if minnaert:
-        return n_l**roughness * max(n_v, COSINE_FLOOR) ** (roughness - 1.0)
-    a, b = oren_nayar
-    cos_r = max(n_v, 0.0)
-    return n_l * (a + b * max(l_v - n_l * cos_r, 0.0) / max(max(n_l, cos_r), COSINE_FLOOR))
-
-
-@compiled(error_model="numpy")
-def _oren_nayar_slope(oren_nayar, n_l, cos_r, l_v, n_l_slope, l_v_slope):  # type: ignore[no-untyped-def]
-    """Return the derivative of Oren-Nayar's f from those of n.l and l.v."""
-    a, b = oren_nayar
-    s = max(l_v - n_l * cos_r, 0.0)
-    s_slope = l_v_slope - cos_r * n_l_slope if s > 0.0 else 0.0
-    if n_l >= cos_r and n_l > COSINE_FLOOR:
-        return a * n_l_slope + b * s_slope
-    larger = max(max(n_l, cos_r), COSINE_FLOOR)
-    return n_l_slope * (a + b * s / larger) + n_l * b * s_slope / larger
-
-
-@compiled(error_model="numpy")
-def _variance_slope(sigma, n_l, cos_r, l_v):  # type: ignore[no-untyped-def]
-    """Return the derivative of Oren-Nayar's f / n.l by sigma^2."""
-    variance = sigma * sigma
-    a_slope = -0.5 * 0.33 / (variance + 0.33) ** 2
-    b_slope = 0.45 * 0.09 / (variance + 0.09) ** 2
-    s = max(l_v - n_l * cos_r, 0.0)
-    return a_slope + b_slope * s / max(max(n_l, cos_r), COSINE_FLOOR)
-
-
-@compiled(error_model="numpy")
-def log_rows(  # type: ignore[no-untyped-def]
-    value, mean, light, specular, light_slope, specular_slope, scale, likeness, rows
-):
-    """Fill `rows` (N, P + 3): derivatives of L = log(A I + I_s), A = exp(scale + likeness mean); log V - L.
-
-    They are by the P parameters of the light, of which `light_slope` and `specular_slope` (N, P) are the
-    derivatives, scale and likeness. `value` (N,) is log V.
-    """
-    size = light_slope.shape[1]
-    for i in range(len(value)):
-        albedo = np.exp(scale + likeness * mean[i])
-        seen = albedo * light[i] + specular[i]
-        for j in range(size):
-            rows[i, j] = (albedo * light_slope[i, j] + specular_slope[i, j]) / seen
-        rows[i, size] = albedo * light[i] / seen
-        rows[i, size + 1] = rows[i, size] * mean[i]
-        rows[i, size + 2] = value[i] - np.log(seen)
+    at_own = 3 * count + int(lamps.near)
+    known = cosines.n_l, cosines.n_v, cosines.l_v
+    lobes = skin.model.lobe(*known, skin.roughness), _phong(*known, skin.exponent)
+    gains = 1.0, skin.specular_strength * scale
+    own = list[FloatArray]()
+    for part, slope, (f, by_n_l, by_l_v, by_own), gain in zip(parts, slopes, lobes, gains, strict=True):
+        reaching = energy * gain
+        seen = visible * reaching
+        part[:] = seen * f
+        turned = by_n_l[:, None] * n_l_slope + by_l_v[:, None] * l_v_slope - 2 * f[:, None] * stretch
+        turned *= seen[:, None]
+        turned[:, :2] += visible_slope * (reaching * f)[:, None]
+        of_lamps = slope[:, : 3 * count].reshape(len(position), count, 3)
+        of_lamps[..., :2] = turned[:, :2].transpose(2, 0, 1)
+        of_lamps[..., 2] = part.T
+        if lamps.near:
+            slope[:, 3 * count] = turned[:, 2].sum(0)
+        own.append((seen * by_own).sum(0))
+    if rough:
+        slopes[0][:, at_own] = own[0]
+        at_own += 1
+    if glossy:
+        slopes[1][:, at_own] = scale * (energy * visible * lobes[1][0]).sum(0)
+        slopes[1][:, at_own + 1] = own[1]
+    return parts, slopes

@@ -8,10 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from scan2albedo.core.arrays import ArrayLike, ByteArray, Float32Array, FloatArray, NDArray, dots, norms
-from scan2albedo.core.compiled import compiled, triple
 from scan2albedo.geometry.rays import RayCaster
-from scan2albedo.geometry.rigid import dot
-from scan2albedo.lighting.shading import lamp_from
 
 _OFFSETS = (1.5e-4, 5e-3)
 """Least and largest offset of shadow rays as parts of the caster's size."""
@@ -52,12 +49,15 @@ class ShadowMap:
         Rays are shot only where n.l > 0, and go on past a near light: nothing may stand behind it.
         """
         toward = np.asarray(direction, float)
-        inverse = 0.0 if math.isinf(distance_mm) else 1 / distance_mm
-        result = np.zeros(len(self.position), np.uint8)
-        points = self.position, self.normal, self._origin
-        at, origin, ray = _needed_rays(*points, toward, inverse, self._above, result)
+        near = not math.isinf(distance_mm)
+        ray = toward - self.position / distance_mm if near else toward
+        cosine = dots(self.normal, ray)
+        facing = cosine > 0
+        at = np.flatnonzero(facing & ~(cosine > self._above * norms(ray)))
+        result = facing.astype(np.uint8)
         if self.caster is not None and len(at):
-            result[at] = ~self.caster.occluded(origin, ray if inverse else toward, local=True)
+            rays = ray[at].astype(np.float32) if near else toward
+            result[at] = ~self.caster.occluded(self._origin[at], rays, local=True)
         return result
 
     def reached(
@@ -112,29 +112,6 @@ def shadow_offset_mm(size: float, offset_mm: float) -> float:
     """Return the offset of shadow rays that a caster of `size` mm takes; see `ShadowMap.offset_mm`."""
     low, high = (part * size for part in _OFFSETS)
     return min(max(offset_mm, low), high)
-
-
-@compiled
-def _needed_rays(position, normal, origin, toward, inverse, open_above, lit):  # type: ignore[no-untyped-def]
-    """Set `lit` (N,) to 1 where n . (toward - inverse position) > 0; return what has to be shot there.
-
-    Indices (M,), origins and rays (M, 3) float32 of the points where the cosine is not above `open_above`
-    (N,). Rays are empty for a distant light (`inverse` 0), where all are `toward`.
-    """
-    index = np.empty(len(lit), np.int64)
-    start = np.empty((len(lit), 3), np.float32)
-    ray = np.empty((len(lit) if inverse != 0 else 0, 3), np.float32)
-    m = 0
-    for i in range(len(lit)):
-        along = lamp_from(triple(position, i), toward, inverse)
-        cosine = dot(triple(normal, i), along)
-        lit[i] = cosine > 0
-        if lit[i] and not cosine > open_above[i] * np.sqrt(dot(along, along)):
-            index[m], start[m] = i, origin[i]
-            if inverse != 0:
-                ray[m] = along
-            m += 1
-    return index[:m], start[:m], ray[:m]
 
 
 @dataclass(frozen=True)

@@ -57,10 +57,11 @@ def each_lamp(
             # A lamp of some size is a disc of 96 points: fewer show as steps in a shadow's edge.
             visible = shadows.reached(direction, distance, radius_deg, 96)
             surface = shadows.position, shadows.normal, visible
+            row = np.array([[*direction, 1 / distance, 1.0]])
             yield (
                 direction,
                 color,
-                lamp_factors(*surface, direction, 1 / distance, toward_viewer, reflectance),
+                lamp_factors(*surface, row, toward_viewer, reflectance)[:, 0],
             )
 
 

@@ -8,7 +8,7 @@ import pytest
 from helpers.lit_scenes import angle_deg, lit_scene, percent_off
 
 from scan2albedo.albedo import EstimateOptions, albedo_error, estimate_albedo
-from scan2albedo.albedo.division import divide_light
+from scan2albedo.albedo.noise import channel_noise
 from scan2albedo.synthetic import Material, face, light_at
 
 PAPER = EstimateOptions(objective="albedo-deviation")
@@ -134,10 +134,12 @@ def test_hue_and_saturation_stay_in_white_light_without_highlights(frontal):
     ],
 )
 def test_relighting_with_its_own_lights_gives_the_texture_back(make, most, monkeypatch):
-    def plain(*arguments, **options):
-        return divide_light(*arguments, **{**options, "shrink": False})
+    def none(*arguments):
+        noise = channel_noise(*arguments)
+        nothing = np.zeros_like(noise.leading)
+        return replace(noise, leading=nothing, beside=np.zeros_like(noise.beside), rounding=nothing)
 
-    monkeypatch.setattr("scan2albedo.albedo.estimate.divide_light", plain)
+    monkeypatch.setattr("scan2albedo.albedo.division.channel_noise", none)
     image = make().image
     estimate = estimate_albedo(image, 1)
     assert estimate.environment is not None

@@ -57,7 +57,7 @@ def lit(ball):
             return descend(problem.start(model, x, known), 10, problem.meter)
         strength = gloss * 0.3 * GLOSS.specular_strength / problem.level.unit
         x = np.append(x, [strength, math.log(GLOSS.specular_exponent)])
-        point = problem.start(replace(model, specular=True), x, known)
+        point = problem.start(replace(model, parts=model.parts | {"specular"}), x, known)
         return point.moved(np.zeros(len(point.x)))
 
     return at
@@ -65,9 +65,9 @@ def lit(ball):
 
 def _light(point, colours):
     """Return (N, 3) the coloured light of lamps and ambient light on the cells, and its mean."""
-    soft = np.outer(point.cells.light - point.cells.lamps.sum(0), colours.ambient)
+    soft = np.outer(point.light - point.lamps.sum(0), colours.ambient)
     cast = np.exp(point.problem.nodes @ colours.cast)
-    light = (soft + point.cells.lamps.T @ colours.lamps) * cast
+    light = (soft + point.lamps.T @ colours.lamps) * cast
     return light, np.average(light, axis=0, weights=point.problem.level.weight)
 
 
@@ -88,7 +88,7 @@ def test_a_warm_lamp_beside_white_ambient_light_is_found(lit):
     assert red / blue > 1 + 0.5 * (WARM[0] / WARM[2] - 1)
     light, mean = _light(point, found)
     assert mean == pytest.approx(np.full(3, mean[1]), rel=0.01)
-    cosine = point.cells.lamps[0] / np.exp(point.x[2])
+    cosine = point.lamps[0] / np.exp(point.x[2])
     true = 1 + INTENSITY * cosine[:, None] * WARM
     ours, truth = (np.log(part[:, 0] / part[:, 2]) for part in (light, true))
     assert np.std(ours - truth) < 0.4 * np.std(truth)

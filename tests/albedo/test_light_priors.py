@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from scan2albedo.albedo import EstimateOptions
-from scan2albedo.albedo.light_parameters import LightModel
-from scan2albedo.albedo.light_priors import FILL, distributions, light_prior, parts_steps
+from scan2albedo.albedo.light_parameters import FILL, LightModel
+from scan2albedo.albedo.light_priors import light_prior, parts_steps
 
 VIEW = (0.0, 0.0, 1.0)
 PARTS = ("near", "rough", "specular", "occlusion", "bounce", "environment")
@@ -15,7 +15,7 @@ LEVEL = math.log(0.4), 0.3
 
 
 def _model(lights, *parts):
-    return LightModel(lights, "oren-nayar", VIEW, 100.0, **dict.fromkeys(parts, True))
+    return LightModel(lights, "oren-nayar", VIEW, 100.0, frozenset(parts))
 
 
 def _x(model, seed=0):
@@ -57,8 +57,8 @@ def test_lamps_of_any_direction_are_alike_and_each_more_is_less_probable():
 @pytest.mark.parametrize(("seen", "noise"), [(0.2, 0.05), (0.95, 0.1), (0.5, 1.0)])
 def test_log_odds_of_a_part_are_the_ratio_of_evidences(seen, noise):
     """A fill that is measured as `seen`: normal prior and likelihood have their evidence in closed form."""
-    model, (mean, deviation) = _model(0, "occlusion"), FILL
-    rows = distributions(model, -0.8, *LEVEL, False, 1.0)
+    model, mean, deviation = _model(0, "occlusion"), FILL.mean, FILL.deviation
+    prior = light_prior(model, np.array([0.5, -0.8, 1.0]), *LEVEL, False, 1.0)
     precision = 1 / deviation**2 + 1 / noise**2
     x = (mean / deviation**2 + seen / noise**2) / precision
 
@@ -66,7 +66,7 @@ def test_log_odds_of_a_part_are_the_ratio_of_evidences(seen, noise):
         return -0.5 * (value - middle) ** 2 / variance - 0.5 * math.log(2 * math.pi * variance)
 
     expected = log_normal(seen, mean, deviation**2 + noise**2) - log_normal(seen, 1.0, noise**2)
-    plan = parts_steps(model, np.array([x]), np.array([[1 / precision]]), rows, EstimateOptions())
+    plan = parts_steps(model, np.array([x]), np.array([[1 / precision]]), prior, EstimateOptions())
     (told,) = [step.evidence for step in plan if step.stage == "albedo.occlusion"]
     assert float(told.removeprefix("log odds ")) == pytest.approx(expected, abs=0.051)
 
@@ -75,8 +75,8 @@ def test_every_part_has_a_row_that_says_why_it_is_not_in_the_model():
     model = _model(0, "occlusion", "environment")
     options = EstimateOptions(skip=("albedo.bounce",))
     x = _x(model)
-    rows = distributions(model, -0.8, *LEVEL, False, 1.0)
-    plan = {s.stage: s for s in parts_steps(model, x, 0.01 * np.eye(len(x)), rows, options)}
+    prior = light_prior(model, x, *LEVEL, False, 1.0)
+    plan = {s.stage: s for s in parts_steps(model, x, 0.01 * np.eye(len(x)), prior, options)}
     ran = {stage for stage, step in plan.items() if step.ran}
     assert len(plan) == len(PARTS)
     assert ran == {"albedo.occlusion", "albedo.environment"}

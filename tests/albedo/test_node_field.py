@@ -40,7 +40,7 @@ def test_light_that_no_part_stands_for_is_less_known_where_it_is_dark(posterior)
     """It is a part of the median light, whatever lies on it."""
     nodes = posterior.nodes
     light = posterior.field.light_covariance
-    deviation = np.sqrt(cell_variances(nodes.indptr, nodes.indices, nodes.data, light))
+    deviation = np.sqrt(cell_variances(nodes, light))
     cosine = posterior.level.normal @ direction(60)
     assert deviation[cosine < -0.1].mean() > 2.5 * deviation[cosine > 0.3].mean()
     # Of the median light it is 6 %, and some neighbours of a node are darker.
@@ -50,7 +50,7 @@ def test_light_that_no_part_stands_for_is_less_known_where_it_is_dark(posterior)
 def test_variances_of_cells_are_those_of_the_dense_product(posterior):
     nodes, covariance = posterior.nodes, posterior.field.albedo_covariance
     dense = nodes.toarray()
-    found = cell_variances(nodes.indptr, nodes.indices, nodes.data, covariance)
+    found = cell_variances(nodes, covariance)
     assert found == pytest.approx(np.diag(dense @ covariance @ dense.T))
 
 

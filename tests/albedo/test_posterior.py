@@ -28,7 +28,7 @@ def ball():
 def _start(image, lights=1, parts=(), angles=(LAMP, (-40, 20)), budget=Budget()):
     """Return where a descent begins: lamps, and parts of the light, in a posterior of 24 cells a side."""
     scene = lit_image(image, budget=budget, force=("albedo.shadows",))
-    model = replace(scene.model(lights), **dict.fromkeys(parts, True))
+    model = replace(scene.model(lights), parts=frozenset(parts))
     x, problem = lamps_and_waves(model, angles, (2.0, 0.7)), scene.posterior(24)
     return problem.start(model, x, problem.started(Scales()))
 
@@ -66,9 +66,9 @@ def test_gradient_is_the_slope_of_the_cost_with_the_albedo_following(bumps, ligh
     for way in step * np.eye(len(point.x)):
         ahead, behind = (_settled(point.moved(moved), 3) for moved in (way, -way))
         slopes.append((ahead.cost - ahead.prior.cost - behind.cost + behind.prior.cost) / (2 * step))
-    if point.model.near:
+    if point.model.has("near"):
         # A lamp's cast shadows move with its direction alone, not with its distance.
-        gradient, slopes = (np.delete(k, point.model.position_of("near")) for k in (gradient, slopes))
+        gradient, slopes = (np.delete(k, point.model.slices["near"]) for k in (gradient, slopes))
     assert gradient == pytest.approx(np.array(slopes), rel=0.02, abs=0.02 * np.abs(slopes).max())
     assert matrix == pytest.approx(matrix.T)
     assert np.linalg.eigvalsh(matrix).min() > 0
@@ -95,7 +95,7 @@ def test_descents_with_scales_that_follow_lead_to_the_light(ball, angle, parts, 
     assert angle_deg(_lamp(point), TOWARD) < most_deg
     cosine = np.maximum(point.problem.level.normal @ TOWARD, 0)
     # The logarithm of the true light deviates by 0.38.
-    assert np.std(np.log(point.cells.light / (1 + 2.0 * cosine))) < 0.06
+    assert np.std(np.log(point.light / (1 + 2.0 * cosine))) < 0.06
 
 
 def test_descent_takes_no_more_evaluations_than_it_may(ball):
@@ -159,7 +159,7 @@ def test_points_with_a_factor_of_their_weights_are_the_same(ball):
     kept = start.problem.at(start.model, start.x, known, fixed=True)
     assert kept.known is known
     fresh = start.problem.at(start.model, start.x, known)
-    assert np.array_equal(kept.cells.light, fresh.cells.light)
+    assert np.array_equal(kept.light, fresh.light)
     assert kept.cost == pytest.approx(fresh.cost, rel=0.05)
 
 

@@ -1,4 +1,4 @@
-"""Whether a surface shades itself is decided by rays, and on a dense chart by rays at a coarser mesh."""
+"""Whether a surface shades itself is decided by rays."""
 
 import re
 from dataclasses import replace
@@ -16,7 +16,7 @@ from scan2albedo.albedo.lit_image import CONE_RAD
 from scan2albedo.albedo.shadows import LEAST_SHADOW, Horizon, ShadowLattice, shadow_caster
 from scan2albedo.core import Meter
 from scan2albedo.core.geometry_image import GeometryImage
-from scan2albedo.geometry.mesh import join, normalized
+from scan2albedo.geometry.mesh import join
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.environment_light import SKY
@@ -89,27 +89,6 @@ def test_the_fraction_that_has_to_lie_in_shadow_decides(monkeypatch):
         assert _decide(image)[1].ran == (part < 1)
 
 
-@pytest.mark.parametrize("shape", ["hemisphere", "bumps"])
-def test_a_dense_chart_decides_as_its_full_mesh_does(shape):
-    image = make_image(shape, 256)
-    _, ours = _decide(image)
-    _, full = _decide(replace(image, occluder=image.triangulated()))
-    assert ours.ran == full.ran == (shape == "bumps")
-    # An outline runs through another row of cells at most.
-    assert _percent(ours) == pytest.approx(_percent(full), abs=1)
-
-
-def test_a_dense_chart_casts_its_shadows_with_every_texel():
-    """A spike of one texel between those that the decision looks at."""
-    image = make_image("bumps", 256)
-    position = image.position.copy()
-    position[129, 129, 2] += 30
-    caster, _ = _decide(replace(image, position=position))
-    beside = position[129, 128] + [0, 0, 15]
-    along = (position[129, 129] - position[129, 128]) * [1, 1, 0]
-    assert caster.occluded(beside[None], normalized(along[None])).tolist() == [True]
-
-
 def test_an_occluder_beyond_the_chart_counts():
     image = make_image("hemisphere")
     corners, square = grid(2, 2)
@@ -127,20 +106,12 @@ def test_a_surface_without_triangles_casts_none():
         assert step.evidence == "0 faces"
 
 
-def test_a_chart_whose_coarse_mesh_has_no_triangle_uses_its_own():
-    """Strips of two texels fall between the texels that the decision looks at."""
-    image = make_image("bumps", 256)
-    strips = image.mask & np.isin(np.arange(256) % 4, (1, 2))[:, None]
-    _, step = _decide(replace(image, mask=strips))
-    assert step.evidence != "0 faces"
-
-
 @pytest.fixture(scope="module")
 def lattice():
     return _lattice(make_image("bumps"))
 
 
-MODEL = LightModel(1, "oren-nayar", (0.0, 0.0, 1.0), 100.0, near=True)
+MODEL = LightModel(1, "oren-nayar", (0.0, 0.0, 1.0), 100.0, frozenset({"near"}))
 
 
 def test_visibility_is_continuous_in_direction_and_nearness(lattice):

@@ -1,7 +1,5 @@
 """Soft light in the search: derivatives by every parameter, its plain values, and its floor."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from helpers.lit_scenes import hemisphere_geometry, lamps_and_waves
@@ -12,11 +10,11 @@ from scan2albedo.lighting.environment_light import open_transfer
 
 VIEW = (0.0, 0.0, 1.0)
 STEP = 1e-3
-SOFT = {"occlusion": True, "bounce": True, "environment": True}
+SOFT = ("occlusion", "bounce", "environment")
 
 
-def _model(lights, **parts):
-    return LightModel(lights, "lambert", VIEW, 80.0, **parts)
+def _model(lights, *parts):
+    return LightModel(lights, "lambert", VIEW, 80.0, frozenset(parts))
 
 
 @pytest.fixture(scope="module")
@@ -53,10 +51,10 @@ def _inner_x(model):
 
 @pytest.mark.parametrize(
     ("lights", "parts"),
-    [(0, SOFT), (1, {"occlusion": True}), (1, {"bounce": True}), (1, {"environment": True}), (2, SOFT)],
+    [(0, SOFT), (1, ("occlusion",)), (1, ("bounce",)), (1, ("environment",)), (2, SOFT)],
 )
 def test_derivatives_equal_central_differences(surface, lights, parts):
-    model = _model(lights, **parts)
+    model = _model(lights, *parts)
     x = _inner_x(model)
     light, slopes = _lit(surface, model, x)
     assert light.min() > 2 * DARKEST
@@ -69,16 +67,16 @@ def test_derivatives_equal_central_differences(surface, lights, parts):
 @pytest.mark.parametrize("part", ["occlusion", "bounce", "environment"])
 def test_soft_light_at_its_plain_value_is_constant_light(surface, part):
     plain = _model(1)
-    x, model = _inner_x(plain), replace(plain, **{part: True})
+    x, model = _inner_x(plain), _model(1, part)
     more = plain.extend(x, model)
-    more[model.position_of(part) :] = 1.0 if part == "occlusion" else 0.0
+    more[model.slices[part]] = 1.0 if part == "occlusion" else 0.0
     assert _lit(surface, model, more)[0] == pytest.approx(_lit(surface, plain, x)[0], abs=1e-12)
 
 
 def test_light_is_never_darker_than_some_and_has_no_derivative_there(surface):
     x = np.zeros(8)
     x[2] = -1.7
-    light, slopes = _lit(surface, _model(0, environment=True), x)
+    light, slopes = _lit(surface, _model(0, "environment"), x)
     dark = light == DARKEST
     assert 0 < dark.mean() < 1
     assert not slopes[dark].any()
@@ -87,15 +85,15 @@ def test_light_is_never_darker_than_some_and_has_no_derivative_there(surface):
 
 def test_what_cannot_bounce_does_not(surface):
     normal, terms = surface
-    model = _model(1, bounce=True)
+    model = _model(1, "bounce")
     x = _inner_x(model)
     alone, slopes = _lit((normal, SoftTerms(terms.transfer, None)), model, x)
-    assert not slopes[:, model.position_of("bounce")].any()
+    assert not slopes[:, model.slices["bounce"]].any()
     assert (alone < _lit(surface, model, x)[0]).all()
 
 
 def test_fill_lies_between_occluded_and_constant_ambient_light(surface):
-    terms = surface[1]
-    assert terms.ambient(0.0) == pytest.approx(terms.transfer[:, 0])
-    assert terms.ambient(1.0) == pytest.approx(np.ones(len(terms.transfer)))
-    assert terms.ambient(0.5) == pytest.approx((1 + terms.transfer[:, 0]) / 2)
+    occlusion = surface[1].transfer[:, 0]
+    model = _model(0, "occlusion")
+    for fill, expected in ((0.0, occlusion), (1.0, np.ones(len(occlusion))), (0.5, (1 + occlusion) / 2)):
+        assert _lit(surface, model, np.array([fill]))[0] == pytest.approx(expected)

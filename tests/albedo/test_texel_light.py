@@ -7,19 +7,19 @@ import numpy as np
 import pytest
 from helpers.lit_scenes import lit_image
 
-from scan2albedo.albedo.light_colour import light_colours
+from scan2albedo.albedo.light_colour import LightColours, light_colours
 from scan2albedo.albedo.light_parameters import Solution
 from scan2albedo.albedo.lit_image import Explanation, LightFound
 from scan2albedo.albedo.node_field import Scales
 from scan2albedo.albedo.prior import AlbedoPrior
 from scan2albedo.albedo.result import shade_image
 from scan2albedo.albedo.shadows import OUTLINE_BLURS
-from scan2albedo.albedo.texel_light import _Expected, _seen_shadows, light_on_texels
+from scan2albedo.albedo.texel_light import _Expected, _seen_shadows, _soft_light, _surface, light_on_texels
 from scan2albedo.synthetic import face, light_at
 
 WEAK = light_at(-50, 10, intensity=1.0)
 STRONG = light_at(40, 15, intensity=3.0)
-SOFT = {"occlusion": True, "bounce": True, "environment": True}
+SOFT = ("occlusion", "bounce", "environment")
 
 
 @pytest.fixture(scope="module")
@@ -32,9 +32,9 @@ def lit_face(truth):
     return lit_image(truth.image, prior=AlbedoPrior.faces(), force=("albedo.shadows",))
 
 
-def _solution(scene, lamps=(WEAK, STRONG), tail=(), **parts):
+def _solution(scene, lamps=(WEAK, STRONG), tail=(), parts=()):
     """Return lamps, the weaker one first, and soft light of parameters `tail`."""
-    model = replace(scene.model(len(lamps)), **parts)
+    model = replace(scene.model(len(lamps)), parts=frozenset(parts))
     toward = np.array([lamp.direction for lamp in lamps])
     x = model.from_lights(toward, np.array([lamp.intensity for lamp in lamps]))
     x[3 * len(lamps) :] = tail
@@ -45,10 +45,10 @@ def _found(scene, solution, shift=0.0, spread=0.0, **colours):
     """Return a solution as the best explanation, in white light but for what `colours` replaces."""
     level, problem = scene.at(40).level, scene.posterior(40, OUTLINE_BLURS[0])
     point = problem.start(solution.model, solution.x, problem.started(Scales()))
-    cells = np.ones((len(level.value), 3))
+    cells = np.ones(len(level.value))
     shown = replace(light_colours(point, False), **colours)
     return LightFound(
-        solution, [], explanation=Explanation(point, shown, level, shift * cells, spread * cells[:, 0])
+        solution, [], explanation=Explanation(point, shown, level, shift * cells, spread * cells)
     )
 
 
@@ -59,28 +59,37 @@ def _rays(scene, solution, environment=None):
     return shade_image(*surface, environment).light_linear
 
 
-@pytest.mark.parametrize(("tail", "parts"), [((), {}), ([1.0, *[0.0] * 9], SOFT)], ids=["without", "plain"])
-def test_without_soft_light_or_at_its_plain_values_all_is_lamps_under_constant_light(lit_face, tail, parts):
-    solution = _solution(lit_face, tail=tail, **parts)
+def _softly_lit(scene, solution):
+    """Return a solution's environment, and (N, 3) the light of that and of its lamps."""
+    state = solution.hypothesis
+    surface = scene.image, state.lights(), state.reflectance, scene.view, scene.shadows[0], 0.2
+    lamps, white = shade_image(*surface).lamps, LightColours.white(len(state.rows))
+    environment, soft = _soft_light(scene, solution, lamps, white, _surface(scene, softly=True))
+    return environment, soft + lamps.sum(0)[:, None]
+
+
+def test_without_soft_light_all_is_lamps_under_constant_light(lit_face):
+    solution = _solution(lit_face)
     lit = light_on_texels(lit_face, LightFound(solution, []))
     assert lit.light_linear == pytest.approx(_rays(lit_face, solution), rel=1e-6)
     assert [lamp.intensity for lamp in lit.lights] == pytest.approx([3, 1])
     assert not lit.deviation.any()
-    if parts:
-        assert (lit.environment.fill, lit.environment.bounce) == (1, 0)
-    else:
-        assert lit.environment is None
+    assert lit.environment is None
+    softly = _solution(lit_face, tail=[1.0, *[0.0] * 9], parts=SOFT)
+    environment, light = _softly_lit(lit_face, softly)
+    assert light == pytest.approx(lit.light_linear, rel=1e-6)
+    assert (environment.fill, environment.bounce) == (1, 0)
 
 
 def test_light_that_was_found_is_that_of_its_lamps_and_environment(lit_face):
     """Two roads to the same light: hidden parts taken from cells, and rays from each texel."""
-    solution = _solution(lit_face, tail=[0.3, 0.4, 0.2, -0.1, 0.3, 0.0, 0.1, 0.0, -0.1, 0.05], **SOFT)
-    lit = light_on_texels(lit_face, LightFound(solution, []))
-    again = _rays(lit_face, solution, lit.environment)
-    ratio = again / lit.light_linear
+    solution = _solution(lit_face, tail=[0.3, 0.4, 0.2, -0.1, 0.3, 0.0, 0.1, 0.0, -0.1, 0.05], parts=SOFT)
+    environment, light = _softly_lit(lit_face, solution)
+    again = _rays(lit_face, solution, environment)
+    ratio = again / light
     assert np.std(ratio) < 0.02
     assert ratio.mean() == pytest.approx(1, abs=0.01)
-    dimmer = _rays(lit_face, solution, replace(lit.environment, bounce=0.0))
+    dimmer = _rays(lit_face, solution, replace(environment, bounce=0.0))
     assert again.mean() > dimmer.mean() + 0.01
 
 
@@ -108,7 +117,7 @@ def test_shadows_that_the_picture_shows_stay_and_others_go(lit_face, truth):
 
 
 def test_a_highlight_leaves_light_on_skin_however_strong_it_is(lit_face):
-    solution = _solution(lit_face, tail=[0.3, np.log(8.0)], specular=True)
+    solution = _solution(lit_face, tail=[0.3, np.log(8.0)], parts=("specular",))
     found, texture = _found(lit_face, solution), lit_face.image.texture_linear[lit_face.image.mask]
     assert found.solution.hypothesis.reflectance.specular_strength > 0
     strong = replace(found.explanation, colours=replace(found.explanation.colours, gloss=20.0))
@@ -158,6 +167,6 @@ def test_colour_tells_which_part_of_a_lamp_reaches_a_texel_whose_brightness_does
     )
     # The traced shadow is known only by half: every second row.
     traced = (np.arange(400) // 20 % 2).astype(np.float32)[None]
-    seen = _seen_shadows(known, mask, traced, np.ones((1, 400), np.float32), lamp, soft)[0]
+    seen = _seen_shadows(known, mask, traced, lamp, soft)[0]
     for p in np.unique(part):
         assert seen[part == p].mean() == pytest.approx(p, abs=0.12)

@@ -127,7 +127,7 @@ def lamps_and_waves(model, angles, intensities):
     """Return parameters of as many lamps as a model has, in waves of soft light where it has them."""
     toward = np.array([direction(*angle) for angle in angles[: model.lights]]).reshape(-1, 3)
     x = model.from_lights(toward, np.array(intensities)[: model.lights])
-    if model.environment:
+    if model.has("environment"):
         x[-8:] = np.random.default_rng(1).uniform(-0.15, 0.15, 8)
     return x
 

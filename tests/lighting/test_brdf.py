@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from brdf_reference import lambert, minnaert, oren_nayar, phong
+from brdf_reference import oren_nayar, phong
 
 from scan2albedo.geometry.mesh import normalized
 
@@ -28,15 +28,6 @@ def test_oren_nayar_equals_the_form_with_angles(sigma):
     cosines = _cosines()
     front = cosines[:, (cosines[:2] > 0.02).all(0)]
     assert oren_nayar(*front, sigma) == pytest.approx(_angles_form(*front, sigma), rel=1e-9, abs=1e-12)
-
-
-def test_light_and_view_along_the_normal_are_defined():
-    assert oren_nayar(1.0, 1.0, 1.0, 0.5) == pytest.approx(1 - 0.5 * 0.25 / 0.58)
-
-
-def test_minnaert_of_exponent_one_is_lambert():
-    n_l, n_v, _ = _cosines()
-    assert minnaert(n_l, n_v, 1.0) == pytest.approx(lambert(n_l))
 
 
 def test_phong_peaks_at_one_in_the_mirror_direction():
