@@ -30,34 +30,14 @@ OUTPUTS_SHARE = 0.3
 EYES_S = 1.5
 """Seconds that eyes and a mouth take. These and the costs below were measured on a busy core with a scan of
 12,000 faces."""
-_EXR = 2.0
-"""With linear pictures, too, files take so many times as long."""
-
-
-@dataclass(frozen=True)
-class _Cost:
-    """Seconds that a part takes: to begin, for each of its texels, for each vertex of the scan."""
-
-    start_s: float = 0.0
-    texel_s: float = 0.0
-    vertex_s: float = 0.0
-
-    def seconds(self, texels: int, scan: RawScan) -> float:
-        return self.start_s + self.texel_s * texels + self.vertex_s * len(scan.vertices)
-
-
-_LIGHT = {"face": _Cost(1.0, 1.5e-6, 8e-6), "all": _Cost(1.0, 2.2e-6, 8e-6)}
-"""Of taking the light off, by how far; the texels are the scan's own."""
-_MAKE = {
-    "unlit": _Cost(),
-    "template_texture": _Cost(0.5, 7e-6, 5e-6),
-    "maps": _Cost(1.0, 12e-6, 1e-5),
-}
-_FILES = {
-    "unlit": _Cost(0.2, 0.5e-6, 1e-5),
-    "template_texture": _Cost(0.2, 0.5e-6),
-    "maps": _Cost(0.5, 2e-6, 1e-5),
-}
+_MAKE_S = {"unlit": 0.0, "template_texture": 7e-6, "maps": 13e-6}
+"""Seconds for each texel of an output, but for taking the light off and for its files."""
+_LIGHT_S = 2e-6
+"""Seconds in which the light is taken off a texel of the scan."""
+_FILES_S = 1e-6
+"""Seconds in which a texel is written."""
+_VERTEX_S = 1e-5
+"""Seconds that each of these steps takes for a vertex of the scan, and one second to begin."""
 _MESH = (".glb", ".obj", ".mtl", ".png", ".*.png", ".exr", ".*.exr")
 _MAPS = ("normal", "normal_directx", "occlusion", "roughness", "specular", "cavity", "displacement")
 _PICTURES = ("unlit_confidence", "unlit_hair", "template_normal", "template_hair")
@@ -86,8 +66,8 @@ def wanted_outputs(scan: RawScan, model: AnnotatedSurface | None, options: Proce
     wanted = list[Output]()
 
     def want(name: str, reach: str, texels: int, has_eyes: bool = False) -> None:
-        files_s = _FILES[name].seconds(texels, scan) * (_EXR if options.files == "all" else 1)
-        wanted.append(Output(name, reach, _MAKE[name].seconds(texels, scan), files_s, has_eyes))
+        files_s = _seconds(scan, _FILES_S * texels)
+        wanted.append(Output(name, reach, _seconds(scan, _MAKE_S[name] * texels), files_s, has_eyes))
 
     if options.unlit is not None:
         want("unlit", options.unlit, _own_texels(scan))
@@ -101,9 +81,13 @@ def wanted_outputs(scan: RawScan, model: AnnotatedSurface | None, options: Proce
     return wanted
 
 
-def light_s(scan: RawScan, reach: str) -> float:
+def light_s(scan: RawScan) -> float:
     """Return the seconds in which the light is taken off a scan."""
-    return _LIGHT[reach].seconds(_own_texels(scan), scan)
+    return _seconds(scan, _LIGHT_S * _own_texels(scan))
+
+
+def _seconds(scan: RawScan, of_texels: float) -> float:
+    return 1 + _VERTEX_S * len(scan.vertices) + of_texels
 
 
 class Unlit(Stage):
@@ -123,7 +107,7 @@ class Unlit(Stage):
         """Return the seconds of all that is wanted, at most a share of the budget."""
         wanted = wanted_outputs(run.scan, run.model, run.options)
         seconds = sum(output.make_s + output.files_s for output in wanted)
-        seconds += sum(light_s(run.scan, reach) for reach in {output.reach for output in wanted})
+        seconds += sum(light_s(run.scan) for _ in {output.reach for output in wanted})
         if any(output.has_eyes for output in wanted) and "eyes" not in run.options.skip:
             seconds += EYES_S
         return min(seconds, OUTPUTS_SHARE * (Budget.of(run.options.budget).seconds or 0.0))
@@ -180,7 +164,7 @@ def _make(
     for output in wanted:
         cost_s = output.make_s + output.files_s
         if output.reach not in unlit:
-            cost_s += light_s(run.scan, output.reach)
+            cost_s += light_s(run.scan)
         if late := _late(output.name, cost_s, clock):
             rows += late
             continue
