@@ -2,7 +2,7 @@
 
 from collections import Counter
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -28,7 +28,9 @@ def identify(
     use: str = typer.Option(
         "albedo,texture,shape", help="What is compared: albedo, texture, shape, or several of them."
     ),
-    combine: str = typer.Option("mean", help="Of a person's several images in the gallery: best, or mean."),
+    combine: Literal["best", "mean"] = typer.Option(
+        "mean", help="Of a person's several images in the gallery: best, or mean."
+    ),
     together: bool = typer.Option(
         False, "--together", help="Take probes that name one person as one probe of several scans."
     ),
@@ -47,8 +49,6 @@ def identify(
     Somebody of the gallery is always the most similar: the log odds, and those of the next person, show how
     reliable that is. Where probes name their person, the rate of right answers is printed.
     """
-    if combine not in ("best", "mean"):
-        raise typer.BadParameter(f"--combine is {combine!r}, expected best or mean")
     if save_templates is not None and save_templates.suffix != ".npz":
         raise typer.BadParameter(f"--save-templates is {save_templates}, expected a name that ends in .npz")
     if probes is None and (save_templates is None or out is not None):
@@ -88,18 +88,16 @@ def identify(
             known,
             probes,
             use=kinds,
-            combine=combine,  # type: ignore[arg-type]
+            combine=combine,
             together=together,
             on_count=progress.count,
         )
         for note in found.notes:
             progress.say(f"identify: {note}")
         record = write_identification(found, out)
-        counts = {"probe": len(record.results), "person": len(record.persons), "image": record.gallery_images}
-        shown_probes, persons, images = (f"{n} {what}{'' if n == 1 else 's'}" for what, n in counts.items())
-        text = f"{shown_probes}, {persons} on {images}, decided by "
         decided = Counter(probe.decided_by for probe in record.results)
-        text += ", ".join(f"{kind} ({n})" for kind, n in decided.most_common())
+        text = f"{len(record.results)} probes, {len(record.persons)} persons on {record.gallery_images} "
+        text += f"images, decided by {', '.join(f'{kind} ({n})' for kind, n in decided.most_common())}"
         if (rates := record.rates) is not None:
             low, high = rates.rank_1_interval
             text += (

@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -45,7 +45,7 @@ def relight(
         min=0,
         max=89,
     ),
-    gloss: str = typer.Option(
+    gloss: Literal["auto", "found", "none"] = typer.Option(
         "auto",
         help="auto: the highlight that the estimate found, or skin's usual one where it found none; "
         "found; none.",
@@ -106,10 +106,7 @@ def relight(
     ours = FACE_FILES.holds(out.name) or SCAN_FILES.holds(out.name)
     if out.resolve() == result.resolve() or (ours and out.resolve().parent == result.resolve()):
         raise typer.BadParameter(f"-o {out} is part of the processed scan itself; choose another name")
-    try:
-        options = applications.RelightOptions(gloss=gloss, fill_gaps=not keep_gaps)  # type: ignore[arg-type]
-    except ValueError as error:
-        raise typer.BadParameter(f"--gloss: {error}") from None
+    options = applications.RelightOptions(gloss=gloss, fill_gaps=not keep_gaps)
     stop_cleanly_on_interrupt(None)
     if sweep is not None and not extension:
         RunFolder(out, FRAMES).check()

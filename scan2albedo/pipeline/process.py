@@ -12,7 +12,6 @@ from scan2albedo.core.arrays import Texts
 from scan2albedo.core.raw_scan import is_folder_name, scan_name
 from scan2albedo.errors import memory_errors_named
 from scan2albedo.io.atomic import check_writable
-from scan2albedo.io.images import write_png
 from scan2albedo.io.leftovers import remove_leftovers
 from scan2albedo.io.result_records import RESULT_FILE, InputRecord, ResultRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
@@ -22,7 +21,6 @@ from scan2albedo.pipeline.result import ProcessResult, Run
 from scan2albedo.pipeline.stages import Files, FindAlbedo, Fit, FitLinearModel, Load, Register, Sample
 from scan2albedo.pipeline.unlit import Unlit
 from scan2albedo.report.overview import figure_png, overview_figure, result_panels
-from scan2albedo.unlit.files import gray_bytes
 
 STAGES = (Load(), Register(), Fit(), Sample(), FitLinearModel(), FindAlbedo(), Unlit())
 """The way of a scan."""
@@ -126,9 +124,7 @@ def write_result(
         written = Files(staging.folder, left_out, exr=files == "all")
         for stage in STAGES:
             stage.write(result, written)
-        result.write_more(staging.folder, result.texture_srgb)
-        for name, values in result.maps.items():
-            written.write(name, write_png, gray_bytes(values))
+        result.write_more(staging.folder)
         written.write("trace.csv", result.trace.to_csv)
         if "overview.png" not in left_out:
             panels = result_panels(
