@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import least_squares, minimize
 from scipy.spatial import cKDTree
 from scipy.special import expit
 
-from scan2albedo.core.arrays import ArrayLike, BoolArray, FloatArray, IntArray, grid_faces, smoothstep
+from scan2albedo.core.arrays import ArrayLike, BoolArray, FloatArray, IntArray, grid_faces, norms, smoothstep
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.io.glb import GlbPart
 from scan2albedo.unlit.face_features import FLOOR, without_catchlights
@@ -24,7 +24,9 @@ from scan2albedo.unlit.processed_face import Eyeball, ProcessedFace
 LID_LANDMARKS = {"right": slice(36, 42), "left": slice(42, 48)}
 """Of iBUG-68 around each eye: a corner, two of the upper lid, a corner, two of the lower lid."""
 GLOBE_MM = 12.0
-"""Radius of an adult's eyeball [1]_; its deviation among people is half a millimetre."""
+"""Radius of an adult's eyeball [1]_."""
+_GLOBE_SD_MM = 0.5
+"""Its deviation among people [1]_."""
 IRIS_MM = 5.85
 """Radius of an iris [2]_; its deviation among people is a quarter of a millimetre."""
 CORNEA_MM = 7.8
@@ -39,14 +41,16 @@ LID_SD_MM = 0.7
 """Deviation of that among scans."""
 _EDGE_MM = 0.35
 """Width over which a texture goes from one thing to the next."""
-_OUTLINE_SD_MM = (1, 1, 1, 1, 1.5, 1.5, 2.5, 1.5)
+_OUTLINE_SD_MM = (0.8, 0.8, 0.8, 0.8, 1.5, 1.0, 1.2, 1.0, 2.5, 1.5, 0.15)
 """Deviations of an outline, see `_inside`, from that of its landmarks."""
 _WHITE = ((-0.3, 0.1, -0.1), (0.4, 0.15, 0.2))
 """Of an eye's white: means and deviations of mean log albedo relative to skin, log R/G and log B/G."""
-_IRIS = ((-1.3, 0.1, -0.1), (0.6, 0.3, 0.3))
+_IRIS = ((-1.3, 0.1, -0.1), (0.6, 0.25, 0.3))
 """The same of an iris; both learn from the scan."""
 _SOCKET = ((-0.3, 0.1, -0.1), (0.6, 0.3, 0.3))
-"""The same of what a scan has in place of an eye, and of lashes, relative to skin in all three."""
+"""The same of what a scan has in place of an eye, relative to skin in all three."""
+_LASHES = ((-0.8, 0, 0), (0.6, 0.25, 0.25))
+"""The same of lashes."""
 _LASHED = 0.1
 """Part of the skin that is lashes."""
 _UNSEEN = 0.01
@@ -101,6 +105,35 @@ def wet_part(
 
 
 @dataclass(frozen=True)
+class _Texels:
+    """Some of the texels (N,) around an eye."""
+
+    xy: FloatArray
+    """(N, 2): mm from the middle between the eye's corners."""
+    color: FloatArray
+    """(N, 3): mean log albedo, log R/G and log B/G."""
+    seen: BoolArray
+    weight: float
+    """Independent observations that each texel stands for."""
+
+    def log_likelihood(self, classes: FloatArray, unseen: float) -> FloatArray:
+        """Return that (N,) of a class, mean and deviation (2, 3), of which a part is unseen."""
+        shown = _log_normal(self.color, classes) + math.log(1 - unseen)
+        return np.where(self.seen, shown, math.log(unseen))
+
+
+@dataclass(frozen=True)
+class _Explanation:
+    """What an eye's texels are, if it is open."""
+
+    outline: FloatArray
+    """(11,): the likeliest, see `_inside`."""
+    log_likelihood: float
+    shares: FloatArray
+    """(2, N): of white and iris."""
+
+
+@dataclass(frozen=True)
 class EyeOpening:
     """What a chart shows around one eye."""
 
@@ -118,7 +151,7 @@ class EyeOpening:
     white: FloatArray
     """(3,): mean of the colours of the eye's white, where an eye is shown."""
     outlines: FloatArray
-    """(2, 8): the likeliest of an eye that is shown, and of one that was left out as a hole."""
+    """(2, 11): the likeliest of an eye that is shown, and of one that was left out as a hole."""
     odds: FloatArray
     """(2,): log odds of each against lids that are shut."""
 
@@ -135,68 +168,75 @@ class EyeOpening:
         seen = face.image.seen[rows, columns]
         start = _outline_through(landmarks[:, :2] - middle[:2])
         # Skin is what lies beside the eye.
-        outside = _inside(start + [-3, 0, 3, 0, 3, 3, 0, 0], place)[:2].min(0) < 0
+        wide = start + [-3, 0, 3, 0, 3, 0, 3, 0, 0, 0, 0]
+        outside = _inside(wide, place[:, :2])[:2].min(0) < 0
         usual = [[math.log(floor / FLOOR), 0, 0]]  # also where no skin is seen
         beside = np.concatenate([color[seen & outside], usual])
-        tone = np.median(beside, axis=0)
-        skin = np.stack([tone, np.maximum(np.std(beside, axis=0), 0.1)])
+        middle_color = np.median(beside, axis=0)
+        skin = np.stack([middle_color, 1.4826 * np.median(np.abs(beside - middle_color), axis=0)])
+        skin[1] = np.maximum(skin[1], (0.12, 0.05, 0.05))
         # As much of the skin is unseen between the lids as beside them: a part not scanned is no hole.
         lacking = max(_UNSEEN, 1 - ((seen & outside).sum() + 1) / (outside.sum() + 1))
-        few = slice(None, None, max(1, len(rows) // _TEXELS))
-        weight = face.image.texel_areas_mm2().mean() / 5 * len(rows) / max(len(rows[few]), 1)
-        relative = np.array([tone, [0, 0, 0]])
-        socket = _SOCKET + relative
-        lashes = math.log(_LASHED) + _log_normal(color[few], socket)
-        bare = np.logaddexp(_log_normal(color[few], skin), lashes)
-        shut = _shown(bare, seen[few], lacking)
-        brightness = relative * (1, 0, 0)
-        painted = np.array([_WHITE + brightness, _IRIS + brightness])
+        chosen = np.random.default_rng(0).permutation(len(rows))[:_TEXELS]
+        weight = float(np.median(face.image.texel_areas_mm2())) / 5 * len(rows) / max(len(chosen), 1)
+        texels = _Texels(place[chosen, :2], color[chosen], seen[chosen], weight)
+        bare = _skin_log_likelihood(texels, skin, lacking)
+        tone = np.stack([skin[0] * (1, 0, 0), np.zeros(3)])
+        painted = np.array([_WHITE, _IRIS]) + tone
+        socket = np.tile(_SOCKET + skin[0] * [[1], [0]], (2, 1, 1))
         found = []
-        for unseen, classes in ((lacking, painted), (_UNSEEN_HOLE, np.array([socket, socket]))):
-            outline = start
+        for unseen, classes in ((lacking, painted), (_UNSEEN_HOLE, socket)):
+            one = _Explanation(start, 0.0, np.zeros((2, len(chosen))))
             for _ in range(2):  # expectation maximisation of colours and outline
-                of_eye = [_shown(_log_normal(color[few], one), seen[few], unseen) for one in classes]
-                likelihoods = np.stack([shut, *of_eye])
-                outline, fits, shares = _likeliest(place[few], weight, likelihoods, start, outline)
-                classes[:] = _learned(color[few], classes, weight * seen[few] * shares)
-            found.append((outline, fits))
-        outlines = np.array([outline for outline, _ in found])
+                one = _likeliest(
+                    texels, bare, [texels.log_likelihood(c, unseen) for c in classes], start, one
+                )
+                classes[:] = _learned(texels, classes, one.shares)
+            found.append(one)
         # Schwarz's criterion: each number of an outline costs half the log of the observations.
-        cost = len(start) / 2 * math.log(max(weight * len(rows[few]), 1.0))
-        odds = np.array([fits for _, fits in found]) - weight * shut.sum() - cost
+        shut = weight * bare.sum() + len(start) / 2 * math.log(max(weight * len(chosen), 1.0))
+        outlines = np.array([one.outline for one in found])
+        odds = np.array([one.log_likelihood for one in found]) - shut
         return cls(middle, rows, columns, place, color, skin, painted[0, 0], outlines, odds)
 
     def globe(self, hole: int) -> FloatArray:
-        """Return the centre (3,) of the eyeball on which the lids' rims lie, between the corners."""
-        ax, ay, bx, by, up, down = self.outlines[hole][:6]
+        """Return centre and radius (4,) of the eyeball on which the lids' rims lie."""
+        ax, ay, bx, by, up, up_slant, down, down_slant = self.outlines[hole][:8]
         along = np.linspace(0.3, 0.7, 5)
-        level = ay + along * (by - ay)
-        bulge = _bulge(along)
-        across = np.tile(ax + along * (bx - ax), 2)
-        rims = np.stack([across, np.concatenate([level + bulge * up, level - bulge * down])], 1)
-        x, y, z = self.place[cKDTree(self.place[:, :2]).query(rims)[1]].T
+        bulge, level = (4 * along * (1 - along)) ** 0.5, ay + along * (by - ay)
+        rims = [
+            level + bulge * (up + up_slant * (along - 0.5)),
+            level - bulge * (down + down_slant * (along - 0.5)),
+        ]
+        on_rims = np.stack([np.tile(ax + along * (bx - ax), 2), np.concatenate(rims)], 1)
+        rim = self.place[cKDTree(self.place[:, :2]).query(on_rims)[1]]
         middle = np.array([(ax + bx) / 2, (ay + by) / 2])
-        height = (GLOBE_MM + LID_MM) ** 2 - (x - middle[0]) ** 2 - (y - middle[1]) ** 2
-        # Scans have dents at eyes, and no bumps.
-        return np.array([*middle, np.percentile(z - np.sqrt(np.maximum(height, 0)), 75)])
 
-    def rings(self, hole: int) -> FloatArray:
+        def off(globe: FloatArray) -> FloatArray:
+            above = norms(rim - globe[:3]) - globe[3] - LID_MM
+            above[above < 0] /= 3  # scans have dents at eyes, and no bumps
+            unusual = (globe[3] - GLOBE_MM) * LID_SD_MM / _GLOBE_SD_MM
+            return np.array([*above, *globe[:2] - middle, unusual]) / LID_SD_MM
+
+        return least_squares(off, [*middle, rim[:, 2].mean() - GLOBE_MM, GLOBE_MM]).x
+
+    def rings(self, hole: int, iris_mm: float) -> FloatArray:
         """Return (K, 3) the eyeball's albedo away from the middle of its iris, as far as it is known."""
-        away = RING_MM * np.arange(math.ceil((IRIS_MM + 1) / RING_MM) + 1)
+        away = RING_MM * np.arange(math.ceil((iris_mm + 1) / RING_MM) + 1)
         # Lids shade the eye, and no light that was found does: what the white lacks all of the eye lacks.
         usual = self.skin[0] * (1, 0, 0) + _WHITE[0] + (_SHADE, 0, 0)
         brighter = not hole and self.white[0] > usual[0]
         white = np.exp(log_rgb(self.white if brighter else usual))
         outline = self.outlines[hole]
-        off = np.hypot(*(self.place[:, :2] - outline[6:]).T)
-        within = _inside(outline, self.place)[:2].min(0)
-        colored = (off > PUPIL_MM) & (off < IRIS_MM - 1) & (within > 1)
+        off = np.hypot(*(self.place[:, :2] - outline[8:10]).T)
+        within = _inside(outline, self.place)
+        colored = (off > PUPIL_MM) & (off < iris_mm - 1) & (within[:2].min(0) > 1)
         iris = white * _BROWN
         if not hole and colored.any():
             shade = max(usual[0] - self.white[0], 0.0)
             iris = np.exp(log_rgb(np.median(self.color[colored], axis=0)) + shade)
         made = _PUPIL * white + np.zeros((len(away), 1))
-        changes = (PUPIL_MM, iris), (IRIS_MM - 3 * RING_MM, iris * _LIMBUS), (IRIS_MM, white)
+        changes = (PUPIL_MM, iris), (iris_mm - 3 * RING_MM, iris * _LIMBUS), (iris_mm, white)
         for edge, color in changes:
             made += smoothstep(0.5 + (away - edge) / (2 * RING_MM))[:, None] * (color - made)
         return made
@@ -212,77 +252,83 @@ def usual_white(skin_level: float) -> FloatArray:
 
 
 def _outline_through(corners: FloatArray) -> FloatArray:
-    """Return the outline (8,), see `_inside`, through an eye's landmarks (6, 2) about its middle."""
+    """Return the outline (11,), see `_inside`, through an eye's landmarks (6, 2) about its middle."""
     (ax, ay), (bx, by) = corners[[0, 3]]
     x, y = corners[[1, 2, 4, 5]].T
     along = np.clip((x - ax) / (bx - ax), 0.1, 0.9)
-    high = (y - ay - along * (by - ay)) / _bulge(along)
-    up = max(high[:2].mean(), 1.0)
-    down = max(-high[2:].mean(), 1.0)
-    return np.array([ax, ay, bx, by, up, down, 0, (up - down) / 3])
+    high = (y - ay - along * (by - ay)) / (4 * along * (1 - along)) ** 0.5
+    up, down = max(high[:2].mean(), 1.0), max(-high[2:].mean(), 1.0)
+    return np.array([ax, ay, bx, by, up, 0, down, 0, 0, (up - down) / 3, IRIS_MM])
 
 
-def _shown(log_likelihood: FloatArray, seen: BoolArray, unseen: float) -> FloatArray:
-    """Return log likelihoods (N,) of colours of which a part is unseen, for texels `seen` (N,) or not."""
-    return np.where(seen, log_likelihood + math.log(1 - unseen), math.log(unseen))
+def _skin_log_likelihood(texels: _Texels, skin: FloatArray, unseen: float) -> FloatArray:
+    """Return that (N,) of skin with its lashes, of which a part is unseen."""
+    bare = math.log(1 - _LASHED) + _log_normal(texels.color, skin)
+    lashes = _log_normal(texels.color, _LASHES + skin[0] * [[1], [0]])
+    bare = np.logaddexp(bare, math.log(_LASHED) + lashes)
+    return np.where(texels.seen, bare + math.log(1 - unseen), math.log(unseen))
 
 
 def _likeliest(
-    xy: FloatArray, weight: float, log_likelihoods: FloatArray, usual: FloatArray, near: FloatArray
-) -> tuple[FloatArray, float, FloatArray]:
-    """Return the likeliest outline (8,), its log posterior, and shares (2, N) of white and iris.
+    texels: _Texels,
+    bare: FloatArray,
+    of_eye: list[FloatArray],
+    usual: FloatArray,
+    before: _Explanation,
+) -> _Explanation:
+    """Return the likeliest outline near the `usual` one, sought from around the one `before`.
 
-    It has a prior about the `usual` one and is sought from around the one `near`. `log_likelihoods` (3, N)
-    are of texels at `xy` as skin, white and iris; each stands for `weight` independent ones.
+    `bare` and `of_eye` are log likelihoods (N,) of texels as skin, and as white and iris.
     """
-    top = log_likelihoods.max(0)
-    likelihoods = np.exp(log_likelihoods - top)
+    top = np.maximum.reduce([bare, *of_eye])
+    likelihood = np.exp(np.stack([bare, *of_eye]) - top)
 
-    def cost(outline: FloatArray) -> float:
-        mixed = (_members(outline, xy) * likelihoods).sum(0)
-        fits = weight * (np.log(mixed + 1e-12) + top).sum()
-        return float((((outline - usual) / _OUTLINE_SD_MM) ** 2).sum() / 2 - fits)
+    def cost(outlines: FloatArray) -> FloatArray:
+        mixed = (_members(outlines, texels.xy) * likelihood).sum(-2)
+        fits = texels.weight * (np.log(mixed + 1e-12) + top).sum(-1)
+        return (((outlines - usual) / _OUTLINE_SD_MM) ** 2).sum(-1) / 2 - fits
 
-    shifts = [(*np.zeros(6), dx, dy) for dx in range(-6, 7, 2) for dy in range(-2, 3)]
-    start = min(near + np.array(shifts), key=cost)
-    best = minimize(cost, start, method="L-BFGS-B", options={"maxiter": 20})
-    shares = _members(best.x, xy) * likelihoods
-    return best.x, -best.fun, shares[1:] / shares.sum(0)
+    def with_slope(outline: FloatArray) -> tuple[float, FloatArray]:
+        values = cost(np.vstack([outline, outline + 1e-4 * np.eye(len(outline))]))
+        return values[0], (values[1:] - values[0]) / 1e-4
+
+    shifts = [(*np.zeros(8), dx, dy, 0) for dx in range(-6, 7, 2) for dy in range(-2, 3)]
+    tried = before.outline + np.array(shifts)
+    start, options = tried[np.argmin(cost(tried))], {"maxiter": 20}
+    best = minimize(with_slope, start, jac=True, method="L-BFGS-B", options=options)
+    shares = _members(best.x, texels.xy) * likelihood
+    return _Explanation(best.x, -best.fun, shares[1:] / shares.sum(0))
 
 
-def _learned(color: FloatArray, classes: FloatArray, counted: FloatArray) -> FloatArray:
-    """Return means and deviations (2, 2, 3) of white and iris, by counts (2, N) of texels' colours (N, 3)."""
+def _learned(texels: _Texels, classes: FloatArray, shares: FloatArray) -> FloatArray:
+    """Return means and deviations (2, 2, 3) of the colours of white and iris, by shares (2, N) of texels."""
+    counted = texels.weight * texels.seen * shares
     total = _PRIOR_TEXELS + counted.sum(1)[:, None]
-    mean = (_PRIOR_TEXELS * classes[:, 0] + counted @ color) / total
-    square = np.einsum("kn,knc->kc", counted, (color - mean[:, None]) ** 2)
+    mean = (_PRIOR_TEXELS * classes[:, 0] + counted @ texels.color) / total
+    square = np.einsum("kn,knc->kc", counted, (texels.color - mean[:, None]) ** 2)
     return np.stack([mean, np.sqrt((_PRIOR_TEXELS * classes[:, 1] ** 2 + square) / total)], 1)
 
 
-def _bulge(along: FloatArray) -> FloatArray:
-    """Return the height (N,) of lids whose middle is 1 high, from corner (0) to corner (1)."""
-    parabola = 4 * along * (1 - along)
-    return np.sign(parabola) * np.sqrt(np.abs(parabola))
-
-
 def _inside(outline: FloatArray, xy: FloatArray) -> FloatArray:
-    """Return (3, N) how many mm points are below the upper lid, above the lower, and inside the iris.
+    """Return (3, ..., N) how many mm points are below the upper lid, above the lower, and inside the iris.
 
-    An `outline` (8,) has the corners (x, y), the height of the upper and of the lower lid, and the middle of
-    the iris.
+    An `outline` (..., 11) has the corners (x, y), a parabola's height and slant of the upper and of the lower
+    lid, and middle and radius of the iris; of it (..., 3, N).
     """
-    ax, ay, bx, by, up, down, x, y = outline
+    ax, ay, bx, by, up, up_slant, down, down_slant, *iris = np.moveaxis(outline, -1, 0)[..., None]
     along = (xy[:, 0] - ax) / (bx - ax)
-    above = xy[:, 1] - ay - along * (by - ay)
-    bulge = _bulge(along)
-    off = np.hypot(xy[:, 0] - x, xy[:, 1] - y)
-    return np.stack([bulge * up - above, above + bulge * down, IRIS_MM - off])
+    level, bulge = ay + along * (by - ay), 4 * along * (1 - along)
+    bulge = np.sign(bulge) * np.abs(bulge) ** 0.5
+    below = level + bulge * (up + up_slant * (along - 0.5)) - xy[:, 1]
+    above = xy[:, 1] - level + bulge * (down + down_slant * (along - 0.5))
+    return np.stack([below, above, iris[2] - np.hypot(xy[:, 0] - iris[0], xy[:, 1] - iris[1])])
 
 
 def _members(outline: FloatArray, xy: FloatArray) -> FloatArray:
-    """Return (3, N) how far points are skin, an eyeball's white, and iris, by an outline (8,)."""
+    """Return (..., 3, N) how far points are skin, an eyeball's white, and iris, by an outline (..., 11)."""
     below, above, iris = expit(_inside(outline, xy) / _EDGE_MM)
     inside = below * above
-    return np.stack([1 - inside, inside * (1 - iris), inside * iris])
+    return np.stack([1 - inside, inside * (1 - iris), inside * iris], -2)
 
 
 def _log_normal(values: FloatArray, mean_and_deviation: ArrayLike) -> FloatArray:

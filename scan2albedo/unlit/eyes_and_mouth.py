@@ -15,8 +15,6 @@ from scan2albedo.geometry.mesh import lengths, vertex_normals
 from scan2albedo.geometry.rasterization import bilinear, pixels_from_uv
 from scan2albedo.io.glb import GlbPart
 from scan2albedo.unlit.eyes import (
-    GLOBE_MM,
-    IRIS_MM,
     LID_LANDMARKS,
     LID_MM,
     LID_SD_MM,
@@ -68,7 +66,7 @@ def eyes_and_mouth(face: ProcessedFace) -> EyesAndMouth:
     shown = {side: one for side, one in openings.items() if one.odds[hole] > 0}
     if hole and len(shown) > 1:  # lids around holes are as high as each other
         right, left = (one.outlines[hole] for one in shown.values())
-        right[4:6] = left[4:6] = (right[4:6] + left[4:6]) / 2
+        right[[4, 6]] = left[[4, 6]] = (right[[4, 6]] + left[[4, 6]]) / 2
     eyes = _eyeballs(shown, hole) if shown else []
     for eye in eyes:
         one = shown[eye.side]
@@ -90,18 +88,20 @@ def _eyeballs(shown: Mapping[str, EyeOpening], hole: int) -> list[Eyeball]:
     What an iris lies beside its place is in part the eyeball's, in part its own gaze's, in part an error.
     Eyes that a scan left out (`hole` 1) look ahead.
     """
-    centers = {side: one.globe(hole) for side, one in shown.items()}
-    off = {side: one.outlines[hole][6:] - centers[side][:2] for side, one in shown.items()}
+    globes = {side: one.globe(hole) for side, one in shown.items()}
+    radius = float(np.mean([globe[3] for globe in globes.values()]))
+    iris_mm = min(float(np.mean([one.outlines[hole][10] for one in shown.values()])), radius / 2 + 1)
+    off = {side: one.outlines[hole][8:10] - globes[side][:2] for side, one in shown.items()}
     both = np.mean(list(off.values()), axis=0)
     variance = np.square([LID_SD_MM, _GAZE_SD_MM, _IRIS_SD_MM])
     moved, turned, _ = variance / variance.sum() * (not hole)
-    rings = np.mean([one.rings(hole) for one in shown.values()], axis=0)
+    rings = np.mean([one.rings(hole, iris_mm) for one in shown.values()], axis=0)
     eyes = []
     for side, one in shown.items():
-        center = centers[side] + [*moved * (off[side] - both), 0]
-        aim = ((not hole) * both + turned * (off[side] - both)) / GLOBE_MM
+        center = globes[side][:3] + [*moved * (off[side] - both), 0]
+        aim = ((not hole) * both + turned * (off[side] - both)) / radius
         gaze = np.array([*aim, math.sqrt(1 - min(float(aim @ aim), 1.0))])
-        eyes.append(Eyeball(side, one.middle + center, GLOBE_MM, IRIS_MM, gaze, not hole, rings))
+        eyes.append(Eyeball(side, one.middle + center, radius, iris_mm, gaze, not hole, rings))
     return eyes
 
 
