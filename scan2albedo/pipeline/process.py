@@ -18,24 +18,27 @@ from scan2albedo.io.run_folder import OwnFiles, RunFolder
 from scan2albedo.pipeline.clock import Clock
 from scan2albedo.pipeline.options import ProcessChanges, ProcessOptions
 from scan2albedo.pipeline.result import ProcessResult, Run
-from scan2albedo.pipeline.stages import Files, FindAlbedo, Fit, FitLinearModel, Load, Register, Sample
+from scan2albedo.pipeline.stages import Files, FindAlbedo, Fit, FitLinearModel, Load, Register, Sample, Stage
 from scan2albedo.pipeline.unlit import Unlit
 from scan2albedo.report.overview import figure_png, overview_figure, result_panels
 
-STAGES = (Load(), Register(), Fit(), Sample(), FitLinearModel(), FindAlbedo(), Unlit())
-"""The way of a scan."""
+STAGES: list[Stage] = [Load(), Register(), Fit(), Sample(), FitLinearModel(), FindAlbedo(), Unlit()]
+"""The way of a scan; one that is appended writes files of its own."""
 PICTURES = ("overview.png", "error_vs_time.png")
-FILES = OwnFiles(
-    RESULT_FILE,
-    ResultRecord,
-    (
+
+
+def own_files() -> OwnFiles[ResultRecord]:
+    """Return every file a result may have: those of `STAGES`, then those of a person and of a sequence."""
+    names = (
         *(name for stage in STAGES for name in (*stage.files, *stage.details)),
         *("trace.csv", *PICTURES),
         *("coverage.png", "disagreement.png", "sequence.glb", "frames.npz"),
-    ),
-    whole_folder=True,
-)
-"""Every file a result may have; the last are those of a person and of a sequence."""
+    )
+    return OwnFiles(RESULT_FILE, ResultRecord, names, whole_folder=True)
+
+
+FILES = own_files()
+"""Those of the stages that there are from the beginning."""
 
 
 def process(
@@ -79,7 +82,7 @@ def process(
         raise ValueError(f"name is {name!r}, expected a name that a folder can have")
     # Result folders are checked before any work, so that an hour is not lost to a read-only disk.
     if out is not None:
-        RunFolder(Path(out) / known, FILES).check()
+        RunFolder(Path(out) / known, own_files()).check()
         check_writable(Path(out))
         remove_leftovers(Path(out))
     run, clock = Run(source, chosen, name, on_progress), Clock(Budget.of(chosen.budget))
@@ -119,7 +122,7 @@ def write_result(
     left_out: Texts = () if pictures else PICTURES
     if files == "minimal":
         left_out = (*PICTURES, *(name for stage in STAGES for name in stage.details))
-    folder = RunFolder(out / result.scan.name, FILES, recorded)
+    folder = RunFolder(out / result.scan.name, own_files(), recorded)
     with folder.publishing() as staging:
         written = Files(staging.folder, left_out, exr=files == "all")
         for stage in STAGES:

@@ -7,6 +7,7 @@ from numbers import Integral
 from typing import Self
 
 import numpy as np
+from scipy.ndimage import maximum_filter
 
 from scan2albedo.core import RawScan
 from scan2albedo.core.arguments import require_type
@@ -22,7 +23,7 @@ from scan2albedo.geometry.tangents import in_tangent_space, tangent_mesh
 from scan2albedo.io.glb import GlbPart
 from scan2albedo.sampling.geometry_images import without_covers
 from scan2albedo.sampling.texture_lookup import sample_colors, texel_steps
-from scan2albedo.unlit.light_removal import UnlitScan
+from scan2albedo.unlit.light_removal import GUTTER, UnlitScan
 
 LARGEST_TEXTURE = 8192
 """Texels of a side: pictures with more are not read back."""
@@ -218,12 +219,11 @@ def painted(blank: TemplateTexture, size: int, look: Callable[..., Fields]) -> T
         pixels = rasterization.pixels_from_uv(split.uv - [across, up], (size, size))
         steps = texel_steps(points, split.uv, split.faces, (size, size))
         fields, known = dict[str, RealArray](), dict[str, BoolArray]()
+        inside = np.zeros((size, size), bool)
         for band in bands:
             below = pixels - [0, band.start]
-            raster = rasterization.rasterize(
-                below, np.zeros(len(below)), split.faces, (band.stop - band.start, size)
-            )
-            there = raster.covered
+            raster = rasterization.rasterize(below, np.zeros(len(below)), split.faces, inside[band].shape)
+            inside[band] = there = raster.covered
             if not there.any():
                 continue
             place, outward, tangents = (
@@ -242,6 +242,13 @@ def painted(blank: TemplateTexture, size: int, look: Callable[..., Fields]) -> T
         # Beside the charts all goes on, for viewers that filter and reduced pictures (mipmaps).
         for name, texels in fields.items():
             rasterization.fill_smoothly(texels, known[name])
+            for band in bands:
+                wide = slice(max(band.start - 2 * GUTTER, 0), band.stop + 2 * GUTTER)
+                beside = maximum_filter(inside[wide], 2 * GUTTER + 1) & ~inside[wide]
+                beside[: band.start - wide.start] = beside[band.stop - wide.start :] = False
+                if beside.any():
+                    filled = rasterization.filled_from_nearest(texels[wide], inside[wide])
+                    texels[wide][beside] = filled[beside]
         if not fields:
             continue  # its faces hold no texel's middle
         color, normal, hair = fields.pop("color"), fields.pop("normal"), fields.pop("hair", None)

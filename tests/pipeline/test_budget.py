@@ -45,7 +45,7 @@ class Run:
     def __init__(self, monkeypatch, pace=1.0):
         self.pace = pace
         monkeypatch.setattr(clocks, "time", SimpleNamespace(perf_counter=lambda: self.now))
-        baked = SimpleNamespace(tiles=(SimpleNamespace(seen=np.ones(1)),), parts=())
+        baked = SimpleNamespace(parts=())
         eyes = SimpleNamespace(reason="made up")
         for name, stage in {
             "LightRemoval": lambda *stages: SimpleNamespace(unlit=self.unlit),
