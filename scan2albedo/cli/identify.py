@@ -1,6 +1,7 @@
 """The command `identify`: which persons of a gallery of processed scans other processed scans show."""
 
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -108,8 +109,13 @@ def identify(
     if json_summary:
         echo_json(record.model_dump(mode="json"))
         return
+    _print_table(record.results)
+
+
+def _print_table(results: Sequence[Any]) -> None:
+    """Print a line for each probe."""
     rows = [("probe", "person", "predicted", "log odds", "by", "rank", "next", "log odds")]
-    for probe in record.results:
+    for probe in results:
         following = "" if probe.next_log_odds is None else f"{probe.next_log_odds:.1f}"
         own = probe.probe, probe.person or "?", probe.predicted, f"{probe.log_odds:.1f}", probe.decided_by
         rows.append((*own, str(probe.rank or "?"), probe.next_person or "", following))

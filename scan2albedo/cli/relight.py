@@ -79,23 +79,15 @@ def relight(
     azimuth, elevation = (math.radians(angle) for angle in _angles("--view", view, 2, 2))
     extension = out.suffix.lower()
     lit = bool(lamps) or environment is not None or sweep is not None
-    named = extension or "a name without extension"
-    for wrong, told in (
-        (sweep is None and extension not in WRITTEN, f"-o takes {', '.join(WRITTEN)}, not {named}"),
-        (
-            sweep is not None and extension not in (ANIMATED, ""),
-            f"--sweep writes a .gif or a folder of frames, not {extension}",
-        ),
-        (sweep is not None and texture, "--sweep writes pictures; leave out --texture"),
-        (sweep is not None and environment is not None, "--sweep moves a lamp; leave out --environment"),
-        (not lit, "no light is given; add --light, --environment or --sweep"),
-        (
-            exposure is not None and not (math.isfinite(exposure) and exposure > 0),
-            f"--exposure is {exposure}, expected a number above 0",
-        ),
-    ):
-        if wrong:
-            raise typer.BadParameter(told)
+    if extension not in (WRITTEN if sweep is None else (ANIMATED, "")):
+        takes = f"{', '.join(WRITTEN)}, or with --sweep {ANIMATED} or a folder of frames"
+        raise typer.BadParameter(f"-o takes {takes}, not {out.name}")
+    if sweep is not None and (texture or environment is not None):
+        raise typer.BadParameter("--sweep moves a lamp in pictures; leave out --texture and --environment")
+    if not lit:
+        raise typer.BadParameter("no light is given; add --light, --environment or --sweep")
+    if exposure is not None and not 0 < exposure < math.inf:
+        raise typer.BadParameter(f"--exposure is {exposure}, expected a number above 0")
     from scan2albedo import applications
     from scan2albedo.applications.files import FACE_FILES
     from scan2albedo.applications.light_sweep import FRAMES
