@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from scan2albedo.applications.texture_swap import continued_skin
-from scan2albedo.core.arrays import FloatArray, NDArray
+from scan2albedo.core.arrays import ArrayLike, FloatArray, NDArray
 from scan2albedo.errors import ApplicationError
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.mesh import normalized
@@ -67,30 +67,34 @@ def blend_faces(
         first, second = (gain * filled_from_nearest(s, mask) for s, gain in zip(skins, gains, strict=True))
         first = face_features.warped(first, -weight * beside)
         albedo = _between(first, face_features.warped(second, (1 - weight) * beside), weight)
-    # The reflectance is the nearer one's where the models do not blend.
-    ours, theirs, reflectance = a.reflectance, b.reflectance, nearer.reflectance
-    own, other = (float(np.exp(np.log(gain).mean())) for gain in gains)
-    strength = (1 - weight) * own * ours.specular_strength + weight * other * theirs.specular_strength
-    if (ours.brdf == "minnaert") == (theirs.brdf == "minnaert"):
-        exponent = float(ours.exponent ** (1 - weight) * theirs.exponent**weight)
-        if 0 < weight < 1 and 0 in (ours.specular_strength, theirs.specular_strength):
-            # That of a face without highlight does not count.
-            exponent = theirs.exponent if ours.specular_strength == 0 else ours.exponent
-        brdf = ours.brdf if ours.brdf == theirs.brdf else "oren-nayar"
-        roughness = (1 - weight) * ours.roughness + weight * theirs.roughness
-        reflectance = Reflectance(brdf, roughness, strength, exponent)
+    own, other = (
+        replace(face.reflectance, specular_strength=float(gain) * face.reflectance.specular_strength)
+        for face, gain in zip((a, b), np.exp(np.log(gains).mean(1)), strict=True)
+    )
     return replace(
         shaped,
         name=f"{a.name}+{b.name}",
         image=image,
         albedo_linear=albedo.astype(np.float32),
-        reflectance=replace(reflectance, specular_strength=strength),
+        reflectance=_blended_reflectance(own, other, weight),
         casts_shadows=a.casts_shadows or b.casts_shadows,
         expected_error=None,
         notes=tuple(
             face_features.UNLIKE.format(name, nearer.name) for name in face_features.unlike_features(a, b)
         ),
     )
+
+
+def _blended_reflectance(a: Reflectance, b: Reflectance, weight: float) -> Reflectance:
+    """Return what lies between two reflectances; the nearer one where their models do not blend."""
+    strength = float(_between(a.specular_strength, b.specular_strength, weight))
+    if (a.brdf == "minnaert") != (b.brdf == "minnaert"):
+        return replace(a if weight < 0.5 else b, specular_strength=strength)
+    # The exponent of a face without highlight does not count.
+    shiny = weight * b.specular_strength / strength if strength > 0 and 0 < weight < 1 else weight
+    exponent = float(a.exponent ** (1 - shiny) * b.exponent**shiny)
+    brdf = a.brdf if a.brdf == b.brdf else "oren-nayar"
+    return Reflectance(brdf, float(_between(a.roughness, b.roughness, weight)), strength, exponent)
 
 
 def matched_skins(a: ProcessedFace, b: ProcessedFace, weight: float) -> tuple[list[FloatArray], FloatArray]:
@@ -115,5 +119,5 @@ def matched_skins(a: ProcessedFace, b: ProcessedFace, weight: float) -> tuple[li
     return skins, beside * free[..., None]
 
 
-def _between(a: NDArray, b: NDArray, weight: float) -> NDArray:
-    return np.asarray((1 - weight) * a + weight * b, float)
+def _between(a: ArrayLike, b: ArrayLike, weight: float) -> NDArray:
+    return (1 - weight) * np.asarray(a, float) + weight * np.asarray(b, float)

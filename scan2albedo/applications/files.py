@@ -126,7 +126,11 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
         found["landmarks"] = np.array([landmark.model_mm for landmark in placed])
     if chart_mesh:
         return ProcessedFace(image=image, mesh=FaceMesh.of_chart(image), **found)
-    # The fitted surface: triangles and chart of the GLB, vertices of the image where it has them.
+    return ProcessedFace(image=image, mesh=_fitted_surface(folder, image), **found)
+
+
+def _fitted_surface(folder: Path, image: GeometryImage) -> FaceMesh:
+    """Return triangles and chart of the GLB, with the vertices of the image where it has them."""
     import trimesh
 
     file = _present(folder, "fitted.glb")
@@ -141,7 +145,7 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
         raise ApplicationError(
             f"{file}: it and geometry_image.npz are of different runs; process the scan again"
         )
-    return ProcessedFace(image=image, mesh=FaceMesh(exact, faces, uv), **found)
+    return FaceMesh(exact, faces, uv)
 
 
 def _present(folder: Path, name: str) -> Path:

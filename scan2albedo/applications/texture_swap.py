@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, maximum_filter, uniform_filter
+from scipy.ndimage import distance_transform_edt, gaussian_filter, maximum_filter
 
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
@@ -136,20 +136,24 @@ def continued(
     across, down = np.diff(log_other, axis=1), np.diff(log_other, axis=0)
     across[(source[:, 1:] != source[:, :-1]) | (source[:, 1:] == 0)] = 0
     down[(source[1:] != source[:-1]) | (source[1:] == 0)] = 0
-    # The faces' difference less its local mean, that of a box taken twice, reweighted by Geman and
-    # McClure's.
-    both = known & (source == 1) & ~grown(whole, AROUND)
-    side = 2 * round(face_features.LOCAL * max(known.shape)) + 1
-    values = np.where(both[..., None], field - log_other, 0.0)
-    weight, feature = both.astype(float), np.zeros_like(values)
-    for _ in range(5):
-        total = np.dstack([weight[..., None] * values, weight])
-        for _ in range(2):
-            total = uniform_filter(total, (side, side, 1), mode="mirror")
-        feature = np.where(both[..., None], values - total[..., :3] / np.maximum(total[..., 3:], 1e-9), 0.0)
-        weight = both * geman_mcclure_weights(np.abs(feature).max(-1), _UNLIKE)
+    feature = _feature_of_one(field - log_other, known & (source == 1) & ~grown(whole, AROUND))
     filled = filled_over_grid(field - feature, missing, known, across=across, down=down)
     border = field[row, column]
     raised = filled + feature[row, column] * np.exp(-((distance / _MARGIN) ** 2))[..., None]
     faded = np.clip(raised, np.minimum(filled, border), np.maximum(filled, border))
     return np.where(missing[..., None], np.exp(faded), albedo)
+
+
+def _feature_of_one(difference: FloatArray, both: BoolArray) -> FloatArray:
+    """Return two faces' difference (H, W, 3) on the texels of `both` (H, W), less its local mean; else 0.
+
+    The mean is a Gaussian one, reweighted by Geman and McClure's weights.
+    """
+    sigma = face_features.LOCAL * max(both.shape)
+    weight, feature = both.astype(float), np.zeros_like(difference)
+    for _ in range(5):
+        total = np.dstack([weight[..., None] * difference, weight])
+        mean = gaussian_filter(total, sigma, mode="mirror", axes=(0, 1))
+        feature = np.where(both[..., None], difference - mean[..., :3] / np.maximum(mean[..., 3:], 1e-9), 0.0)
+        weight = both * geman_mcclure_weights(np.abs(feature).max(-1), _UNLIKE)
+    return feature

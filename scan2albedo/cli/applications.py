@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import typer
 
-from scan2albedo.cli.common import JsonOption, checked_budget, echo_json, say, stop_cleanly_on_interrupt
+from scan2albedo.cli.common import JsonOption, echo_json, say, stop_cleanly_on_interrupt
 
 if TYPE_CHECKING:
     from scan2albedo.applications import ProcessedFace
@@ -48,15 +48,13 @@ def blend(
     a: Result,
     b: Result,
     out: OutFolder,
-    weight: float = typer.Option(0.5, help="0 is all A, 1 is all B."),
+    weight: float = typer.Option(0.5, help="0 is all A, 1 is all B.", min=0, max=1),
     model: ModelOption = "default",
     json_summary: JsonOption = False,
 ) -> None:
     """Make a face between two, in shape and skin."""
     from scan2albedo.applications import blend_faces
 
-    if not 0 <= weight <= 1:
-        raise typer.BadParameter(f"--weight is {weight}, expected 0 (all A) to 1 (all B)")
     faces, template = _opened(out, [a, b], model)
     made = blend_faces(faces[0], faces[1], weight, model=template)
     _write_face(made, out, "blend", faces, {"weight": weight}, json_summary)
@@ -68,7 +66,7 @@ def transfer_expression(
     neutral_b: Annotated[Path, typer.Argument(help="Folder of B's processed scan at rest.")],
     out: OutFolder,
     strength: float = typer.Option(1.0, help="Factor of the expression."),
-    correspondence: str = typer.Option(
+    correspondence: Literal["auto", "refined", "as-fitted"] = typer.Option(
         "auto",
         help="refined: A at rest is fitted to the face with the expression; as-fitted: it is not; auto: "
         "refined where the faces are on the model's mesh.",
@@ -80,10 +78,7 @@ def transfer_expression(
     from scan2albedo import applications
     from scan2albedo.applications.expression_transfer import TWO_PEOPLE_MM, apart_where_still, level_to_refine
 
-    try:
-        options = applications.TransferOptions(strength=strength, correspondence=correspondence)  # type: ignore[arg-type]
-    except ValueError as error:
-        raise typer.BadParameter(str(error)) from None
+    options = applications.TransferOptions(strength=strength, correspondence=correspondence)
     faces, template = _opened(out, [neutral_a, expression_a, neutral_b], model, need_albedo=False)
     apart = apart_where_still(faces[0].mesh, faces[1].mesh)
     if apart > TWO_PEOPLE_MM:
@@ -132,7 +127,9 @@ def bake(
     target: Annotated[Path, typer.Argument(help="Mesh with texture coordinates of its own.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="An .obj file; pictures and a GLB beside it.")],
     size: int = typer.Option(2048, help="Height and width of the texture, 8 to 8192.", min=8, max=8192),
-    unit: str = typer.Option("auto", help="Of both files: mm, cm or m; auto: mm, or by the face."),
+    unit: Literal["auto", "mm", "cm", "m"] = typer.Option(
+        "auto", help="Of both files: mm, cm or m; auto: mm, or by the face."
+    ),
     through_face: bool = typer.Option(
         False, "--through-face", help="Register both faces: other pose, shape or person."
     ),
@@ -146,7 +143,6 @@ def bake(
     from scan2albedo.pipeline.process import process
     from scan2albedo.unlit.files import write_template
 
-    checked_budget(None, unit)
     if out.suffix.lower() != ".obj" or out.resolve() in (source.resolve(), target.resolve()):
         raise typer.BadParameter(f"-o takes a new name that ends in .obj, not {out}")
     fits: Any = None

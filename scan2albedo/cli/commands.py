@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -235,7 +235,9 @@ def demo(
 
 @app.command()
 def validate(
-    what: str = typer.Argument("all", help="hemisphere, face, lighting or all."),
+    what: Literal["hemisphere", "face", "lighting", "all"] = typer.Argument(
+        "all", help="hemisphere, face, lighting or all."
+    ),
     size: int = typer.Option(256, help="Height and width of the geometry image in texels.", min=8),
     seed: int = typer.Option(1, help="Seed of the scenes.", min=0),
     json_summary: common.JsonOption = False,
@@ -244,11 +246,8 @@ def validate(
     from scan2albedo.cli.progress import ProgressLines
     from scan2albedo.pipeline import validation
 
-    names = ("hemisphere", "face", "lighting")
-    if what not in (*names, "all"):
-        raise typer.BadParameter(f"{what!r} is unknown, expected one of {', '.join(names)}, all")
     results: Values = {}
-    for name in names if what == "all" else (what,):
+    for name in ("hemisphere", "face", "lighting") if what == "all" else (what,):
         with ProgressLines(name) as progress:
             asked: Values = {"size": size, "seed": seed}
             asked["on_row"] = lambda row, say=progress.say: common.say(row.text())

@@ -3,14 +3,11 @@
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
 from scan2albedo.cli.common import JsonOption, echo_json, working
-
-if TYPE_CHECKING:
-    from scan2albedo.runs.recognition import ProbeRecord
 
 
 def identify(
@@ -32,7 +29,9 @@ def identify(
     use: str = typer.Option(
         "albedo,texture,shape", help="What is compared: albedo, texture, shape, or several of them."
     ),
-    combine: str = typer.Option("mean", help="Of a person's several images in the gallery: best, or mean."),
+    combine: Literal["best", "mean"] = typer.Option(
+        "mean", help="Of a person's several images in the gallery: best, or mean."
+    ),
     together: bool = typer.Option(
         False, "--together", help="Take probes that name one person as one probe of several scans."
     ),
@@ -51,8 +50,6 @@ def identify(
     Somebody of the gallery is always the most similar: the log odds, and those of the next person, show how
     reliable that is. Where probes name their person, the rate of right answers is printed.
     """
-    if combine not in ("best", "mean"):
-        raise typer.BadParameter(f"--combine is {combine!r}, expected best or mean")
     if save_templates is not None and save_templates.suffix != ".npz":
         raise typer.BadParameter(f"--save-templates is {save_templates}, expected a name that ends in .npz")
     if probes is None and (save_templates is None or out is not None):
@@ -92,17 +89,16 @@ def identify(
             known,
             probes,
             use=kinds,
-            combine=combine,  # type: ignore[arg-type]
+            combine=combine,
             together=together,
             on_count=progress.count,
         )
         for note in found.notes:
             progress.say(f"identify: {note}")
         record = write_identification(found, out)
-        text = f"{len(record.results)} probes, {len(record.persons)} persons"
-        text += f" on {record.gallery_images} images, decided by "
         decided = Counter(probe.decided_by for probe in record.results)
-        text += ", ".join(f"{kind} ({n})" for kind, n in decided.most_common())
+        text = f"{len(record.results)} probes, {len(record.persons)} persons on {record.gallery_images} "
+        text += f"images, decided by {', '.join(f'{kind} ({n})' for kind, n in decided.most_common())}"
         if (rates := record.rates) is not None:
             low, high = rates.rank_1_interval
             text += (
@@ -113,10 +109,11 @@ def identify(
     if json_summary:
         echo_json(record.model_dump(mode="json"))
         return
-    _echo_table(record.results)
+    _print_table(record.results)
 
 
-def _echo_table(results: Sequence["ProbeRecord"]) -> None:
+def _print_table(results: Sequence[Any]) -> None:
+    """Print a line for each probe."""
     rows = [("probe", "person", "predicted", "log odds", "by", "rank", "next", "log odds")]
     for probe in results:
         following = "" if probe.next_log_odds is None else f"{probe.next_log_odds:.1f}"

@@ -86,10 +86,7 @@ class BatchLines(ProgressLines):
         if progress.scans_per_hour is not None:
             parts.append(f"{progress.scans_per_hour:.0f} scans/h")
         if progress.left_s and progress.left:
-            # As a person says it: 59 s, 10 min, 2.5 h.
-            seconds = progress.left_s
-            left = f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
-            parts.append(f"{seconds:.0f} s left" if seconds < 90 else f"{left} left")
+            parts.append(f"{progress.left_s / 60:.1f} min left")
         if self._bar is not None or (last is not None and progress.left):
             ended = progress.done + progress.failed
             self._show("scans", ", ".join(parts), completed=ended, total=progress.total)

@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -45,7 +45,7 @@ def relight(
         min=0,
         max=89,
     ),
-    gloss: str = typer.Option(
+    gloss: Literal["auto", "found", "none"] = typer.Option(
         "auto",
         help="auto: the highlight that the estimate found, or skin's usual one where it found none; "
         "found; none.",
@@ -79,23 +79,15 @@ def relight(
     azimuth, elevation = (math.radians(angle) for angle in _angles("--view", view, 2, 2))
     extension = out.suffix.lower()
     lit = bool(lamps) or environment is not None or sweep is not None
-    named = extension or "a name without extension"
-    for wrong, told in (
-        (sweep is None and extension not in WRITTEN, f"-o takes {', '.join(WRITTEN)}, not {named}"),
-        (
-            sweep is not None and extension not in (ANIMATED, ""),
-            f"--sweep writes a .gif or a folder of frames, not {extension}",
-        ),
-        (sweep is not None and texture, "--sweep writes pictures; leave out --texture"),
-        (sweep is not None and environment is not None, "--sweep moves a lamp; leave out --environment"),
-        (not lit, "no light is given; add --light, --environment or --sweep"),
-        (
-            exposure is not None and not (math.isfinite(exposure) and exposure > 0),
-            f"--exposure is {exposure}, expected a number above 0",
-        ),
-    ):
-        if wrong:
-            raise typer.BadParameter(told)
+    if extension not in (WRITTEN if sweep is None else (ANIMATED, "")):
+        takes = f"{', '.join(WRITTEN)}, or with --sweep {ANIMATED} or a folder of frames"
+        raise typer.BadParameter(f"-o takes {takes}, not {out.name}")
+    if sweep is not None and (texture or environment is not None):
+        raise typer.BadParameter("--sweep moves a lamp in pictures; leave out --texture and --environment")
+    if not lit:
+        raise typer.BadParameter("no light is given; add --light, --environment or --sweep")
+    if exposure is not None and not 0 < exposure < math.inf:
+        raise typer.BadParameter(f"--exposure is {exposure}, expected a number above 0")
     from scan2albedo import applications
     from scan2albedo.applications.files import FACE_FILES
     from scan2albedo.applications.light_sweep import FRAMES
@@ -106,10 +98,7 @@ def relight(
     ours = FACE_FILES.holds(out.name) or SCAN_FILES.holds(out.name)
     if out.resolve() == result.resolve() or (ours and out.resolve().parent == result.resolve()):
         raise typer.BadParameter(f"-o {out} is part of the processed scan itself; choose another name")
-    try:
-        options = applications.RelightOptions(gloss=gloss, fill_gaps=not keep_gaps)  # type: ignore[arg-type]
-    except ValueError as error:
-        raise typer.BadParameter(f"--gloss: {error}") from None
+    options = applications.RelightOptions(gloss=gloss, fill_gaps=not keep_gaps)
     stop_cleanly_on_interrupt(None)
     if sweep is not None and not extension:
         RunFolder(out, FRAMES).check()

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from scan2albedo.core import PlanStep, RawScan
-from scan2albedo.core.arrays import ByteArray, Float32Array, FloatArray, Values, norms
+from scan2albedo.core.arrays import BoolArray, ByteArray, Float32Array, FloatArray, Values, norms
 from scan2albedo.core.landmarks import COUNT, PlacedLandmarks
 from scan2albedo.errors import MissingDependencyError, needs_extra
 from scan2albedo.geometry.mesh import face_normals
@@ -78,15 +78,7 @@ def detected_landmarks(scan: RawScan, model_from_scan: FloatArray) -> PlacedLand
         return None
     faces = scan.faces[near]
     normals = face_normals(vertices, faces)
-    colors: Values = {}  # keyword arguments of `render_mesh`
-    if scan.uv is not None and scan.texture_linear is not None:
-        # Four texels a pixel: the pictures show no more of a larger texture.
-        stride = max(1, max(scan.texture_linear.shape[:2]) // (4 * _SIZE))
-        texture = (255 * _exposed(scan.texture_linear[::stride, ::stride])).astype(np.uint8)
-        uv = in_first_period(scan.uv[near], texture.shape)
-        colors = {"texture_srgb": (uv, texture), "shaded": False}
-    elif scan.vertex_color_linear is not None:
-        colors = {"vertex_color_srgb": _exposed(scan.vertex_color_linear), "shaded": False}
+    colors = _shown_colors(scan, near)
     seen = np.full((len(_VIEWS_DEG), COUNT, 3), np.nan)
     with _detector() as detect:
         for found, angles in zip(seen, _VIEWS_DEG, strict=True):
@@ -115,6 +107,19 @@ def detected_landmarks(scan: RawScan, model_from_scan: FloatArray) -> PlacedLand
         sigma_mm[list(numbers)] = deviation * (1.0 if scan.has_color else 2.0)
     points[enough] = transform_points(invert_rigid(model_from_scan), np.nanmedian(seen[:, enough], axis=0))
     return PlacedLandmarks(points, sigma_mm) if enough.any() else None
+
+
+def _shown_colors(scan: RawScan, near: BoolArray) -> Values:
+    """Return the arguments of `render_mesh` that show the colours of some faces (F,)."""
+    if scan.uv is not None and scan.texture_linear is not None:
+        # Four texels a pixel: the pictures show no more of a larger texture.
+        stride = max(1, max(scan.texture_linear.shape[:2]) // (4 * _SIZE))
+        texture = (255 * _exposed(scan.texture_linear[::stride, ::stride])).astype(np.uint8)
+        uv = in_first_period(scan.uv[near], texture.shape)
+        return {"texture_srgb": (uv, texture), "shaded": False}
+    if scan.vertex_color_linear is not None:
+        return {"vertex_color_srgb": _exposed(scan.vertex_color_linear), "shaded": False}
+    return {}
 
 
 def _exposed(linear: Float32Array) -> FloatArray:

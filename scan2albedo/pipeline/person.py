@@ -18,6 +18,7 @@ from scan2albedo.core.arrays import Float32Array, FloatArray, Texts, Values, att
 from scan2albedo.core.raw_scan import lost_texture, scan_name
 from scan2albedo.errors import RegistrationError
 from scan2albedo.fitting import FittedFace, PersonShape, common_shape
+from scan2albedo.io.images import write_png
 from scan2albedo.pipeline.clock import Clock
 from scan2albedo.pipeline.options import ProcessOptions
 from scan2albedo.pipeline.result import ProcessResult, Run
@@ -27,6 +28,7 @@ from scan2albedo.recognition import Templates, albedo_templates, certainty, same
 from scan2albedo.recognition.result_identification import CALIBRATION, log_odds_by_kind
 from scan2albedo.recognition.templates import Kind
 from scan2albedo.sampling import geometry_image
+from scan2albedo.unlit.files import gray_bytes
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,13 @@ class PersonResult(ProcessResult):
     """Names of scans that were left out, and why."""
     results: tuple[ProcessResult, ...] = ()
     """Each scan in its own light beside the common albedo; empty when they were written."""
+
+    def write_more(self, folder: Path) -> None:
+        """Write coverage.png and disagreement.png."""
+        if self.common is not None:
+            coverage = self.common.coverage / len(self.members)
+            write_png(folder / "coverage.png", gray_bytes(coverage))
+            write_png(folder / "disagreement.png", gray_bytes(self.common.disagreement))
 
     def metrics(self) -> Values:
         """Return the figures of the person."""
@@ -270,14 +279,9 @@ def _person(spool: _Spool, takes: Takes, shape: PersonShape, common: CommonAlbed
     )
     image = geometry_image(fitted, None, takes.options.texels)
     estimate = None
-    pictures = Values()
     if common is not None:
         estimate = _unlit(spool, common, image)
         image = estimate.image
-        pictures = {
-            "coverage.png": common.coverage / len(spool.names),
-            "disagreement.png": common.disagreement,
-        }
     return PersonResult(
         scan=RawScan(shape.vertices, shape.faces, name=takes.name),
         registration=None,
@@ -289,7 +293,6 @@ def _person(spool: _Spool, takes: Takes, shape: PersonShape, common: CommonAlbed
         timings_s={},
         options=takes.options.recorded(takes.model),
         seed=takes.options.seed,
-        maps=pictures,
         shape=shape,
         common=common,
         members=tuple(spool.names),

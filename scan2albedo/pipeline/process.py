@@ -12,32 +12,33 @@ from scan2albedo.core.arrays import Texts
 from scan2albedo.core.raw_scan import is_folder_name, scan_name
 from scan2albedo.errors import memory_errors_named
 from scan2albedo.io.atomic import check_writable
-from scan2albedo.io.images import write_png
 from scan2albedo.io.leftovers import remove_leftovers
 from scan2albedo.io.result_records import RESULT_FILE, InputRecord, ResultRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
 from scan2albedo.pipeline.clock import Clock
 from scan2albedo.pipeline.options import ProcessChanges, ProcessOptions
 from scan2albedo.pipeline.result import ProcessResult, Run
-from scan2albedo.pipeline.stages import Files, FindAlbedo, Fit, FitLinearModel, Load, Register, Sample
+from scan2albedo.pipeline.stages import Files, FindAlbedo, Fit, FitLinearModel, Load, Register, Sample, Stage
 from scan2albedo.pipeline.unlit import Unlit
 from scan2albedo.report.overview import figure_png, overview_figure, result_panels
-from scan2albedo.unlit.files import gray_bytes
 
-STAGES = (Load(), Register(), Fit(), Sample(), FitLinearModel(), FindAlbedo(), Unlit())
-"""The way of a scan."""
+STAGES: list[Stage] = [Load(), Register(), Fit(), Sample(), FitLinearModel(), FindAlbedo(), Unlit()]
+"""The way of a scan; one that is appended writes files of its own."""
 PICTURES = ("overview.png", "error_vs_time.png")
-FILES = OwnFiles(
-    RESULT_FILE,
-    ResultRecord,
-    (
+
+
+def own_files() -> OwnFiles[ResultRecord]:
+    """Return every file a result may have: those of `STAGES`, then those of a person and of a sequence."""
+    names = (
         *(name for stage in STAGES for name in (*stage.files, *stage.details)),
         *("trace.csv", *PICTURES),
         *("coverage.png", "disagreement.png", "sequence.glb", "frames.npz"),
-    ),
-    whole_folder=True,
-)
-"""Every file a result may have; the last are those of a person and of a sequence."""
+    )
+    return OwnFiles(RESULT_FILE, ResultRecord, names, whole_folder=True)
+
+
+FILES = own_files()
+"""Those of the stages that there are from the beginning."""
 
 
 def process(
@@ -81,7 +82,7 @@ def process(
         raise ValueError(f"name is {name!r}, expected a name that a folder can have")
     # Result folders are checked before any work, so that an hour is not lost to a read-only disk.
     if out is not None:
-        RunFolder(Path(out) / known, FILES).check()
+        RunFolder(Path(out) / known, own_files()).check()
         check_writable(Path(out))
         remove_leftovers(Path(out))
     run, clock = Run(source, chosen, name, on_progress), Clock(Budget.of(chosen.budget))
@@ -121,14 +122,12 @@ def write_result(
     left_out: Texts = () if pictures else PICTURES
     if files == "minimal":
         left_out = (*PICTURES, *(name for stage in STAGES for name in stage.details))
-    folder = RunFolder(out / result.scan.name, FILES, recorded)
+    folder = RunFolder(out / result.scan.name, own_files(), recorded)
     with folder.publishing() as staging:
         written = Files(staging.folder, left_out, exr=files == "all")
         for stage in STAGES:
             stage.write(result, written)
-        result.write_more(staging.folder, result.texture_srgb)
-        for name, values in result.maps.items():
-            written.write(name, write_png, gray_bytes(values))
+        result.write_more(staging.folder)
         written.write("trace.csv", result.trace.to_csv)
         if "overview.png" not in left_out:
             panels = result_panels(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from scan2albedo.core import OnProgress, Plan, PlanStep, RawScan, Trace
-from scan2albedo.core.arrays import ByteArray, FloatArray, RealArray, Texts, Values, attributes
+from scan2albedo.core.arrays import ByteArray, FloatArray, Texts, Values, attributes
 from scan2albedo.core.raw_scan import lost_texture
 from scan2albedo.geometry.rasterization import filled_from_nearest
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
@@ -67,8 +67,6 @@ class ProcessResult:
     """File the scan was read from."""
     out: Path | None = None
     """Folder with the files, when they were written."""
-    maps: Mapping[str, RealArray] = field(default_factory=dict)
-    """(H, W) from 0 to 1 by the name of the picture they are written to."""
     input_sha256: str | None = None
     """Of the file and those it refers to, before they were read (`io.input_sha256`); None without a file."""
 
@@ -106,8 +104,8 @@ class ProcessResult:
             return None
         return filled_from_nearest(self.preview_srgb, self.geometry_image.mask).astype(np.uint8)
 
-    def write_more(self, folder: Path, texture_srgb: ByteArray | None) -> None:
-        """Write what a scan alone has not; `texture_srgb` (H, W, 3) is the albedo as it is shown."""
+    def write_more(self, folder: Path) -> None:
+        """Write what a scan alone has not."""
 
     def metrics(self) -> Values:
         """Return the figures of each stage, for summaries and result.json."""
@@ -196,21 +194,14 @@ class Run:
         """Return the result of all stages, which took these seconds."""
         searches = (self.registration, self.fitted, self.linear_model, self.albedo)
         loaded = (PlanStep("load", True, note) for note in self.scan.notes)
-        return ProcessResult(
-            scan=self.scan,
-            registration=self.registration,
-            fitted=self.fitted,
-            geometry_image=self.geometry_image,
-            albedo=self.albedo,
-            plan=Plan((*loaded, *chain(*self.plan.values()))),
-            trace=sum((search.trace for search in searches if search is not None), Trace()),
-            timings_s=timings_s,
-            options=self.options.recorded(self.model),
-            seed=self.options.seed,
-            unlit=self.unlit,
-            template=self.template,
-            maps_of_skin=self.maps_of_skin,
-            linear_model=self.linear_model,
-            source=self.file,
-            input_sha256=self.input_sha256,
-        )
+        shared = {own.name for own in fields(self)} & {one.name for one in fields(ProcessResult)}
+        found: Values = {
+            **attributes(self, *shared),
+            "plan": Plan((*loaded, *chain(*self.plan.values()))),
+            "trace": sum((search.trace for search in searches if search is not None), Trace()),
+            "timings_s": timings_s,
+            "options": self.options.recorded(self.model),
+            "seed": self.options.seed,
+            "source": self.file,
+        }
+        return ProcessResult(**found)

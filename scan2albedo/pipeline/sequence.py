@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from scan2albedo.core import OnProgress, Plan, PlanStep, RawScan
-from scan2albedo.core.arrays import BoolArray, ByteArray, FloatArray, Values, identities, norms, rms
+from scan2albedo.core.arrays import BoolArray, FloatArray, Values, identities, norms, rms
 from scan2albedo.errors import FitError, RegistrationError
 from scan2albedo.fitting.tracking import FaceTracker, TrackedFace, smoothed_in_time
 from scan2albedo.geometry.rigid import invert_rigid
@@ -60,7 +60,7 @@ class SequenceResult(ProcessResult):
         assert self.fitted is not None
         return self.fitted.model.subdivision(self.fitted.levels).matrix @ self.control_points[frame]
 
-    def write_more(self, folder: Path, texture_srgb: ByteArray | None) -> None:
+    def write_more(self, folder: Path) -> None:
         """Write sequence.glb and frames.npz."""
         fitted, control = self.fitted, self.control_points
         assert fitted is not None
@@ -81,7 +81,9 @@ class SequenceResult(ProcessResult):
             "weights": (scores / most)[:, :count],
             "pose": self.poses[0] @ np.linalg.inv(self.poses),
         }
-        write_glb(folder / "sequence.glb", self.vertices(0), fitted.faces, fitted.uv, texture_srgb, take=take)
+        write_glb(
+            folder / "sequence.glb", self.vertices(0), fitted.faces, fitted.uv, self.texture_srgb, take=take
+        )
         arrays = {
             "vertices_mm": np.array([self.vertices(t).astype(np.float32) for t in range(len(control))]),
             "faces": fitted.faces,

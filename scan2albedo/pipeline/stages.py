@@ -238,20 +238,8 @@ class Sample(Stage):
                 image = geometry_image_of_scan(scan, size)
             else:
                 image = geometry_image(fitted, scan, size)
-            figures = image.figures()
-            evidence = (
-                f"{figures['coverage']:.1%} of the texels used, {figures['texel_area_mm2']:.2f} mm2 each, "
-                f"areas within a factor of {figures['texel_area_p95_to_p5']:.1f} (5 to 95 %)"
-            )
-            if fitted is not None and scan.has_color:
-                evidence += (
-                    f", texture seen in {figures['seen']:.1%} of them, {figures['skin']:.1%} of them skin"
-                )
-            if image.on_face is not None:
-                part = image.on_face.sum() / image.mask.sum()
-                evidence += f"; {part:.0%} are the face, where light is sought"
             chart = "charts cut by xatlas" if fitted is None else "the model's own chart"
-            rows = [PlanStep(self.name, True, chart, evidence)]
+            rows = [PlanStep(self.name, True, chart, f"{image.figures()['coverage']:.1%} of the texels used")]
             if fitted is not None and (doubt := texture_doubt(fitted, scan, image)):
                 rows.append(doubt)
             white = run.options.white_balance
@@ -333,9 +321,9 @@ class FindAlbedo(Stage):
         """Set `albedo`."""
         options = run.options
         if run.geometry_image.texture_linear is None or self.name in options.skip:
+            clock.due_s.pop(self.name, None)
             asked = self.name in options.skip
             reason = "skipped by the caller" if asked else "the scan has no usable colour"
-            clock.due_s.pop(self.name, None)
             return [PlanStep(self.name, False, reason)]
         with clock.timed(self.name):
             run.albedo = estimate_albedo(
@@ -349,9 +337,9 @@ class FindAlbedo(Stage):
             )
         rows = [*run.albedo.plan]
         uncertainty = run.albedo.uncertainty
-        strongest = () if uncertainty is None else uncertainty.intensity[:1]
-        if (unsure := max(strongest, default=0.0)) > KNOWN_LIGHT:
-            known = f"a lamp's strength is known to {100 * unsure:.0f} % only"
+        strongest = 0.0 if uncertainty is None else max(uncertainty.intensity[:1], default=0.0)
+        if strongest > KNOWN_LIGHT:
+            known = f"a lamp's strength is known to {100 * strongest:.0f} % only"
             rows.append(PlanStep.doubt("albedo.lamp_strength", f"{known}: its light may be in the albedo"))
         return rows
 
@@ -384,29 +372,19 @@ def _judged(
 
 
 def _fit_rows(options: ProcessOptions, scan: RawScan, fitted: FittedFace) -> list[PlanStep]:
+    """Return what a fit says of itself."""
     rows = []
     if scan.landmarks is not None:
         reason = "MediaPipe finds landmarks" if options.landmarks_detected else "landmarks are given"
         rows.append(PlanStep("fit.landmarks", True, reason, f"{int(scan.landmarks.placed.sum())}"))
     evidence = f"{np.nanmean(fitted.residual_mm):.3f} mm mean"
     rows.append(PlanStep("fit", True, "the model is deformed onto the scan", evidence))
-    evidence = ""
-    if (area_mm2 := fitted.covered_mm2) > 0:
-        reason = "some of the scan stands far before the eyes, as glasses do"
-        evidence = f"{area_mm2 / 100:.0f} cm2 left out"
-    elif not options.stages.fit.covers:
-        reason = "the preset keeps all of the scan"
-    elif fitted.landmarks is None:
-        reason = "the model has no landmarks that say where eyes are"
-    else:
-        reason = "nothing is found before the eyes"
-    rows.append(PlanStep("fit.covers", area_mm2 > 0, reason, evidence))
-    if count := int(fitted.metrics.get("painted_landmarks", 0)):
-        reason = "the scan's colours show brows, eyes or lips"
-        rows.append(PlanStep("fit.colors", True, reason, f"{count} landmarks"))
-    else:
-        reason = "the scan's colours show no feature surely" if scan.has_color else "the scan has no colour"
-        rows.append(PlanStep("fit.colors", False, reason))
+    area_mm2 = fitted.covered_mm2
+    reason = "what stands far before the eyes, as glasses do, is left out"
+    rows.append(PlanStep("fit.covers", area_mm2 > 0, reason, f"{area_mm2 / 100:.0f} cm2"))
+    count = int(fitted.metrics.get("painted_landmarks", 0))
+    reason = "features that the scan's colours show surely: brows, eyes or lips"
+    rows.append(PlanStep("fit.colors", count > 0, reason, f"{count} landmarks"))
     rows += fitted.plan
     if (coverage := face_coverage(fitted)) < WHOLE_FACE:
         why = "what lies before the eyes was left out" if area_mm2 else "a file cut short, or half a face?"

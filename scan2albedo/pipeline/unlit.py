@@ -6,11 +6,10 @@ import numpy as np
 
 from scan2albedo.albedo import AlbedoEstimate
 from scan2albedo.core import Budget, PlanStep, RawScan
-from scan2albedo.core.arrays import FloatArray, RealArray, Values
+from scan2albedo.core.arrays import FloatArray, Values
 from scan2albedo.face_model.annotation import AnnotatedSurface
 from scan2albedo.fitting import FittedFace
 from scan2albedo.io.color import is_deep
-from scan2albedo.io.glb import GlbPart
 from scan2albedo.io.obj import write_obj
 from scan2albedo.io.texture_atlas import in_first_period
 from scan2albedo.io.textured_mesh import TexturedMesh, write_textured_glb
@@ -23,41 +22,21 @@ from scan2albedo.unlit.eyes_and_mouth import eyes_and_mouth, on_template
 from scan2albedo.unlit.files import write_template, write_unlit
 from scan2albedo.unlit.light_removal import LightRemoval, UnlitScan, usual_light
 from scan2albedo.unlit.processed_face import ProcessedFace
-from scan2albedo.unlit.template_baking import TemplateTexture, template_texture, tile_numbers
+from scan2albedo.unlit.template_baking import template_texture, tile_numbers
 
 OUTPUTS_SHARE = 0.3
 """Share of the whole budget that is kept at most for what may be left out: the face itself comes first."""
 EYES_S = 1.5
 """Seconds that eyes and a mouth take. These and the costs below were measured on a busy core with a scan of
 12,000 faces."""
-_EXR = 2.0
-"""With linear pictures, too, files take so many times as long."""
-
-
-@dataclass(frozen=True)
-class _Cost:
-    """Seconds that a part takes: to begin, for each of its texels, for each vertex of the scan."""
-
-    start_s: float = 0.0
-    texel_s: float = 0.0
-    vertex_s: float = 0.0
-
-    def seconds(self, texels: int, scan: RawScan) -> float:
-        return self.start_s + self.texel_s * texels + self.vertex_s * len(scan.vertices)
-
-
-_LIGHT = {"face": _Cost(1.0, 1.5e-6, 8e-6), "all": _Cost(1.0, 2.2e-6, 8e-6)}
-"""Of taking the light off, by how far; the texels are the scan's own."""
-_MAKE = {
-    "unlit": _Cost(),
-    "template_texture": _Cost(0.5, 7e-6, 5e-6),
-    "maps": _Cost(1.0, 12e-6, 1e-5),
-}
-_FILES = {
-    "unlit": _Cost(0.2, 0.5e-6, 1e-5),
-    "template_texture": _Cost(0.2, 0.5e-6),
-    "maps": _Cost(0.5, 2e-6, 1e-5),
-}
+_MAKE_S = {"unlit": 0.0, "template_texture": 7e-6, "maps": 13e-6}
+"""Seconds for each texel of an output, but for taking the light off and for its files."""
+_LIGHT_S = 2e-6
+"""Seconds in which the light is taken off a texel of the scan."""
+_FILES_S = 1e-6
+"""Seconds in which a texel is written."""
+_VERTEX_S = 1e-5
+"""Seconds that each of these steps takes for a vertex of the scan, and one second to begin."""
 _MESH = (".glb", ".obj", ".mtl", ".png", ".*.png", ".exr", ".*.exr")
 _MAPS = ("normal", "normal_directx", "occlusion", "roughness", "specular", "cavity", "displacement")
 _PICTURES = ("unlit_confidence", "unlit_hair", "template_normal", "template_hair")
@@ -72,8 +51,6 @@ class Output:
     make_s: float
     files_s: float
     """`make_s` without the light's removal, and `files_s`: seconds to make it and to write its files."""
-    has_eyes: bool = False
-    """Whether eyes and a mouth are put into it."""
 
 
 def wanted_outputs(scan: RawScan, model: AnnotatedSurface | None, options: ProcessOptions) -> list[Output]:
@@ -85,25 +62,29 @@ def wanted_outputs(scan: RawScan, model: AnnotatedSurface | None, options: Proce
     of_template = 0 if model is None else tile * _tile_count(model.template_uv)
     wanted = list[Output]()
 
-    def want(name: str, reach: str, texels: int, has_eyes: bool = False) -> None:
-        files_s = _FILES[name].seconds(texels, scan) * (_EXR if options.files == "all" else 1)
-        wanted.append(Output(name, reach, _MAKE[name].seconds(texels, scan), files_s, has_eyes))
+    def want(name: str, reach: str, texels: int) -> None:
+        make_s, files_s = (_seconds(scan, rate * texels) for rate in (_MAKE_S[name], _FILES_S))
+        wanted.append(Output(name, reach, make_s, files_s))
 
     if options.unlit is not None:
         want("unlit", options.unlit, _own_texels(scan))
     if model is not None and model.template_uv is not None:
-        want("template_texture", "all", of_template, has_eyes=True)
+        want("template_texture", "all", of_template)
     if options.maps is not None:
         of_maps = of_template if options.maps == "template" else tile
         if options.maps == "scan" and scan.uv is not None and texture is not None:
             of_maps = tile * _tile_count(in_first_period(scan.uv, texture.shape))
-        want("maps", "all", of_maps, has_eyes=options.maps != "scan")
+        want("maps", "all", of_maps)
     return wanted
 
 
-def light_s(scan: RawScan, reach: str) -> float:
+def light_s(scan: RawScan) -> float:
     """Return the seconds in which the light is taken off a scan."""
-    return _LIGHT[reach].seconds(_own_texels(scan), scan)
+    return _seconds(scan, _LIGHT_S * _own_texels(scan))
+
+
+def _seconds(scan: RawScan, of_texels: float) -> float:
+    return 1 + _VERTEX_S * len(scan.vertices) + of_texels
 
 
 class Unlit(Stage):
@@ -123,9 +104,7 @@ class Unlit(Stage):
         """Return the seconds of all that is wanted, at most a share of the budget."""
         wanted = wanted_outputs(run.scan, run.model, run.options)
         seconds = sum(output.make_s + output.files_s for output in wanted)
-        seconds += sum(light_s(run.scan, reach) for reach in {output.reach for output in wanted})
-        if any(output.has_eyes for output in wanted) and "eyes" not in run.options.skip:
-            seconds += EYES_S
+        seconds += EYES_S * bool(wanted) + light_s(run.scan) * len({output.reach for output in wanted})
         return min(seconds, OUTPUTS_SHARE * (Budget.of(run.options.budget).seconds or 0.0))
 
     def run(self, run: Run, clock: Clock) -> list[PlanStep]:
@@ -137,12 +116,8 @@ class Unlit(Stage):
         with clock.timed(self.name):
             if fitted is None or estimate is None:
                 why = "there is no face" if fitted is None else "no albedo was estimated"
-                reasons = {
-                    "unlit": f"unlit is left out: {why}, so the light is not known",
-                    "maps": "maps are left out: there is no face with an albedo",
-                }
-                names = [output.name for output in wanted if output.name in reasons]
-                return [PlanStep.wrong(name, reasons[name]) for name in names]
+                names = [output.name for output in wanted if output.name != "template_texture"]
+                return [_left_out(name, f"{why}, so the light is not known") for name in names]
             clock.due_s.pop(self.name, None)  # what was kept for it is now to be spent
             rows = _make(wanted, run, fitted, estimate, clock)
             return rows + _put_eyes_in(run, fitted, estimate, clock)
@@ -180,9 +155,9 @@ def _make(
     for output in wanted:
         cost_s = output.make_s + output.files_s
         if output.reach not in unlit:
-            cost_s += light_s(run.scan, output.reach)
-        if late := _late(output.name, cost_s, clock):
-            rows += late
+            cost_s += light_s(run.scan)
+        if cost_s > clock.left_s():
+            rows.append(_late(output.name, cost_s, clock))
             continue
         if output.reach not in unlit:
             unlit[output.reach] = removal.unlit(output.reach)
@@ -190,48 +165,49 @@ def _make(
         clock.due_s[f"{output.name} files"] = output.files_s
         if output.name == "unlit":
             run.unlit = bare
-            rows += _unlit_rows(bare, output.reach)
+            off = "whole scan" if output.reach == "all" else "face"
+            rows.append(PlanStep("unlit", True, f"the light is taken off the {off}"))
         elif output.name == "maps":
             on = str(run.options.maps)
             run.maps_of_skin = engine_maps(bare.scan, fitted, estimate, on, size)
-            rows.append(_texture_row("maps", f"asked for, on the {on}", run.maps_of_skin))
+            rows.append(PlanStep("maps", True, f"asked for, on the {on}"))
         else:
             run.template = template_texture(bare.scan, fitted, size, bare)
-            rows.append(_texture_row(output.name, "the template has texture coordinates", run.template))
-            rows.append(_hair_row(f"{output.name}.hair", bare.hair))
+            rows.append(PlanStep(output.name, True, "the template has texture coordinates"))
+        if output.name != "maps":
+            reason = "hair, beard and brows as they were lit are kept apart"
+            rows.append(PlanStep(f"{output.name}.hair", bare.hair is not None, reason))
     return rows
 
 
 def _put_eyes_in(run: Run, fitted: FittedFace, estimate: AlbedoEstimate, clock: Clock) -> list[PlanStep]:
     """Put eyes and a mouth into the template, and into the mesh with maps unless it is the scan itself."""
     of_maps = None if run.options.maps == "scan" else run.maps_of_skin
-    if run.template is None and of_maps is None:
+    meshes = {"maps_of_skin": of_maps, "template": run.template}
+    if not any(meshes.values()):
         return []
     if "eyes" in run.options.skip:
         return [PlanStep("eyes", False, "skipped by the caller")]
-    if late := _late("eyes", EYES_S, clock):
-        return late
+    if clock.left_s() < EYES_S:
+        return [_late("eyes", EYES_S, clock)]
     inside = eyes_and_mouth(ProcessedFace.of_stages(run.scan.name, estimate.image, fitted, estimate))
-    light = usual_light(estimate)
-    parts = list[GlbPart]()
-    if of_maps is not None:
-        run.maps_of_skin = on_template(inside, fitted, light, of_maps)
-        parts = list(run.maps_of_skin.parts)
-    if run.template is not None:
-        run.template = on_template(inside, fitted, light, run.template)
-        parts = list(run.template.parts)
-    there = ", ".join(part.name for part in parts)
+    there = ""
+    for name, mesh in meshes.items():
+        if mesh is not None:
+            made = on_template(inside, fitted, usual_light(estimate), mesh)
+            setattr(run, name, made)
+            there = ", ".join(part.name for part in made.parts)
     return [PlanStep("eyes", bool(there), inside.reason, there)]
 
 
-def _late(name: str, cost_s: float, clock: Clock) -> list[PlanStep]:
-    """Return a row that says so where something takes longer than there is time."""
-    left = clock.left_s()
-    if cost_s <= left:
-        return []
-    lead = f"{name} {'are' if name.endswith('s') else 'is'} left out"
-    evidence = f"{max(left, 0.0):.1f} s left, {cost_s:.1f} s needed"
-    return [PlanStep.wrong(name, f"{lead}: the budget ended before it", evidence)]
+def _late(name: str, cost_s: float, clock: Clock) -> PlanStep:
+    evidence = f"{max(clock.left_s(), 0.0):.1f} s left, {cost_s:.1f} s needed"
+    return _left_out(name, "the budget ended before it", evidence)
+
+
+def _left_out(name: str, why: str, evidence: str = "") -> PlanStep:
+    verb = "are" if name.endswith("s") else "is"
+    return PlanStep.wrong(name, f"{name} {verb} left out: {why}", evidence)
 
 
 def _own_texels(scan: RawScan) -> int:
@@ -241,24 +217,3 @@ def _own_texels(scan: RawScan) -> int:
 
 def _tile_count(uv: FloatArray | None) -> int:
     return 0 if uv is None else int((np.unique(tile_numbers(uv)) > 0).sum())
-
-
-def _unlit_rows(unlit: UnlitScan, reach: str) -> list[PlanStep]:
-    size = unlit.confidence.shape
-    evidence = f"{' x '.join(map(str, size))} {'texels' if len(size) == 2 else 'vertices'}"
-    what = "whole scan" if reach == "all" else "face"
-    row = PlanStep("unlit", True, f"the light is taken off the {what}", evidence)
-    return [row, _hair_row("unlit.hair", unlit.hair)]
-
-
-def _texture_row(name: str, reason: str, texture: TemplateTexture) -> PlanStep:
-    seen = sum(float(tile.seen.mean()) for tile in texture.tiles) / max(len(texture.tiles), 1)
-    evidence = f"{len(texture.tiles)} tile(s), {seen:.0%} of their texels seen"
-    return PlanStep(name, True, reason, evidence)
-
-
-def _hair_row(stage: str, hair: RealArray | None) -> PlanStep:
-    if hair is None:
-        return PlanStep(stage, False, "no hair, beard or brows are found: nothing is kept apart")
-    reason = "hair, beard and brows as they were lit are kept apart"
-    return PlanStep(stage, True, reason, f"{hair.mean():.0%} of the colours")

@@ -113,11 +113,15 @@ def engine_maps(
             found["displacement_mm"] = (high[:, None], known)
         return found
 
-    made, tiles = painted(blank, size, look), []
-    on_chart = np.abs(np.linalg.det(blank.uv[:, 1:] - blank.uv[:, :1])).sum() / 2
-    spread = _AROUND_MM * size * np.sqrt(on_chart / (face_areas(blank.vertices, blank.faces).sum() or 1.0))
+    return _with_pores(painted(blank, size, look), size)
+
+
+def _with_pores(made: TemplateTexture, size: int) -> TemplateTexture:
+    """Return maps whose `cavity`, mm, became relief and pores beside what is around: 0 to 1, 0.5 is flat."""
+    on_chart = np.abs(np.linalg.det(made.uv[:, 1:] - made.uv[:, :1])).sum() / 2
+    spread = _AROUND_MM * size * np.sqrt(on_chart / (face_areas(made.vertices, made.faces).sum() or 1.0))
+    tiles = []
     for tile in made.tiles:
-        # Relief and pores beside their surroundings, 0 to 1; 0.5 is flat.
         value = np.asarray(tile.color_linear, np.float32).max(-1)
         pores = _PORE_MM * np.log(np.maximum(value, value.max() / 1000 or 1.0))
         high = (tile.maps["cavity"] + pores - gaussian_filter(pores, spread)) / (2 * _RELIEF_MM)

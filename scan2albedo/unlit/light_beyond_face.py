@@ -12,7 +12,7 @@ from scipy.special import logit
 from scan2albedo.albedo import AlbedoEstimate
 from scan2albedo.albedo.result import shade_image
 from scan2albedo.core import GeometryImage, RawScan
-from scan2albedo.core.arrays import BoolArray, FloatArray
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.face_model.materials import materials_beyond_chart
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.closest_points import surface_query
@@ -76,18 +76,6 @@ class LightBeyond:
         )
 
 
-@dataclass(frozen=True)
-class _Materials:
-    """What the points (N,) of a surface are."""
-
-    hair: FloatArray
-    """Share of hair, beard and brows."""
-    other: FloatArray
-    """Share of all that is not skin."""
-    apart: BoolArray
-    """What was left out of the fit: neither skin nor of the same material as any neighbour."""
-
-
 class SurfaceLight:
     """A scan's surface with few vertices (N,), on the face and beyond it: its colours and its light.
 
@@ -147,51 +135,54 @@ class SurfaceLight:
         covered = np.zeros(len(self._vertices), bool)
         if fitted.covered_faces is not None and len(fitted.covered_faces) == len(scan.faces):
             covered[scan.faces[fitted.covered_faces]] = True
-        self._materials = self._found_materials(image, normals, covered[nearest])
+        # Shares of hair, and of all that is not skin. What was left out of the fit is neither skin nor of the
+        # same material as any neighbour.
+        self._hair, other = self._materials(image, normals)
+        apart = covered[nearest]
+        self._other = np.where(apart, 1.0, other)
         # Links of the membrane, between points of one material.
         self._edges = edges_with_faces(self._faces)[0]
         i, j = self._edges.T
-        other, apart = self._materials.other, self._materials.apart
-        self._links = ((1 - other[i]) * (1 - other[j]) + other[i] * other[j]) * ~(apart[i] | apart[j])
+        alike = (1 - self._other[i]) * (1 - self._other[j]) + self._other[i] * self._other[j]
+        self._links = alike * ~(apart[i] | apart[j])
 
     def _mean_log_color(self, scan: RawScan) -> FloatArray:
         """Return (N, 3) the log of the scan's mean colour nearest to each point."""
-        # Colours are means of points inside of faces: beside the texture's charts is no colour.
+        # Colours are those of points inside of faces: beside the texture's charts is no colour.
         some = np.repeat(np.arange(0, len(scan.faces), 1 + len(scan.faces) // _COLORED_FACES), 3)
         corners = np.tile(np.eye(3) / 2 + 1 / 6, (len(some) // 3, 1))
         color, shown = scan_colors(scan, some, corners)
         shown |= not shown.any()
         places = np.einsum("nk,nkc->nc", corners, self._vertices[scan.faces[some]])
-        at = cKDTree(self._points).query(places)[1]
-        sums = [np.bincount(at, shown * each, len(self._points)) for each in (*color.T, np.ones(len(at)))]
-        total = np.stack(sums, axis=1)
+        total = np.zeros((len(self._points), 4))
+        at = cKDTree(self._points).query(places[shown])[1]
+        np.add.at(total, at, np.insert(color[shown], 3, 1, axis=1))
         mean = total[:, :3] / np.maximum(total[:, 3:], 1)
         color = filled_over_mesh(mean, total[:, 3] > 0, self._faces)
         return np.log(np.maximum(color, FLOOR * max(np.percentile(color, 95), FLOOR)))
 
-    def _found_materials(self, image: GeometryImage, normals: FloatArray, apart: BoolArray) -> _Materials:
-        """Return what is hair or cloth, by the face's own skin and hair."""
-        hair = other = np.zeros(len(self._points))
+    def _materials(self, image: GeometryImage, normals: FloatArray) -> FloatArray:
+        """Return the shares (2, N) of hair, and of hair and cloth, by the face's own skin and hair."""
         few = np.zeros(image.shape, bool)
         few[:: -(-image.shape[0] // 128), :: -(-image.shape[1] // 128)] = True
         few &= image.mask if image.on_face is None else image.mask & image.on_face
-        if image.face_chart is not None and few.any():
-            closest = cKDTree(image.position[few]).query(self._points)[1]
-            shares = materials_beyond_chart(
-                self._log_color - self._log_lit,
-                normals,
-                self._skin,
-                image.face_chart[few][closest],
-                self._points - image.position[few][closest],
-                self._mean,
-                self._edge_mm,
-            )
-            hair, other = shares[-2], shares[-2:].sum(0)
-        return _Materials(hair, np.where(apart, 1.0, other), apart)
+        if image.face_chart is None or not few.any():
+            return np.zeros((2, len(self._points)))
+        closest = cKDTree(image.position[few]).query(self._points)[1]
+        shares = materials_beyond_chart(
+            self._log_color - self._log_lit,
+            normals,
+            self._skin,
+            image.face_chart[few][closest],
+            self._points - image.position[few][closest],
+            self._mean,
+            self._edge_mm,
+        )
+        return np.array([shares[-2], shares[-2:].sum(0)])
 
     def found(self, reach: str) -> LightBeyond:
         """Return the light of the scan's vertices (V,) where it is taken off the "face", or "all" of it."""
-        count, other = len(self._points), self._materials.other
+        count, other = len(self._points), self._other
         skin = np.zeros((count, 3))
         steepness = np.zeros(count)
         detail = 1.0
@@ -217,7 +208,7 @@ class SurfaceLight:
                 np.maximum.at(steepness, ends, step)
             steepness *= 1 - other
         weight = self._hair_by_brightness()
-        hair = np.clip(self._materials.hair, FLOOR**2, 1 - FLOOR**2)
+        hair = np.clip(self._hair, FLOOR**2, 1 - FLOOR**2)
         log_odds = logit(hair) - weight * self._log_color.max(-1)
         found = LightBeyond(
             base + offset, OUTSIDE_CONFIDENCE * sure, skin, steepness, log_odds, weight, detail
@@ -227,10 +218,10 @@ class SurfaceLight:
 
     def _hair_by_brightness(self) -> float:
         """Return the weight of log brightness between hair and skin, of the means of both (Fisher's)."""
-        if self._materials.hair.max() <= SURE_HAIR:
+        if self._hair.max() <= SURE_HAIR:
             return 0.0
         own = self._log_color.max(-1) - self._log_lit.max(-1)
-        parts = self._materials.hair, np.maximum(1 - self._materials.other, FLOOR)
+        parts = self._hair, np.maximum(1 - self._other, FLOOR)
         of_hair, of_skin = (np.average(own, weights=part) for part in parts)
         return (of_hair - of_skin) / (sum(np.cov(own, aweights=part) for part in parts) + _OWN**2)
 
@@ -255,7 +246,7 @@ class SurfaceLight:
 
     def _skin_albedo(self, base: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return skin's expected log albedo (N, 3), and what colours differ by from it under `base`."""
-        other = self._materials.other[:, None]
+        other = self._other[:, None]
         usual_skin = np.average(self._log_color - self._chart, axis=0, weights=self._skin + FLOOR)
         left = self._log_color - base - usual_skin
         # Skin's albedo goes on from the rim, then is half of what is left.
@@ -270,7 +261,7 @@ class SurfaceLight:
 
     def _trust(self, wrong: FloatArray) -> tuple[FloatArray, float]:
         """Return the pull (N,) toward what is `wrong` with the light, and the usual detail of skin."""
-        other, around = self._materials.other, wrong
+        other, around = self._other, wrong
         for _ in range(8):
             around = self._mean @ around
         # What stands out from around by more than detail does is a misplaced outline of light.

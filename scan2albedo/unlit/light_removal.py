@@ -8,7 +8,6 @@ from typing import Self
 import numpy as np
 from scipy.ndimage import distance_transform_edt, maximum_filter
 from scipy.special import expit
-from skimage.filters.rank import median
 
 from scan2albedo.albedo import AlbedoEstimate
 from scan2albedo.albedo.division import divide_light
@@ -25,7 +24,7 @@ from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.rasterization import bilinear, filled_from_nearest, pixels_from_uv
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.io.texture_atlas import in_first_period
-from scan2albedo.unlit.face_features import AROUND, FLOOR
+from scan2albedo.unlit.face_features import FLOOR
 from scan2albedo.unlit.light_beyond_face import (
     DARKEST,
     OUTSIDE_CONFIDENCE,
@@ -36,8 +35,6 @@ from scan2albedo.unlit.light_beyond_face import (
 
 REACHES = ("face", "all")
 """How far the light is taken off: where the model was fitted, or from the whole scan."""
-_DARK_SPOT = 0.7
-"""How much darker a spot is than around, as a logarithm: by eye, on the folded lips of a coarse template."""
 _NEAR_MM = 2.5
 """Up to this distance from the fitted surface a vertex of the scan belongs to the face, from twice as much on
 not; at the model's rim the face ends gradually over four times as much."""
@@ -111,8 +108,7 @@ class LightRemoval:
     def unlit(self, reach: str) -> UnlitScan:
         """Return the scan without its light, on the "face" or on "all" of it."""
         scan, usual = self._scan, self._usual
-        (uv, share), (charts, black) = self._on_chart, self._charts
-        light = _ScanLight(uv, share, self._surface.found(reach), charts, black)
+        light = _ScanLight(*self._on_chart, self._surface.found(reach), self._charts)
         shown = np.float32(1) if scan.color_seen is None else scan.color_seen
         notes = (*scan.notes, f"the light was taken off {'the face' if reach == 'face' else 'everything'}")
         if scan.uv is not None and scan.texture_linear is not None:
@@ -120,9 +116,9 @@ class LightRemoval:
             unlit = replace(scan, texture_linear=made.color_linear, notes=notes)
         else:
             assert scan.vertex_color_linear is not None
-            taken = light.taken_off(scan.vertex_color_linear.astype(float))
-            colors = scan.vertex_color_linear * (usual / taken.divisor)
-            made = _Unlit(*(each.astype(np.float32) for each in (colors, taken.known, taken.hair)))
+            divisor = light.divisor(scan.vertex_color_linear)
+            colors = (scan.vertex_color_linear * (usual / divisor.color_linear)).astype(np.float32)
+            made = replace(divisor, color_linear=colors)
             unlit = replace(scan, vertex_color_linear=made.color_linear, notes=notes)
         hair = made.hair if (made.hair > SURE_HAIR).any() else None
         return UnlitScan(unlit, made.confidence * shown, hair, scan)
@@ -137,8 +133,8 @@ class LightRemoval:
         return on_chart
 
     @cached_property
-    def _charts(self) -> tuple[FloatArray, float]:
-        """Log light, and where is hair, (H, W, 4) of the chart, and the least brightness of a colour."""
+    def _charts(self) -> FloatArray:
+        """Log light, and where is hair, (H, W, 4) of the chart."""
         estimate, image, mask = self._estimate, self._estimate.image, self._estimate.image.mask
         # The light that divided the texture, with all repairs; where it was not seen none was divided.
         assert image.texture_linear is not None
@@ -148,35 +144,22 @@ class LightRemoval:
         light = (image.texture_linear + black * estimate.shading) / (albedo + black)
         light[~image.seen] = estimate.shading[~image.seen]
         log_light = np.log(np.maximum(light, DARKEST * self._usual))
-        log_light = _without_dark_spots(filled_from_nearest(log_light, mask))
         hair = np.isin(0 if image.labels is None else image.labels, _HAIRS) & mask
-        return np.dstack([log_light, hair]), FLOOR * black
+        return np.dstack([filled_from_nearest(log_light, mask), hair])
 
     @cached_property
     def _surface(self) -> SurfaceLight:
-        log_light = self._charts[0][..., :3]
+        log_light = self._charts[..., :3]
         return SurfaceLight(self._scan, self._fitted, self._estimate, log_light, self._on_chart, self._usual)
 
 
 @dataclass(frozen=True)
 class _Unlit:
-    """Colours (..., 3) without their light, how surely it is off, and how surely (...,) they are hair."""
+    """Colours (..., 3) without their light, or the light; how surely it is off, how surely (...,) is hair."""
 
     color_linear: Float32Array
     confidence: Float32Array
     hair: Float32Array
-
-
-@dataclass(frozen=True)
-class _Taken:
-    """What is taken off the colours at places (N,)."""
-
-    divisor: FloatArray
-    """(N, 3): the light."""
-    known: FloatArray
-    """(N,): how surely it is known."""
-    hair: FloatArray
-    """(N,): how surely the place is hair."""
 
 
 @dataclass(frozen=True)
@@ -190,8 +173,6 @@ class _ScanLight:
     beyond: LightBeyond
     charts: FloatArray
     """(H, W, 4): log light, and where is hair."""
-    black: float
-    """Colours below have no logarithm."""
 
     def at(self, vertices: IntArray, barycentric: FloatArray) -> Self:
         """Return it at points of triangles (N, 3) of these places."""
@@ -202,32 +183,22 @@ class _ScanLight:
         beyond = self.beyond.interpolated(mixed)
         return replace(self, uv=mixed(self.uv), share=mixed(self.share), beyond=beyond)
 
-    def taken_off(self, color: FloatArray) -> _Taken:
-        """Return what is taken off colours (N, 3) there."""
+    def divisor(self, color: Float32Array) -> _Unlit:
+        """Return the light there (N, 3), where colours are (N, 3)."""
         on_chart = bilinear(self.charts, pixels_from_uv(self.uv, self.charts.shape[:2]))
-        own = self.share[:, None]
-        log_there = own * on_chart[:, :3] + (1 - own) * self.beyond.log_light
-        brightness = np.log(np.maximum(color.max(-1), self.black))
-        log_odds = self.beyond.hair_log_odds + self.beyond.hair_by_brightness * brightness
-        known = self.share + (1 - self.share) * self.beyond.taken_off
-        hair = self.share * on_chart[:, 3] + (1 - self.share) * expit(log_odds)
-        return _Taken(np.exp(log_there), known, hair)
+        own, rest = self.share[:, None], 1 - self.share[:, None]
+        brightness = np.log(np.maximum(color.max(-1).astype(float), FLOOR**2))
+        hair = expit(self.beyond.hair_log_odds + self.beyond.hair_by_brightness * brightness)
+        beyond = np.column_stack([self.beyond.log_light, hair, self.beyond.taken_off])
+        found = own * np.insert(on_chart, 4, 1, axis=1) + rest * beyond
+        light = np.exp(found[:, :3]).astype(np.float32)
+        return _Unlit(light, found[:, 4].astype(np.float32), found[:, 3].astype(np.float32))
 
 
 def usual_light(estimate: AlbedoEstimate) -> float:
     """Return the light of which an unlit scan keeps the brightness: the colours' gain over the albedo."""
     image = estimate.image
     return float(np.median(estimate.shading.mean(-1)[image.seen if image.seen.any() else image.mask]))
-
-
-def _without_dark_spots(log_light: FloatArray) -> FloatArray:
-    """Return log light (H, W, 3) without small spots much darker than around: folds of the surface."""
-    mean = log_light.mean(-1)
-    side = 2 * round(AROUND * max(mean.shape)) + 1
-    low, high = float(mean.min()), float(mean.max())
-    steps = np.round((mean - low) * (255 / max(high - low, 1e-9))).astype(np.uint8)
-    around = low + median(steps, np.ones((side, side))) * ((high - low) / 255)
-    return log_light + np.maximum(around - _DARK_SPOT - mean, 0.0)[..., None]
 
 
 def scan_on_chart(scan: RawScan, fitted: FittedFace, image: GeometryImage) -> tuple[FloatArray, FloatArray]:
@@ -280,10 +251,12 @@ def _unlit_texture(scan: RawScan, light: _ScanLight, brightness: float) -> _Unli
         raster = rasterization.rasterize(places_px, np.zeros(len(places_px)), index, tile.shape[:2])
         there = raster.covered
         of_texels = light.at(scan.faces[inside[raster.face[there]]], raster.barycentric[there])
-        taken = of_texels.taken_off(tile[there].astype(float))
+        taken = of_texels.divisor(tile[there])
         divisor = np.full(tile.shape, brightness)
         known, hair = np.zeros((2, *tile.shape[:2]))
-        divisor[there], known[there], hair[there] = taken.divisor, taken.known, taken.hair
+        divisor[there] = taken.color_linear
+        known[there] = taken.confidence
+        hair[there] = taken.hair
         usable, albedo = known >= OUTSIDE_CONFIDENCE, tile / divisor
         if usable.any():
             rows, columns = (np.flatnonzero(usable.any(axis)) for axis in (1, 0))

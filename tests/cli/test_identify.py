@@ -121,7 +121,7 @@ def test_a_gallery_is_kept_and_used_again(folder, tmp_path):
     [
         ("", "no probes"),
         ("-o out", "no probes"),
-        ("--probes probes.csv --combine worst", "--combine is 'worst'"),
+        ("--probes probes.csv --combine worst", "--combine"),
         ("--probes probes.csv --use colour", "--use is 'colour', expected some of albedo,texture,shape"),
         ("--save-templates gallery.bin", "ends in .npz"),
     ],

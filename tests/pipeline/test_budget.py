@@ -45,7 +45,7 @@ class Run:
     def __init__(self, monkeypatch, pace=1.0):
         self.pace = pace
         monkeypatch.setattr(clocks, "time", SimpleNamespace(perf_counter=lambda: self.now))
-        baked = SimpleNamespace(tiles=(SimpleNamespace(seen=np.ones(1)),), parts=())
+        baked = SimpleNamespace(parts=())
         eyes = SimpleNamespace(reason="made up")
         for name, stage in {
             "LightRemoval": lambda *stages: SimpleNamespace(unlit=self.unlit),
@@ -65,7 +65,7 @@ class Run:
     def unlit(self, reach):
         self.lit.append(reach)
         made = SimpleNamespace(scan=None, hair=None, confidence=np.ones(1))
-        return self.takes(outputs.light_s(self.scan, reach), made)
+        return self.takes(outputs.light_s(self.scan), made)
 
     def __call__(self, budget, unlit, tiles, maps, side, texture_size, skip):
         """Return what is made by its name, and the plan; `now` is then the time with all files written."""

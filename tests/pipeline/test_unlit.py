@@ -235,16 +235,6 @@ def test_pictures_keep_their_sixteen_bits(result, tmp_path):
         assert_array_equal(read_image_linear(tmp_path / f"template.{tile.number}.exr"), tile.color_linear)
 
 
-def test_a_fold_gives_no_dark_spot_and_a_shadow_stays():
-    light = np.zeros((200, 200, 3))
-    light[:, 100:] = -1.5
-    light[50:53, 40:44] = -2.5
-    found = light_removal._without_dark_spots(light)
-    assert found[50:53, 40:44].min() > -0.75
-    assert_array_equal(found[:, 110:], light[:, 110:])
-    assert_array_equal(found[100:, :90], light[100:, :90])
-
-
 def test_no_exported_texture_has_a_fringe_at_the_rim_of_its_charts(result, tmp_path):
     face = load_result(result.out)
     write_face(swap_texture(face, face), tmp_path, application="swap", inputs=[face, face])
