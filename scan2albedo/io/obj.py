@@ -14,55 +14,60 @@ from scan2albedo.io.atomic import write_text
 from scan2albedo.io.color import linear_of_srgb_numbers
 from scan2albedo.io.parsed_mesh import GREY, Material, ParsedMesh, ScanFolder, ScanPictures, decoded
 
+_RUN = re.compile(rb"([^ \n]*)[^\n]*\n(?:\1 [^\n]*\n)*")
+"""Lines that follow each other and begin with the same word."""
+
 
 class ObjLines:
-    """The lines of an OBJ file by their first words, with the byte ranges of what follows these."""
+    """The lines of an OBJ file by their first words."""
 
     def __init__(self, data: bytes, name: str) -> None:
         data = _plain_text(data)
         limits.require_at_most(name, "lines", data.count(b"\n"), limits.TEXT_LINES, "decimate it")
-        self.name, self.text = name, np.frombuffer(data, np.uint8)
-        begins, self.ends = tables.line_ranges(self.text)
-        self.words, self.starts = tables.split_keywords(self.text, begins, self.ends)
+        self.name = name
+        # For each word, the first line's number and the text of each run of lines that begin with it.
+        self._runs: dict[bytes, list[tuple[int, bytes]]] = {}
+        line = 0
+        for run in _RUN.finditer(data):
+            self._runs.setdefault(run[1], []).append((line, run[0]))
+            line += run[0].count(b"\n")
 
-    def of_kind(self, word: bytes) -> IntArray:
-        """Return indices of the lines that begin with a word."""
-        return np.flatnonzero(self.words == int.from_bytes(word, "big"))
+    def numbers_of(self, word: bytes) -> IntArray:
+        """Return the numbers, from 0, of the lines that begin with a word."""
+        places = [np.arange(text.count(b"\n")) + line for line, text in self._runs.get(word, [])]
+        return np.concatenate([np.zeros(0, int), *places])
+
+    def text_of(self, word: bytes) -> bytes:
+        """Return what follows the word in all its lines, each with its line feed."""
+        whole = b"\n" + b"".join(text for _, text in self._runs.get(word, []))
+        return whole.replace(b"\n" + word + b" ", b"\n")[1:]
 
     def names(self, word: bytes) -> list[str]:
         """Return what follows the word in all its lines, which is a name."""
-        lines = self.of_kind(word)
-        limits.require_at_most(self.name, "lines of names", len(lines), limits.VALUES, "export it again")
-        self.raise_for(
-            lines[self.ends[lines] - self.starts[lines] > limits.NAME_BYTES],
-            f"expected a name of at most {limits.NAME_BYTES} bytes",
+        text = self.text_of(word)
+        limits.require_at_most(
+            self.name, "lines of names", text.count(b"\n"), limits.VALUES, "export it again"
         )
-        ranges = zip(self.starts[lines], self.ends[lines], strict=True)
-        return [decoded(self.text[start:end].tobytes()).strip() for start, end in ranges]
+        lines = text.split(b"\n")[:-1]
+        too_long = np.flatnonzero([len(line) > limits.NAME_BYTES for line in lines])
+        self.raise_for(word, too_long, f"expected a name of at most {limits.NAME_BYTES} bytes")
+        return [decoded(line).strip() for line in lines]
 
     def numbers(self, word: bytes, width: int, least: int, most: int) -> tuple[FloatArray, IntArray]:
-        """Return (values (N, width), NaN where a line ends before; numbers of each line, at most `width`)."""
-        lines = self.of_kind(word)
-        limits.require_at_most(self.name, "vertices", len(lines), most, "decimate it")
-        starts, ends = self.starts[lines], self.ends[lines]
-        counts = tables.count_tokens(self.text, starts, ends)
-        table = tables.NumberLines(self.text, starts, ends, counts).table(most=width)
-        wrong = counts < least
+        """Return (values (N, width), NaN where a line ends before; how many numbers each line has)."""
+        text = self.text_of(word)
+        limits.require_at_most(self.name, "vertices", text.count(b"\n"), most, "decimate it")
+        table = tables.number_table(tables.plain_numbers(text).splitlines())
+        wrong = table.counts < least
         wrong[table.bad : table.bad + 1 if table.bad >= 0 else 0] = True
-        self.raise_for(lines[wrong], f"expected at least {least} number{'s' * (least > 1)}")
-        values = np.full((len(lines), width), np.nan)
-        if len(lines) and (table.counts == (same := table.counts[0])).all():  # much faster than by a mask
-            values[:, :same] = table.values.reshape(-1, same)
-        else:
-            values[np.arange(width) < table.counts[:, None]] = table.values
-        return values, table.counts
+        self.raise_for(word, np.flatnonzero(wrong), f"expected at least {least} number{'s' * (least > 1)}")
+        return table.columns(width), table.counts
 
-    def raise_for(self, lines: IntArray, expected: str) -> None:
-        """Raise a `ScanError` for the first of the given lines, if there is any."""
+    def raise_for(self, word: bytes, lines: IntArray, expected: str) -> None:
+        """Raise a `ScanError` for the first of the given lines of a word, if there is any."""
         if len(lines):
-            start, end = int(self.starts[lines[0]]), int(self.ends[lines[0]])
-            beginning = decoded(self.text[start : min(end, start + 50)].tobytes()).strip()[:40]
-            said = f"{self.name}: line {lines[0] + 1} holds '{beginning}', {expected}"
+            beginning = decoded(self.text_of(word).split(b"\n")[lines[0]][:50]).strip()[:40]
+            said = f"{self.name}: line {self.numbers_of(word)[lines[0]] + 1} holds '{beginning}', {expected}"
             raise ScanError(f"{said}; the file is damaged or truncated: export it again")
 
 
@@ -79,22 +84,20 @@ def read_obj(path: Path, folder: ScanFolder) -> ParsedMesh:
     positions, tokens = lines.numbers(b"v", 7, least=3, most=limits.VERTICES)
     coordinates, _ = lines.numbers(b"vt", 2, least=1, most=limits.TEXT_LINES)
     # Corners as written, then as indices from 0 of vertex and coordinates, -1 for none.
-    rows = lines.of_kind(b"f")
-    starts, ends = lines.starts[rows], lines.ends[rows]
-    counts = tables.count_tokens(lines.text, starts, ends)
-    lines.raise_for(rows[counts < 3], "expected at least 3 corners")
+    text = lines.text_of(b"f")
+    corners, counts, bad = tables.parse_corners(np.frombuffer(text, np.uint8), text.count(b"\n"))
+    lines.raise_for(b"f", np.flatnonzero(counts < 3), "expected at least 3 corners")
+    lines.raise_for(b"f", np.arange(bad, bad + 1)[bad < 0 :], "expected corners like 1, 1/2 or 1/2/3")
     triangles, face_of_triangle = parsed_mesh.fan_triangles(counts, lines.name)
-    corners, bad = tables.parse_corners(lines.text, starts, counts)
-    lines.raise_for(rows[bad : bad + 1] if bad >= 0 else rows[:0], "expected corners like 1, 1/2 or 1/2/3")
-    line_of_corner = np.repeat(rows, counts)
+    face_of_corner = np.repeat(np.arange(len(counts)), counts)
     kinds = ((b"v", len(positions), "vertices"), (b"vt", len(coordinates), "texture coordinates"))
     for column, (word, total, name) in enumerate(kinds):
         written = corners[:, column]
-        if (written < 0).any():
-            before = np.repeat(np.searchsorted(lines.of_kind(word), rows), counts)
-            written = np.where(written < 0, before + written + 1, written)
-            lines.raise_for(line_of_corner[(written < 1) & (corners[:, column] < 0)], "index before 1")
-        lines.raise_for(line_of_corner[written > total], f"but there are {total} {name}")
+        if (from_end := written < 0).any():
+            before = np.searchsorted(lines.numbers_of(word), lines.numbers_of(b"f"))[face_of_corner]
+            written = np.where(from_end, before + written + 1, written)
+            lines.raise_for(b"f", face_of_corner[(written < 1) & from_end], "index before 1")
+        lines.raise_for(b"f", face_of_corner[written > total], f"but there are {total} {name}")
         corners[:, column] = written - 1
     uv = None
     if len(coordinates) and (corners[:, 1] >= 0).any():
@@ -132,11 +135,20 @@ def read_obj(path: Path, folder: ScanFolder) -> ParsedMesh:
 
 
 def _plain_text(data: bytes) -> bytes:
-    """Return a file's text in UTF-8 without a mark of its order; line feeds alone end lines, none goes on."""
+    """Return a file's text in UTF-8 without a mark of its order.
+
+    Line feeds alone end lines, the last one too; none goes on in the next or begins with blanks, which are
+    spaces.
+    """
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         data = data.decode("utf-16", "replace").encode("utf-8", "replace")
-    data = data.removeprefix(codecs.BOM_UTF8).replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    return data.replace(b"\\\n", b"  ")
+    data = data.removeprefix(codecs.BOM_UTF8)
+    plain = ((b"\r\n", b"\n"), (b"\r", b"\n"), (b"\t", b" "), (b"\v", b" "), (b"\f", b" "), (b"\\\n", b"  "))
+    for special, instead in plain:
+        if special[:1] in data:
+            data = data.replace(special, instead)
+    data = data.lstrip(b" ") + b"\n"
+    return re.sub(rb"\n +", b"\n", data) if b"\n " in data else data
 
 
 def files_of_obj(path: Path, folder: ScanFolder) -> list[str]:
@@ -144,7 +156,7 @@ def files_of_obj(path: Path, folder: ScanFolder) -> list[str]:
     names: list[str] = []
     materials: dict[str, Material] = {}
     text = _plain_text(limits.read_bytes(path))
-    for match in re.findall(rb"mtllib[ \t\v\f]+([^\n]+)", text):  # in comments, too: more than is read
+    for match in re.findall(rb"mtllib +([^\n]+)", text):  # in comments, too: more than is read
         for library in folder.library_names(decoded(match).strip()):
             names.append(library)
             if (file := folder.find(library)) is not None:
@@ -183,8 +195,8 @@ def _materials(
         known |= parsed_mesh.parse_mtl(decoded(data))
     if not known:
         return None, (), tuple(notes)
-    names, faces = lines.names(b"usemtl"), lines.of_kind(b"f")
-    current = np.searchsorted(lines.of_kind(b"usemtl"), faces) - 1
+    names, faces = lines.names(b"usemtl"), lines.numbers_of(b"f")
+    current = np.searchsorted(lines.numbers_of(b"usemtl"), faces) - 1
     if not names:
         names, current = [next(iter(known))], np.zeros(len(faces), int)
     order = {name: i for i, name in enumerate(dict.fromkeys(names))}

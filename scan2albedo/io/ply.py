@@ -12,9 +12,8 @@ from scan2albedo.errors import ScanError
 from scan2albedo.geometry.operators import vertex_average
 from scan2albedo.io import limits, parsed_mesh
 from scan2albedo.io.color import linear_of_srgb_numbers
-from scan2albedo.io.obj import ObjLines
 from scan2albedo.io.parsed_mesh import GREY, Material, ParsedMesh, ScanFolder, ScanPictures, damaged
-from scan2albedo.io.text_tables import NumberLines, byte_ranges, number_lines, walk_rows
+from scan2albedo.io.text_tables import byte_ranges, filled_lines, number_table, plain_numbers, walk_rows
 
 _TYPES = {
     "char": "i1",
@@ -105,7 +104,7 @@ def read_ply(path: Path, folder: ScanFolder) -> ParsedMesh:
         count, what = len(element.properties), f"properties of {element.name}"
         limits.require_at_most(path.name, what, count, limits.MATERIALS, "export it again")
     if order is None:
-        columns = ascii_columns(path, number_lines(data, end.end(), path.name), elements)
+        columns = ascii_columns(path, filled_lines(data[end.end() :], path.name), elements)
     else:
         columns, body = {}, np.frombuffer(data, np.uint8, offset=end.end())
         for element in elements:
@@ -195,16 +194,16 @@ def _texture_files(header: str) -> list[str]:
     return [match[1].strip() for match in found if match]
 
 
-def ascii_columns(path: Path, lines: NumberLines, elements: list[Element]) -> dict[str, Columns]:
+def ascii_columns(path: Path, lines: list[bytes], elements: list[Element]) -> dict[str, Columns]:
     """Split rows of numbers into properties; a list takes its count and its entries."""
     columns: dict[str, Columns] = {}
     row = 0
     for element in elements:
-        rows = slice(row, row + element.count)
+        rows = lines[row : row + element.count]
         row += element.count
-        if len(lines.counts[rows]) < element.count:
+        if len(rows) < element.count:
             raise _cut_short(path, element)
-        table = lines.table(rows)
+        table = number_table(rows)
         if table.bad >= 0:
             raise damaged(path, f"{element.name} {table.bad} is not made of numbers")
         found = columns[element.name] = {}
@@ -278,10 +277,16 @@ def read_stl(path: Path, _folder: ScanFolder) -> ParsedMesh:
         with np.errstate(invalid="ignore"):  # of damaged bytes; `require_usable` names what is no number
             corners = np.ndarray(declared, triangle, data, 84)["corners"].astype(float)
     elif b"endsolid" in data[-4096:].lower() and b"\0" not in data[:512]:
-        words = data.lower()
-        if re.search(rb"^[ \t]*vertex\s", words, re.MULTILINE) is None:  # several on a line
-            words = words.replace(b"vertex", b"\nvertex")
-        corners, _ = ObjLines(words, path.name).numbers(b"vertex", 3, least=3, most=limits.TEXT_LINES)
+        limits.require_at_most(path.name, "lines", data.count(b"\n"), limits.TEXT_LINES, "decimate it")
+        # Names may be of any words; several vertices may stand on a line.
+        words = plain_numbers(re.sub(rb"solid[^\r\n]*", b"", data.lower()))
+        lines = re.findall(rb"vertex[ \t]+(\S+[ \t]+\S+[ \t]+\S+)", words)
+        if len(lines) != words.count(b"vertex"):
+            raise damaged(path, "a vertex has not three numbers")
+        table = number_table(lines)
+        if table.bad >= 0:
+            raise damaged(path, f"vertex {table.bad} is not made of numbers")
+        corners = table.columns(3)
         if len(corners) % 3:
             raise damaged(path, "a triangle has not three vertices")
     else:
@@ -300,15 +305,16 @@ def read_off(path: Path, folder: ScanFolder) -> ParsedMesh:
         raise damaged(path, "it does not begin with OFF")
     if header[0].endswith(b"BINARY"):
         raise damaged(path, "binary OFF is not supported")
-    lines = number_lines(data, header.end(), path.name)
-    head, rows = lines.table(slice(1)), NumberLines(lines.text, *(column[1:] for column in lines[1:]))
+    lines = filled_lines(data[header.end() :], path.name)
+    rows = lines[1:]
+    head = number_table(lines[:1])
     counts = head.values[:2]
     if head.bad >= 0 or len(counts) < 2 or not ((counts >= 0) & (counts < limits.TEXT_LINES)).all():  # or NaN
         raise damaged(path, "its counts are not numbers that a file has")
     names, number = ["x", "y", "z"], np.dtype(np.float64)
     vertex, face = (Element(name, int(n)) for name, n in zip(("vertex", "face"), counts, strict=True))
     plain = bool(header[2]) and not (header[1] or header[3])  # colours without normals or coordinates
-    if plain and vertex.count and rows.counts[: vertex.count].min(initial=6) >= 6:
+    if plain and vertex.count and min(len(row.split()) for row in rows[: vertex.count] or [b""]) >= 6:
         names += ["red", "green", "blue"]
     vertex.properties += [(name, number, None) for name in names]
     face.properties.append(("vertex_indices", np.dtype(np.int64), number))
