@@ -10,8 +10,6 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-JOURNAL = ".publishing.json"
-"""Lists the renames of a publication that cannot be a single one, while they last, see `publication`."""
 _HOST = hashlib.sha256(platform.node().encode()).hexdigest()[:6]
 _PATTERN = re.compile(r"\..*-([0-9a-f]{6})-(\d+)-[0-9a-f]{8}\.part(\.[^.]*)?")
 _unfinished: set[Path] = set()
@@ -32,11 +30,6 @@ def finished(path: Path) -> None:
     _unfinished.discard(path)
 
 
-def keep(path: Path) -> None:
-    """Let `remove_unfinished` leave a path of `hidden_path` alone."""
-    _unfinished.discard(path)
-
-
 def is_hidden_path(path: Path) -> bool:
     """Return whether a path is one of `hidden_path`, of any process."""
     return _PATTERN.fullmatch(path.name) is not None
@@ -49,13 +42,10 @@ def remove_unfinished() -> None:
 
 
 def remove_leftovers(*folders: Path) -> int:
-    """Remove what killed processes left under hidden paths in folders; return how many.
-
-    A link is not followed, and a folder whose publication was cut off keeps all: new files are among them.
-    """
+    """Remove what killed processes left under hidden paths in folders that are no links; return how many."""
     removed = 0
     for folder in folders:
-        if folder.is_symlink() or os.path.lexists(folder / JOURNAL):
+        if folder.is_symlink():
             continue
         with suppress(OSError):
             for path in folder.iterdir():

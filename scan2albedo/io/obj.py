@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from scan2albedo.core.arrays import FloatArray, IntArray, Texts, all_finite
+from scan2albedo.core.arrays import Float32Array, FloatArray, IntArray, Texts, all_finite
 from scan2albedo.errors import ScanError
 from scan2albedo.io import limits, parsed_mesh
-from scan2albedo.io import text_tables as tables
 from scan2albedo.io.atomic import write_text
 from scan2albedo.io.color import linear_of_srgb_numbers
 from scan2albedo.io.parsed_mesh import GREY, Material, ParsedMesh, ScanFolder, ScanPictures, decoded
+from scan2albedo.io.text_tables import number_table, plain_numbers
 
 _RUN = re.compile(rb"([^ \n]*)[^\n]*\n(?:\1 [^\n]*\n)*")
 """Lines that follow each other and begin with the same word."""
@@ -57,11 +57,35 @@ class ObjLines:
         """Return (values (N, width), NaN where a line ends before; how many numbers each line has)."""
         text = self.text_of(word)
         limits.require_at_most(self.name, "vertices", text.count(b"\n"), most, "decimate it")
-        table = tables.number_table(tables.plain_numbers(text).splitlines())
-        wrong = table.counts < least
-        wrong[table.bad : table.bad + 1 if table.bad >= 0 else 0] = True
-        self.raise_for(word, np.flatnonzero(wrong), f"expected at least {least} number{'s' * (least > 1)}")
+        table = number_table(plain_numbers(text))
+        short = np.append(np.flatnonzero(table.counts < least), np.arange(table.bad, table.bad + 1))
+        self.raise_for(word, short[short >= 0], f"expected at least {least} number{'s' * (least > 1)}")
         return table.columns(width), table.counts
+
+    def corners(self) -> tuple[IntArray, IntArray]:
+        """Return the corners (C, 2), written v, v/vt, v//vn or v/vt/vn, and how many each face has (F,).
+
+        Their indices v and vt are as written, from 1 or negative from the end; 0 is not given.
+        """
+        text = plain_numbers(b" " + self.text_of(b"f").replace(b"\n", b"\n "))
+        for empty, instead in ((b"//", b"/0/"), (b"/ ", b"/0 "), (b"/\n", b"/0\n"), (b" /", b" ?")):
+            text = text.replace(empty, instead)
+        table = number_table(text.replace(b"/", b" "), int)
+        letters = np.frombuffer(b" " + text, np.uint8)
+        begins = letters[table.places] != ord("/")
+        start = np.flatnonzero(begins)
+        parts = np.diff(np.append(start, len(begins)))
+        corners = np.zeros((len(start), 2), int)
+        corners[:, 0] = table.values[start]
+        corners[parts > 1, 1] = table.values[start[parts > 1] + 1]
+        counts = np.diff(np.searchsorted(start, np.append(table.first, len(begins))))
+        wrong = np.repeat(np.arange(len(counts)), counts)[(corners[:, 0] == 0) | (parts > 3)]
+        self.raise_for(
+            b"f",
+            np.append(wrong, table.bad)[: len(wrong) + (table.bad >= 0)],
+            "expected corners like 1, 1/2 or 1/2/3",
+        )
+        return corners, counts
 
     def raise_for(self, word: bytes, lines: IntArray, expected: str) -> None:
         """Raise a `ScanError` for the first of the given lines of a word, if there is any."""
@@ -84,10 +108,8 @@ def read_obj(path: Path, folder: ScanFolder) -> ParsedMesh:
     positions, tokens = lines.numbers(b"v", 7, least=3, most=limits.VERTICES)
     coordinates, _ = lines.numbers(b"vt", 2, least=1, most=limits.TEXT_LINES)
     # Corners as written, then as indices from 0 of vertex and coordinates, -1 for none.
-    text = lines.text_of(b"f")
-    corners, counts, bad = tables.parse_corners(np.frombuffer(text, np.uint8), text.count(b"\n"))
+    corners, counts = lines.corners()
     lines.raise_for(b"f", np.flatnonzero(counts < 3), "expected at least 3 corners")
-    lines.raise_for(b"f", np.arange(bad, bad + 1)[bad < 0 :], "expected corners like 1, 1/2 or 1/2/3")
     triangles, face_of_triangle = parsed_mesh.fan_triangles(counts, lines.name)
     face_of_corner = np.repeat(np.arange(len(counts)), counts)
     kinds = ((b"v", len(positions), "vertices"), (b"vt", len(coordinates), "texture coordinates"))
@@ -106,17 +128,8 @@ def read_obj(path: Path, folder: ScanFolder) -> ParsedMesh:
     pictures = ScanPictures(folder)
     material, own, notes = _materials(lines, pictures)
     materials, notes = pictures.or_named_like(path, uv, own, notes)
-    # Colours are the last of six numbers, or of seven with a weight; what is below 0 is a normal's.
-    coloured, colors = tokens >= 6, None
-    srgb = np.where((tokens > 6)[:, None], positions[:, 4:7], positions[:, 3:6])
-    if coloured.any() and all_finite(srgb[coloured]) and srgb[coloured].min() >= 0:
-        colors = np.column_stack([linear_of_srgb_numbers(np.where(coloured[:, None], srgb, 0)), coloured])
-    elif painted := "".join(lines.names(b"#MRGB")):  # of ZBrush: mask, red, green, blue of each vertex
-        try:
-            mask_and_srgb = np.frombuffer(bytes.fromhex(painted), np.uint8).reshape(len(positions), 4)
-            colors = linear_of_srgb_numbers(mask_and_srgb[:, 1:])
-        except ValueError:
-            notes += ("its #MRGB colours are not those of its vertices: went on without them",)
+    colors, lost = _vertex_colors(lines, positions, tokens)
+    notes += lost
     material = None if material is None or materials is not own else material[face_of_triangle]
     placements = np.array([m.uv_placement for m in materials])
     if uv is not None and material is not None and (placements != Material.uv_placement).any():
@@ -170,6 +183,26 @@ def write_obj(path: str | Path, vertices: FloatArray, faces: IntArray) -> None:
     lines = [f"v {x:.17g} {y:.17g} {z:.17g}\n" for x, y, z in np.asarray(vertices).tolist()]
     lines += [f"f {a} {b} {c}\n" for a, b, c in (np.asarray(faces) + 1).tolist()]
     write_text(path, "".join(lines))
+
+
+def _vertex_colors(
+    lines: ObjLines, positions: FloatArray, counts: IntArray
+) -> tuple[Float32Array | None, Texts]:
+    """Return linear colours (V, 3 or 4) by numbers (V, 7) of vertices, of which each has `counts` (V,)."""
+    # They are the last of six numbers, or of seven with a weight; what is below 0 is a normal's.
+    coloured = counts >= 6
+    srgb = np.where((counts > 6)[:, None], positions[:, 4:7], positions[:, 3:6])
+    if coloured.any() and all_finite(srgb[coloured]) and srgb[coloured].min() >= 0:
+        linear = linear_of_srgb_numbers(np.where(coloured[:, None], srgb, 0))
+        return np.column_stack([linear, coloured]), ()
+    painted = "".join(lines.names(b"#MRGB"))  # of ZBrush: mask, red, green, blue of each vertex
+    if not painted:
+        return None, ()
+    try:
+        mask_and_srgb = np.frombuffer(bytes.fromhex(painted), np.uint8).reshape(len(positions), 4)
+    except ValueError:
+        return None, ("its #MRGB colours are not those of its vertices: went on without them",)
+    return linear_of_srgb_numbers(mask_and_srgb[:, 1:]), ()
 
 
 def _materials(

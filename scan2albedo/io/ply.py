@@ -1,19 +1,20 @@
 """PLY scans with colours or textures; STL scans; OFF scans, ASCII, with vertex colours when they are COFF."""
 
 import re
+from array import array
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from scan2albedo.core.arrays import ByteArray, Float32Array, IntArray, NDArray, all_finite
+from scan2albedo.core.arrays import ByteArray, Float32Array, FloatArray, IntArray, NDArray, all_finite
 from scan2albedo.errors import ScanError
 from scan2albedo.geometry.operators import vertex_average
 from scan2albedo.io import limits, parsed_mesh
 from scan2albedo.io.color import linear_of_srgb_numbers
 from scan2albedo.io.parsed_mesh import GREY, Material, ParsedMesh, ScanFolder, ScanPictures, damaged
-from scan2albedo.io.text_tables import byte_ranges, filled_lines, number_table, plain_numbers, walk_rows
+from scan2albedo.io.text_tables import NumberTable, filled_lines, number_table, plain_numbers, ranges
 
 _TYPES = {
     "char": "i1",
@@ -73,7 +74,19 @@ def read_ply(path: Path, folder: ScanFolder) -> ParsedMesh:
     if not data.lstrip()[:3].lower() == b"ply" or end is None:
         raise damaged(path, "it has no complete PLY header")
     header = data[: end.start()].decode("latin-1")
-    # Byte order "<" or ">", None for text.
+    elements, order = _declared(path, header, len(data))
+    if order is None:
+        columns = ascii_columns(path, number_table(filled_lines(data[end.end() :], path.name)), elements)
+    else:
+        columns, body = {}, np.frombuffer(data, np.uint8, offset=end.end())
+        for element in elements:
+            columns[element.name], size = _binary_rows(path, body, element, order)
+            body = body[size:]
+    return mesh_of_columns(path, folder, columns, _texture_files(header))
+
+
+def _declared(path: Path, header: str, size: int) -> tuple[list[Element], str | None]:
+    """Return the elements of a file of `size` bytes, and the byte order "<" or ">", None for text."""
     orders = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}
     order: str | None = "?"
     elements: list[Element] = []
@@ -98,19 +111,12 @@ def read_ply(path: Path, folder: ScanFolder) -> ParsedMesh:
         if len(names) < max(len(element.properties), min(element.count, 1)):
             raise damaged(path, f"its {element.name} has no properties, or one twice")
     for element in elements:
-        if element.count <= len(data):  # else it is cut short, which is reported below
+        if element.count <= size:  # else it is cut short, which is reported below
             most = {"vertex": limits.VERTICES, "face": limits.TRIANGLES}.get(element.name, limits.TEXT_LINES)
             limits.require_at_most(path.name, f"rows of {element.name}", element.count, most, "decimate it")
         count, what = len(element.properties), f"properties of {element.name}"
         limits.require_at_most(path.name, what, count, limits.MATERIALS, "export it again")
-    if order is None:
-        columns = ascii_columns(path, filled_lines(data[end.end() :], path.name), elements)
-    else:
-        columns, body = {}, np.frombuffer(data, np.uint8, offset=end.end())
-        for element in elements:
-            columns[element.name], size = _binary_rows(path, body, element, order)
-            body = body[size:]
-    return mesh_of_columns(path, folder, columns, _texture_files(header))
+    return elements, order
 
 
 def mesh_of_columns(
@@ -140,15 +146,11 @@ def mesh_of_columns(
         raise ScanError(f"{path.name}: face {short} has {index.counts[short]} corners, expected at least 3")
     corners, polygon = parsed_mesh.fan_triangles(index.counts, path.name)
     faces = index.items.astype(int)[corners]
-    # Texture coordinates of the corners, else of the vertices.
-    uv, listed = None, face.get("texcoord")
+    uv = None
+    listed = face.get("texcoord")
     of_vertices = next((names for names in _UV_NAMES if all(name in vertex for name in names)), None)
     if isinstance(listed, _ListColumn):
-        complete = listed.counts == 2 * index.counts
-        of_corners = np.full((len(index.items), 2), np.nan)
-        whole = listed.items[np.repeat(complete, listed.counts)]
-        of_corners[np.repeat(complete, index.counts)] = whole.reshape(-1, 2)
-        uv = of_corners[corners] if complete.any() else None
+        uv = _uv_of_corners(listed, index.counts)[corners]
     elif of_vertices is not None:
         per_vertex = np.stack([vertex[name] for name in of_vertices], axis=1).astype(float)
         uv = per_vertex[np.where((faces >= 0) & (faces < len(per_vertex)), faces, 0)]
@@ -169,6 +171,14 @@ def mesh_of_columns(
         material = np.where((chosen >= 0) & (chosen < len(materials)), chosen, -1)
     notes = parsed_mesh.cut_note(index.counts) + notes
     return ParsedMesh(vertices, faces, uv, material, materials, vertex_color_linear=colors, notes=notes)
+
+
+def _uv_of_corners(listed: _ListColumn, counts: IntArray) -> FloatArray:
+    """Return the coordinates (C, 2) of polygons' corners, NaN of those whose list has not two for each."""
+    complete = listed.counts == 2 * counts
+    uv = np.full((int(counts.sum()), 2), np.nan)
+    uv[np.repeat(complete, counts)] = listed.items[np.repeat(complete, listed.counts)].reshape(-1, 2)
+    return uv
 
 
 def _colors(columns: dict[str, NDArray]) -> Float32Array | None:
@@ -194,32 +204,32 @@ def _texture_files(header: str) -> list[str]:
     return [match[1].strip() for match in found if match]
 
 
-def ascii_columns(path: Path, lines: list[bytes], elements: list[Element]) -> dict[str, Columns]:
+def ascii_columns(path: Path, table: NumberTable, elements: list[Element]) -> dict[str, Columns]:
     """Split rows of numbers into properties; a list takes its count and its entries."""
     columns: dict[str, Columns] = {}
     row = 0
     for element in elements:
-        rows = lines[row : row + element.count]
+        counts = table.counts[row : row + element.count]
+        first = table.first[row : row + element.count]
         row += element.count
-        if len(rows) < element.count:
+        if len(counts) < element.count:
+            if table.bad >= 0:
+                raise damaged(path, f"{element.name} {len(counts)} is not made of numbers")
             raise _cut_short(path, element)
-        table = number_table(rows)
-        if table.bad >= 0:
-            raise damaged(path, f"{element.name} {table.bad} is not made of numbers")
         found = columns[element.name] = {}
         column = np.zeros(element.count, int)
         for name, item_type, count_type in element.properties:
-            if (short := np.flatnonzero(column >= table.counts)).size:
+            if (short := np.flatnonzero(column >= counts)).size:
                 raise damaged(path, f"{element.name} {short[0]} is cut short")
-            values = table.values[table.first + column]
+            values = table.values[first + column]
             column = column + 1
-            counts = None
+            listed = None
             if count_type is not None:
-                if not ((values >= 0) & (column + values <= table.counts)).all():  # NaN is neither
+                if not ((values >= 0) & (column + values <= counts)).all():  # NaN is neither
                     raise damaged(path, f"a list {name} of {element.name} is cut short")
-                counts = values.astype(int)
-                values = table.ranges(column, counts)
-                column = column + counts
+                listed = values.astype(int)
+                values = table.values[ranges(first + column, listed)]
+                column = column + listed
             if item_type.kind in "iu":
                 bounds = np.iinfo(item_type)
                 fits = (values >= bounds.min) & (values < float(bounds.max) + 1)
@@ -228,7 +238,7 @@ def ascii_columns(path: Path, lines: list[bytes], elements: list[Element]) -> di
                     raise damaged(path, f"{name} of {element.name} holds {wrong}")
             with np.errstate(over="ignore"):  # to infinity; infinite vertices in use raise later
                 items = values.astype(item_type)
-            found[name] = items if counts is None else _ListColumn(counts, items)
+            found[name] = items if listed is None else _ListColumn(listed, items)
     return columns
 
 
@@ -238,29 +248,56 @@ def _cut_short(path: Path, element: Element) -> ScanError:
 
 def _binary_rows(path: Path, body: ByteArray, element: Element, order: str) -> tuple[Columns, int]:
     """Return (columns, bytes of all rows); ScanError where the body ends before."""
-    types = [(name, item_type.newbyteorder(order)) for name, item_type, _ in element.properties]  # type: ignore[arg-type]
-    if all(count_type is None for _, _, count_type in element.properties):
-        size = np.dtype(types).itemsize * element.count
-        if size > len(body):
-            raise _cut_short(path, element)
-        rows = np.ndarray(element.count, np.dtype(types), body)
-        return {name: rows[name].astype(item_type) for name, item_type, _ in element.properties}, size
-    # A property of a row has a byte at least: a count beyond the file is not worth making room for.
-    cells = element.count * len(types)
-    if cells > len(body):
-        raise _cut_short(path, element)
-    what = f"properties of {element.name} in all its rows"
-    limits.require_at_most(path.name, what, cells, 8 * limits.TRIANGLES, "decimate it")
-    items = np.array([item_type.itemsize for _, item_type in types])
-    counters = np.array([count_type.itemsize if count_type else 0 for _, _, count_type in element.properties])
-    offsets, counts, size = walk_rows(body, element.count, items, counters, order == ">")
-    if size < 0:
+    total = element.count
+    if total * len(element.properties) > len(body):  # a property of a row has a byte at least
         raise _cut_short(path, element)
     columns: Columns = {}
+    # Lists have the length of the first row's, mostly: then the rows are those of a matrix of bytes.
+    begins, counts, size = _cells(path, body, element, order, min(total, 1))
+    even = 0 < total * size <= len(body)
+    rows = body[: total * size if even else 0].reshape(-1, max(size, 1))
+    for i, (_, _, count_type) in enumerate(element.properties):
+        if even and count_type is not None:
+            counters = rows[:, begins[0, i] - count_type.itemsize : begins[0, i]]
+            even = bool((counters == counters[0]).all())
+    if not even:
+        begins, counts, size = _cells(path, body, element, order, total)
     for i, (name, item_type, count_type) in enumerate(element.properties):
-        values = byte_ranges(body, offsets[:, i], counts[:, i] * items[i]).view(types[i][1]).astype(item_type)
-        columns[name] = values if count_type is None else _ListColumn(counts[:, i], values)
-    return columns, size
+        widths = counts[:, i] * item_type.itemsize
+        if even:
+            stored = rows[:, begins[0, i] : begins[0, i] + widths[0]].ravel()
+        else:
+            stored = body[ranges(begins[:, i], widths)]
+        values = stored.view(item_type.newbyteorder(order)).astype(item_type)  # type: ignore[arg-type]
+        listed = np.broadcast_to(counts[:, i], total)
+        columns[name] = values if count_type is None else _ListColumn(listed, values)
+    return columns, size * total if even else size
+
+
+def _cells(
+    path: Path, body: ByteArray, element: Element, order: str, rows: int
+) -> tuple[IntArray, IntArray, int]:
+    """Walk over the first binary rows: where in `body` each property begins (R, P), how many items it has
+    (R, P), and the bytes of these rows."""
+    width = len(element.properties)
+    what = f"properties of {element.name} in all its rows"
+    limits.require_at_most(path.name, what, rows * width, 2 * limits.TRIANGLES, "decimate it")
+    data = body.data
+    begins = array("q")
+    counts = array("q")
+    place = 0
+    sizes = [(item.itemsize, counter.itemsize if counter else 0) for _, item, counter in element.properties]
+    for item, counter in sizes * rows:
+        count = 1
+        if counter:
+            count = int.from_bytes(data[place : place + counter], "big" if order == ">" else "little")
+        place += counter
+        begins.append(place)
+        counts.append(count)
+        place += count * item
+        if place > len(data):
+            raise _cut_short(path, element)
+    return np.reshape(begins, (-1, width)), np.reshape(counts, (-1, width)), place
 
 
 _HEADER = re.compile(rb"^(?:\s*#[^\n]*\n)*\s*(ST)?(C)?(N)?OFF(?:[ \t]+BINARY)?")
@@ -280,13 +317,13 @@ def read_stl(path: Path, _folder: ScanFolder) -> ParsedMesh:
         limits.require_at_most(path.name, "lines", data.count(b"\n"), limits.TEXT_LINES, "decimate it")
         # Names may be of any words; several vertices may stand on a line.
         words = plain_numbers(re.sub(rb"solid[^\r\n]*", b"", data.lower()))
-        lines = re.findall(rb"vertex[ \t]+(\S+[ \t]+\S+[ \t]+\S+)", words)
+        lines = re.findall(rb"vertex([ \t]+\S+[ \t]+\S+[ \t]+\S+)", words)
         if len(lines) != words.count(b"vertex"):
             raise damaged(path, "a vertex has not three numbers")
-        table = number_table(lines)
+        table = number_table(b"\n".join([*lines, b""]))
         if table.bad >= 0:
             raise damaged(path, f"vertex {table.bad} is not made of numbers")
-        corners = table.columns(3)
+        corners = table.values.reshape(-1, 3)
         if len(corners) % 3:
             raise damaged(path, "a triangle has not three vertices")
     else:
@@ -305,17 +342,16 @@ def read_off(path: Path, folder: ScanFolder) -> ParsedMesh:
         raise damaged(path, "it does not begin with OFF")
     if header[0].endswith(b"BINARY"):
         raise damaged(path, "binary OFF is not supported")
-    lines = filled_lines(data[header.end() :], path.name)
-    rows = lines[1:]
-    head = number_table(lines[:1])
-    counts = head.values[:2]
-    if head.bad >= 0 or len(counts) < 2 or not ((counts >= 0) & (counts < limits.TEXT_LINES)).all():  # or NaN
+    head, _, rows = filled_lines(data[header.end() :], path.name).partition(b"\n")
+    counts = number_table(head + b"\n").values[:2]
+    table = number_table(rows)
+    if len(counts) < 2 or not ((counts >= 0) & (counts < limits.TEXT_LINES)).all():  # or NaN
         raise damaged(path, "its counts are not numbers that a file has")
     names, number = ["x", "y", "z"], np.dtype(np.float64)
     vertex, face = (Element(name, int(n)) for name, n in zip(("vertex", "face"), counts, strict=True))
     plain = bool(header[2]) and not (header[1] or header[3])  # colours without normals or coordinates
-    if plain and vertex.count and min(len(row.split()) for row in rows[: vertex.count] or [b""]) >= 6:
+    if plain and table.counts[: vertex.count].min(initial=9) >= 6:
         names += ["red", "green", "blue"]
     vertex.properties += [(name, number, None) for name in names]
     face.properties.append(("vertex_indices", np.dtype(np.int64), number))
-    return mesh_of_columns(path, folder, ascii_columns(path, rows, [vertex, face]), [])
+    return mesh_of_columns(path, folder, ascii_columns(path, table, [vertex, face]), [])

@@ -1,27 +1,29 @@
 """Folders of results appear whole or not at all, also where a process is killed between two renames.
 
-Files that replace others are renamed one by one out of a hidden folder. While that lasts a `JOURNAL` names
-them. Of a folder that was left so, a reader says so and changes nothing; only who writes into the folder ends
-what the journal began, and trusts neither it nor links: the folder may have come from anywhere.
+Files that replace others are first renamed, all at once, into the folder `PENDING` of the target, and from
+there one by one to their places. Of a target that was left so, a reader says so and changes nothing; only who
+writes into it ends what was begun, and trusts neither that folder nor links: it may have come from anywhere.
 """
 
 import json
 import os
 import signal
-import stat
 import threading
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 from scan2albedo.errors import OutputError
 from scan2albedo.io import leftovers
 from scan2albedo.io.atomic import cannot_write
-from scan2albedo.io.leftovers import JOURNAL, at_work, finished, hidden_path, is_hidden_path, remove
+from scan2albedo.io.leftovers import finished, hidden_path
 
-JOURNAL_BYTES = 1 << 20
-"""Longest journal that is read, in bytes: ten thousand names of a hundred characters."""
+PENDING = ".publishing"
+"""Folder of the new files that are not yet in their places in the folder above."""
+_DROPPED = ".dropped.json"
+"""List in `PENDING` of the files of earlier runs that go."""
+_LIST_BYTES = 1 << 20
+"""Longest such list that is read, in bytes: ten thousand names of a hundred characters."""
 
 
 @contextmanager
@@ -46,7 +48,7 @@ def publish(staging: Path, target: Path, dropped: Collection[str] = ()) -> None:
     """Put the files of the folder `staging` into the folder `target`, all or none.
 
     Where there is no `target` yet, one rename makes it. Else its files of the same names are replaced, those
-    named in `dropped`, by paths in it, go, and others stay: once the `JOURNAL` is there, whatever stops the
+    named in `dropped`, by paths in it, go, and others stay: once `PENDING` is there, whatever stops the
     renames, the next writer goes on with them. The caller holds `folder_lock(target)`. Raises OSError, and
     OutputError for a link or a file in the place of a folder, with `target` as it was.
     """
@@ -56,25 +58,14 @@ def publish(staging: Path, target: Path, dropped: Collection[str] = ()) -> None:
             target.parent.mkdir(parents=True, exist_ok=True)
             os.rename(staging, target)
             return
-        holder = hidden_path(target / target.name)
+        gone = sorted({*dropped} - {*made})
+        (staging / _DROPPED).write_text(json.dumps(gone), encoding="utf-8")
+        os.rename(staging, target / PENDING)
         try:
-            os.rename(staging, holder)
-            journal: dict[str, Any] = {
-                "holder": holder.name,
-                "made": made,
-                "dropped": sorted({*dropped} - {*made}),
-            }
-            (holder / JOURNAL).write_text(json.dumps(journal), encoding="utf-8")
-            leftovers.keep(holder)  # from here on it holds what is not to be lost
-            os.rename(holder / JOURNAL, target / JOURNAL)
-            try:
-                _move(target, **journal)
-            except BaseException:  # whatever stopped it, an interrupt too
-                _move(target, **journal)
-                raise
-        finally:
-            if not os.path.lexists(target / JOURNAL):
-                finished(holder)
+            _move(target, made, gone)
+        except BaseException:  # whatever stopped it, an interrupt too
+            _move(target, made, gone)
+            raise
 
 
 def _files(source: Path, target: Path) -> list[str]:
@@ -87,7 +78,8 @@ def _files(source: Path, target: Path) -> list[str]:
             raise OutputError(f"{place} is a link to another folder, and links are not followed; remove it")
         if os.path.lexists(place) and path.is_dir() != place.is_dir() and not place.is_symlink():
             raise OutputError(f"{place} is in the way: a file and a folder of one name; remove it")
-        files += [] if path.is_dir() else [name]
+        if not path.is_dir() and name != _DROPPED:
+            files.append(name)
     return files
 
 
@@ -110,9 +102,9 @@ def signals_held() -> Iterator[None]:
 
 
 @contextmanager
-def folder_lock(folder: Path) -> Iterator[bool]:
-    """Keep other publishers out of a folder by a lock on its parent; give whether there is one."""
-    descriptor, locked = None, False
+def folder_lock(folder: Path) -> Iterator[None]:
+    """Keep other publishers out of a folder by a lock on its parent, where there are locks."""
+    descriptor = None
     try:
         # Not POSIX, a folder that cannot be read, or a file system without locks: then there is none.
         with suppress(ImportError, OSError):
@@ -120,111 +112,72 @@ def folder_lock(folder: Path) -> Iterator[bool]:
 
             descriptor = os.open(folder.parent, os.O_RDONLY)
             fcntl.flock(descriptor, fcntl.LOCK_EX)
-            locked = True
-        yield locked
+        yield
     finally:
         if descriptor is not None:
-            if locked:  # processes that were forked meanwhile hold the descriptor too
+            with suppress(OSError):  # processes that were forked meanwhile hold the descriptor too
                 fcntl.flock(descriptor, fcntl.LOCK_UN)
             os.close(descriptor)
 
 
 def check_whole(folder: Path) -> None:
     """Raise OSError for a folder whose publication was cut off; wait for one that lasts. Writes nothing."""
-    if os.path.lexists(folder / JOURNAL):
+    if os.path.lexists(folder / PENDING):
         with folder_lock(Path(os.path.realpath(folder))):
-            if os.path.lexists(folder / JOURNAL):
-                said = f"a run was ended while it wrote the files there, see {JOURNAL}"
+            if os.path.lexists(folder / PENDING):
+                said = f"a run was ended while it wrote the files there, see {PENDING}"
                 raise OSError(None, f"{said}; run it again into that folder")
 
 
 def settle(folder: Path, ours: Callable[[str], bool]) -> None:
     """End a publication into a folder that was cut off, see `go_on`, before writing into it."""
-    if os.path.lexists(folder / JOURNAL):
+    if os.path.lexists(folder / PENDING):
         folder = Path(os.path.realpath(folder))
-        with folder_lock(folder) as locked:
-            go_on(folder, ours, locked)
+        with folder_lock(folder):
+            go_on(folder, ours)
 
 
-def go_on(folder: Path, ours: Callable[[str], bool], locked: bool) -> None:
+def go_on(folder: Path, ours: Callable[[str], bool]) -> None:
     """End a publication that was cut off, if one was; the caller holds the lock, where there is one.
 
-    `ours` tells of a path in the folder whether we write such a file. Raises OSError, with nothing moved, for
-    a journal of another user, with other content, or with a link in one of its paths.
+    `ours` tells of a path in the folder whether we write such a file. Raises OSError, with nothing moved,
+    where `PENDING` is of another user, or holds other files or a link.
     """
-    if not os.path.lexists(folder / JOURNAL):
+    pending = folder / PENDING
+    if not os.path.lexists(pending):
         return
     try:
-        journal = _read_journal(folder, ours)
-        holder, names = journal["holder"], (*journal["made"], *journal["dropped"])
-        for place in (holder, *names, *(f"{holder}/{name}" for name in names)):
-            _is_file(folder, place)  # raises for a link on the way
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OSError) as error:
-        said = f"{folder / JOURNAL} was edited or cut short, or is not ours; remove it"
+        for path in (pending, *pending.rglob("*")):
+            if path.is_symlink() or not (path.is_dir() or path.is_file()):
+                raise ValueError("a link, or no file")
+        if hasattr(os, "geteuid") and pending.stat().st_uid != os.geteuid():
+            raise ValueError("no folder of this user")
+        made = _files(pending, folder)
+        gone: list[str] = []
+        with suppress(FileNotFoundError), (pending / _DROPPED).open("rb") as file:
+            gone = json.loads(file.read(_LIST_BYTES))
+        for name in (*made, *gone):
+            if not ours(name) or {"", ".", ".."} & {*name.split("/")} or (folder / name).parent.is_symlink():
+                raise ValueError("another name")
+    except (ValueError, TypeError, AttributeError, RecursionError, OSError, OutputError) as error:
+        said = f"{pending} was edited or cut short, or is not ours; remove it"
         raise OSError(None, said) from error
-    if not locked and os.path.lexists(folder / holder) and at_work(folder / holder):
-        raise OSError(None, "another run writes into it now")
-    _move(folder, **journal)
+    _move(folder, made, gone)
 
 
-def _move(folder: Path, holder: str, made: Sequence[str], dropped: Sequence[str]) -> None:
-    """Remove the files `dropped`, rename those `made` out of `holder`; this can be killed, and repeated."""
-    for name in dropped:
-        if _is_file(folder, name):
-            with _opened(folder, name) as (place, own):
-                os.unlink(own, dir_fd=place)
+def _move(folder: Path, made: Iterable[str], gone: Iterable[str]) -> None:
+    """Remove the files `gone`, rename those `made` out of `PENDING`; this can be killed, and repeated."""
+    pending = folder / PENDING
+    for name in gone:
+        if not (folder / name).is_dir():
+            (folder / name).unlink(missing_ok=True)
     for name in made:
-        if _is_file(folder, f"{holder}/{name}"):
-            (folder / name).parent.mkdir(exist_ok=True)
-            with _opened(folder, f"{holder}/{name}") as (here, old), _opened(folder, name) as (there, new):
-                os.replace(old, new, src_dir_fd=here, dst_dir_fd=there)
-    os.unlink(folder / JOURNAL)
-    remove(folder / holder)
-
-
-def _read_journal(folder: Path, ours: Callable[[str], bool]) -> dict[str, Any]:
-    """Return holder, made and dropped of a journal; ValueError and others where it is none of ours."""
-    descriptor = os.open(folder / JOURNAL, os.O_RDONLY | _NOFOLLOW | getattr(os, "O_NONBLOCK", 0))
-    with open(descriptor, "rb") as file:
-        found = os.fstat(descriptor)
-        if not stat.S_ISREG(found.st_mode) or (hasattr(os, "geteuid") and found.st_uid != os.geteuid()):
-            raise ValueError("no file of this user")
-        journal: dict[str, Any] = json.loads(file.read(JOURNAL_BYTES))
-    names = [*journal["made"], *journal["dropped"]]
-    if len(journal) != 3 or "/" in journal["holder"] or not is_hidden_path(Path(journal["holder"])):
-        raise ValueError("other content")
-    if not all(map(ours, names)) or any({"", ".", ".."} & {*name.split("/")} for name in names):
-        raise ValueError("other names")
-    return journal
-
-
-_NOFOLLOW = getattr(os, "O_NOFOLLOW", 0)
-_FOLDER = os.O_RDONLY | getattr(os, "O_DIRECTORY", 0)
-
-
-@contextmanager
-def _opened(root: Path, name: str) -> Iterator[tuple[int | None, str]]:
-    """Give the opened folder of a path in `root`, and the name in it; NotADirectoryError for a link."""
-    *above, own = name.split("/")
-    if os.stat not in os.supports_dir_fd:  # Windows opens no folders, and makes links for administrators only
-        yield None, str(root / name)
-        return
-    descriptor = os.open(root, _FOLDER)
-    try:
-        for part in above:
-            outer = descriptor
-            descriptor = os.open(part, _FOLDER | _NOFOLLOW, dir_fd=outer)
-            os.close(outer)
-        yield descriptor, own
-    finally:
-        os.close(descriptor)
-
-
-def _is_file(root: Path, name: str) -> bool:
-    """Return whether there is a file, or a link, of a path in `root`; NotADirectoryError like `_opened`."""
-    with suppress(FileNotFoundError), _opened(root, name) as (folder, own):
-        return not stat.S_ISDIR(os.lstat(own, dir_fd=folder).st_mode)
-    return False
+        (folder / name).parent.mkdir(exist_ok=True)
+        with suppress(FileNotFoundError):
+            os.replace(pending / name, folder / name)
+    emptied = hidden_path(folder / folder.name)
+    os.rename(pending, emptied)
+    finished(emptied)
 
 
 @contextmanager
@@ -239,6 +192,6 @@ def result_folder(out: Path, staged_in: Path | None = None) -> Iterator[Path]:
     target = Path(os.path.realpath(out))
     with cannot_write(out), staged(target, staged_in and Path(os.path.realpath(staged_in))) as staging:
         yield staging
-        with folder_lock(target) as locked:
-            go_on(target, set(_files(staging, target)).__contains__, locked)
+        with folder_lock(target):
+            go_on(target, set(_files(staging, target)).__contains__)
             publish(staging, target)

@@ -165,8 +165,8 @@ class RunFolder(Generic[Kind]):
             names = {path.name for path in folder.iterdir()}.difference(folders)
             unknown = [name for name in names if not self.files.holds(name)]
             assert not unknown, f"{self.files.command} writes {unknown}, which OwnFiles does not name"
-            with folder_lock(target) as locked:
-                go_on(target, self.files.holds_path, locked)
+            with folder_lock(target):
+                go_on(target, self.files.holds_path)
                 publish(folder, target, self.check(folders))
 
     def read(self, error: type[Scan2AlbedoError] = Scan2AlbedoError) -> Kind:

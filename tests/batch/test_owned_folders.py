@@ -10,7 +10,7 @@ from helpers.records import files_in, read_json
 from scan2albedo.batch import load_albedos, load_catalogue
 from scan2albedo.batch.catalogue import write_catalogue
 from scan2albedo.errors import BatchError, OutputError
-from scan2albedo.io.leftovers import JOURNAL
+from scan2albedo.io.publication import PENDING
 from scan2albedo.report import write_report
 
 pytestmark = pytest.mark.usefixtures("stages_in_this_process")
@@ -31,10 +31,10 @@ def test_a_folder_of_somebody_else_fails_its_scan_alone(batched, tmp_path, out):
     assert contents(tmp_path / "mine") == {}
 
 
-def test_a_hostile_journal_fails_its_scan_alone(batched, out):
+def test_a_hostile_publication_fails_its_scan_alone(batched, out):
     batched("a", "b")
-    journal = {"holder": ".x-000000-1-00000000.part", "made": [], "dropped": ["../b/albedo.exr"]}
-    (out / "a" / JOURNAL).write_text(json.dumps(journal))
+    (out / "a" / PENDING).mkdir()
+    (out / "a" / PENDING / ".dropped.json").write_text('["../b/albedo.exr"]')
     before = contents(out / "a"), contents(out / "b")
     report = batched("a", "b", resume=True)
     assert list(report.failures) == ["a"]

@@ -1,9 +1,5 @@
 """A folder may come from anywhere: what only reads one changes no file, in it or elsewhere."""
 
-import json
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from helpers.cli import invoke
@@ -17,8 +13,8 @@ from scan2albedo.batch import load_albedos
 from scan2albedo.batch.catalogue import write_catalogue
 from scan2albedo.batch.records import CATALOGUE
 from scan2albedo.errors import Scan2AlbedoError
-from scan2albedo.io.leftovers import _HOST, JOURNAL
 from scan2albedo.io.load_scan import load_scan
+from scan2albedo.io.publication import PENDING
 from scan2albedo.recognition import read_face
 
 
@@ -32,14 +28,11 @@ def hostile(tmp_path):
     folder.mkdir(parents=True)
     (outside / "albedo.exr").write_text("outside")
     (folder / "link").symlink_to(outside)
-    ended = subprocess.Popen([sys.executable, "-c", ""])
-    ended.wait()
-    holder = f".scan-{_HOST}-{ended.pid}-00000000.part"
-    (folder / holder / "link").mkdir(parents=True)
-    made, dropped = ["link/albedo.exr", "report.html"], ["notes.txt", "albedo.exr"]
-    for name in made:
-        (folder / holder / name).write_text("new here")
-    (folder / JOURNAL).write_text(json.dumps({"holder": holder, "made": made, "dropped": dropped}))
+    pending = folder / PENDING
+    pending.mkdir()
+    (pending / "link").symlink_to(outside)
+    (pending / "report.html").write_text("new here")
+    (pending / ".dropped.json").write_text('["notes.txt", "albedo.exr", "link/albedo.exr"]')
     records = "application batch cameras capture landmarks model photograph reflectance result"
     others = ("notes.txt", "albedo.exr", "geometry_image.npz", "expected_error.exr")
     for name in (*(f"{record}.json" for record in records.split()), *others):

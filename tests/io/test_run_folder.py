@@ -20,8 +20,8 @@ from helpers.cli import invoke
 
 import scan2albedo
 from scan2albedo.errors import OutputError
-from scan2albedo.io.leftovers import JOURNAL, is_hidden_path, remove_leftovers
-from scan2albedo.io.publication import check_whole
+from scan2albedo.io.leftovers import is_hidden_path, remove_leftovers
+from scan2albedo.io.publication import PENDING, check_whole
 from scan2albedo.io.records import read_record
 from scan2albedo.io.result_records import RunRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder, Staging
@@ -213,7 +213,7 @@ def test_signals_at_random_moments_leave_the_old_or_the_new_result(folder, kills
         assert end in {0, -kind if kind == signal.SIGKILL else 128 + kind}
         if kind != signal.SIGKILL:  # "nothing half-written was left behind"
             assert [path.name for path in folder.parent.iterdir()] == [folder.name]
-            left = [path for path in folder.rglob("*") if is_hidden_path(path) or path.name == JOURNAL]
+            left = [path for path in folder.rglob("*") if is_hidden_path(path) or path.name == PENDING]
             assert not left, [path.name for path in folder.rglob("*")]
         text = which(folder)
         found[text] += 1
@@ -282,7 +282,7 @@ def test_the_folder_keeps_its_mode_and_what_is_added_meanwhile(folder, monkeypat
     rename = os.rename
 
     def and_somebody_saves(a, b, **folders):
-        if Path(a).name == JOURNAL:
+        if Path(b).name == PENDING:
             (folder / "sub" / "late.txt").write_text("late")
             (folder / "mine.txt").unlink()
             (folder / "mine.txt").write_text("mine, saved late")
@@ -324,62 +324,58 @@ def test_a_folder_keeps_its_place(folder, monkeypatch, where):
     assert which(folder) == "new"
 
 
-HOLDER = ".x-000000-1-00000000.part"
-
-
-def journal_with(**changes):
-    """Return a journal of a publication that was cut off when it had made a.txt, with changes."""
-    return json.dumps({"holder": HOLDER, "made": ["a.txt"], "dropped": []} | changes)
-
-
 HOSTILE = {
-    "no object": "[]",
-    "cut short": "{",
-    "a folder of another name": journal_with(holder="page"),
-    "a folder elsewhere": journal_with(holder="../" + HOLDER),
-    "other content": journal_with(more=1),
-    "a path up": journal_with(made=["../a.txt"]),
-    "an absolute path": journal_with(made=["/a.txt"]),
-    "a file of the user's": journal_with(made=["mine.txt"]),
-    "a folder of the user's": journal_with(made=["sub"]),
-    "a file of the user's in a folder": journal_with(dropped=["page/mine.txt"]),
-    "a linked folder": journal_with(made=["elsewhere/page.json"]),
-    "new files in a linked folder": journal_with(made=["b.txt"]),
-    "new files in a linked folder of theirs": journal_with(made=["other/page.json"]),
-    "numbers": journal_with(made=[1]),
-    "a journal that is a link": None,
-    "a journal that is a pipe": None,
-    "a journal of another user": journal_with(),
+    "a list cut short": "[",
+    "a path up": '["../a.txt"]',
+    "an absolute path": '["/a.txt"]',
+    "a file of the user's": '["mine.txt"]',
+    "a folder of the user's": '["sub"]',
+    "a file of the user's in a folder": '["page/mine.txt"]',
+    "a file in a linked folder": '["elsewhere/page.json"]',
+    "numbers": "[1]",
+    "a new file under another name": "[]",
+    "a new file in a linked folder": "[]",
+    "a new file that is a link": "[]",
+    "a list that is a link": None,
+    "a list that is a pipe": None,
+    "a folder that is a link": None,
+    "a folder of another user": "[]",
 }
-"""Journals of which nothing may be believed."""
+"""Publications that were cut off, of which nothing may be believed, and their lists of files that go."""
 
 
 @pytest.mark.usefixtures("no_endless_reading")
 @pytest.mark.parametrize("kind", HOSTILE)
-def test_a_hostile_journal_is_refused_and_moves_nothing(folder, tmp_path, kind, monkeypatch):
-    outside = tmp_path / "outside"
+def test_a_hostile_publication_is_refused_and_moves_nothing(folder, tmp_path, kind, monkeypatch):
+    outside, pending = tmp_path / "outside", folder / PENDING
     outside.mkdir()
-    for name in ("page.json", "a.txt", "b.txt"):
-        (outside / name).write_text("outside")
+    for name in ("page.json", "a.txt", ".dropped.json"):
+        (outside / name).write_text("[]")
     (folder / "elsewhere").symlink_to(outside)
-    if kind == "new files in a linked folder":
-        (folder / HOLDER).symlink_to(outside)
+    if kind == "a folder that is a link":
+        pending.symlink_to(outside)
     else:
-        (folder / HOLDER).mkdir()
-        (folder / HOLDER / "other").symlink_to(outside)
+        pending.mkdir()
+        (pending / "b.txt").write_text("hostile")
     if kind.endswith("pipe"):
-        os.mkfifo(folder / JOURNAL)
-    elif kind.endswith("link"):
-        (outside / JOURNAL).write_text(journal_with())
-        (folder / JOURNAL).symlink_to(outside / JOURNAL)
-    else:
-        (folder / JOURNAL).write_text(HOSTILE[kind])
-    if kind.endswith("another user"):
+        os.mkfifo(pending / ".dropped.json")
+    elif kind == "a list that is a link":
+        (pending / ".dropped.json").symlink_to(outside / ".dropped.json")
+    elif HOSTILE[kind]:
+        (pending / ".dropped.json").write_text(HOSTILE[kind])
+    if kind.endswith("another name"):
+        (pending / "mine.txt").write_text("hostile")
+    elif kind == "a new file in a linked folder":
+        (pending / "elsewhere").mkdir()
+        (pending / "elsewhere" / "page.json").write_text("hostile")
+    elif kind == "a new file that is a link":
+        (pending / "a.txt").symlink_to(outside / "a.txt")
+    elif kind.endswith("another user"):
         me = os.geteuid()
         monkeypatch.setattr(os, "geteuid", lambda: me + 1)
     before = folders.contents(tmp_path)
     for attempt in (lambda: run(folder, "new"), RunFolder(folder, FILES).check):
-        with pytest.raises(OutputError, match=r"\.publishing\.json was edited or cut short, or is not ours"):
+        with pytest.raises(OutputError, match=r"\.publishing was edited or cut short, or is not ours"):
             attempt()
         assert folders.contents(tmp_path) == before
     with pytest.raises(OSError, match="a run was ended while it wrote"):
@@ -435,15 +431,16 @@ COMMANDS = {
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-@pytest.mark.parametrize("way", ["a file of the user's", "a journal"])
+@pytest.mark.parametrize("way", ["a file of the user's", "a publication"])
 def test_every_command_refuses_what_is_not_its_own_before_the_work(tmp_path, monkeypatch, command, way):
     monkeypatch.chdir(tmp_path)
     mine, said = tmp_path / "OUT" / COMMANDS[command], "no run of scan2albedo"
     mine.parent.mkdir(parents=True)
-    if way == "a journal":
+    if way == "a publication":
         said = "was edited or cut short, or is not ours"
-        for place in (mine.parent, tmp_path / "OUT"):
-            (place / JOURNAL).write_text(journal_with(made=["mine"]))
+        for place in {mine.parent, tmp_path / "OUT"}:
+            (place / PENDING).mkdir()
+            (place / PENDING / "mine").write_text("hostile")
     else:
         mine.write_text("mine")
     before = folders.contents(tmp_path)

@@ -16,7 +16,7 @@ from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.geometry.mesh import face_areas, face_normals, normalized
 from scan2albedo.geometry.rigid import compose
 from scan2albedo.io.color import decode_srgb_integers
-from scan2albedo.io.load_scan import input_sha256
+from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.records import read_record, write_record
 from scan2albedo.io.result_records import InputRecord, RegistrationRecord, ResultRecord
 from scan2albedo.report.html.charts import Axis, read_trace, stage_charts

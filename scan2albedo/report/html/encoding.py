@@ -192,7 +192,7 @@ def residual_of_result(folder: Path, record: ResultRecord, mesh: FaceMesh) -> tu
     from scan2albedo.fitting.result import RESIDUAL_GATE_MM, residuals_mm
     from scan2albedo.fitting.scan_surface import scan_near_model
     from scan2albedo.io import load_scan
-    from scan2albedo.io.load_scan import input_sha256
+    from scan2albedo.io.input_hash import input_sha256
 
     file = Path(record.input.file)
     try:
