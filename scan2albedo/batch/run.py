@@ -35,10 +35,11 @@ from scan2albedo.core.raw_scan import lost_texture
 from scan2albedo.core.version import VERSION
 from scan2albedo.errors import BatchError, ModelError, Scan2AlbedoError, needs_extra
 from scan2albedo.io.atomic import check_writable
+from scan2albedo.io.input_hash import file_sha256
 from scan2albedo.io.landmark_files import landmarks_file
 from scan2albedo.io.leftovers import JOURNAL, remove_leftovers
 from scan2albedo.io.linear_model_files import LinearFaceModel
-from scan2albedo.io.load_scan import file_sha256, files_of_scan
+from scan2albedo.io.load_scan import files_of_scan
 from scan2albedo.io.publication import signals_held
 from scan2albedo.io.records import installed_versions, read_record, write_record
 from scan2albedo.pipeline.detected_landmarks import require_detector

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from scan2albedo.batch.records import BatchOutcome, BatchScanRecord, Layout
 from scan2albedo.core.arrays import Texts, Values
 from scan2albedo.errors import BatchError, Scan2AlbedoError, one_line
-from scan2albedo.io.load_scan import file_sha256, input_sha256
+from scan2albedo.io.input_hash import file_sha256, input_sha256
 from scan2albedo.io.run_folder import RunFolder
 
 if TYPE_CHECKING:

@@ -87,22 +87,15 @@ class Trace:
             axis = figure.add_subplot(panel_rows, columns, number, title=stage)
             found = self.of_stage(stage)
             errors = [row.error for row in found]
-            if len(set(errors)) < 2:  # no curve: the error is written
-                axis.set_axis_off()
-                for last in found.rows[-1:]:
-                    spent = f"{last.evaluations} evaluations, {last.elapsed_s:.3g} s"
-                    text = f"{last.error:.3g} {last.unit}\n{spent}"
-                    axis.text(0.5, 0.5, text, ha="center", va="center", transform=axis.transAxes)
-                continue
             runs = found.runs()
             for count, run in enumerate(runs, start=1):
                 times, reached = [row.elapsed_s for row in run], [row.error for row in run]
                 axis.plot(times, reached, marker=".", linewidth=1, label=f"run {count}")
+                axis.set(xlabel="elapsed [s]", ylabel=f"error [{run.rows[0].unit}]")
             if len(runs) > 1:
                 axis.legend(fontsize=8)
-            axis.set(xlabel="elapsed [s]", ylabel=f"error [{found.rows[0].unit}]")
             # Within half a decade an axis in logarithms has hardly a number on it.
-            if 0 < 5 * min(errors) < max(errors):
+            if errors and 0 < 5 * min(errors) < max(errors):
                 axis.set_yscale("log")
             axis.xaxis.set_major_locator(MaxNLocator(3))
             axis.ticklabel_format(axis="x", useOffset=False, style="plain")

@@ -30,6 +30,8 @@ from scan2albedo.io.atomic import write_bytes
 from scan2albedo.io.images import encode_image
 
 METRES_PER_MM = 1e-3
+_INFLUENCES = 4
+"""Weights of a vertex in a set of attributes (glTF 2.0, 3.7.3.3)."""
 OF_VERTICES = 34962
 """Target of a buffer view that holds an attribute of vertices (glTF 2.0, 5.11.5: ARRAY_BUFFER)."""
 OF_INDICES = 34963
@@ -132,6 +134,21 @@ class GlbFile:
         if names:
             entry["extras"] = {"targetNames": [*names]}
 
+    def add_take(
+        self, mesh: int, surface: tuple[FloatArray, IntArray], take: Mapping[str, FloatArray]
+    ) -> Values:
+        """Append how a mesh moves, see `write_glb`; return the file's animations, of its first node."""
+        pose = take["pose"]
+        curves = {"rotation": Rotation.from_matrix(pose[:, :3, :3]).as_quat()}
+        curves["translation"] = METRES_PER_MM * pose[:, :3, 3]
+        if len(take["targets"]):
+            curves["weights"] = take["weights"].ravel()
+            self.add_targets(mesh, surface, take["targets"], take["weights"][0])
+        times = self.add_array(take["time_s"], bounds=True)
+        samplers = [{"input": times, "output": self.add_array(values)} for values in curves.values()]
+        channels = [{"sampler": k, "target": {"node": 0, "path": p}} for k, p in enumerate(curves)]
+        return {"animations": [{"samplers": samplers, "channels": channels}]}
+
     def write(
         self,
         path: str | Path,
@@ -217,18 +234,7 @@ def write_glb(
         part.add_to(file)
         if emissive:
             file.materials[-1]["extensions"] = {"KHR_materials_unlit": {}}
-    animations: Values = {}
-    if take is not None:
-        pose = take["pose"]
-        curves = {"rotation": Rotation.from_matrix(pose[:, :3, :3]).as_quat()}
-        curves["translation"] = METRES_PER_MM * pose[:, :3, 3]
-        if len(take["targets"]):
-            curves["weights"] = take["weights"].ravel()
-            file.add_targets(mesh, (points, triangles), take["targets"], take["weights"][0])
-        times = file.add_array(take["time_s"], bounds=True)
-        samplers = [{"input": times, "output": file.add_array(values)} for values in curves.values()]
-        channels = [{"sampler": k, "target": {"node": 0, "path": p}} for k, p in enumerate(curves)]
-        animations = {"animations": [{"samplers": samplers, "channels": channels}]}
+    animations: Values = {} if take is None else file.add_take(mesh, (points, triangles), take)
     file.write(path, **animations)
 
 
@@ -290,7 +296,6 @@ def write_skinned_glb(
     names: Sequence[str],
     *,
     parents: Sequence[int],
-    influences: int | None = 4,
 ) -> tuple[FloatArray, float]:
     """Write a mesh with a node at each key point and the weights that tie it to them, as binary glTF 2.0.
 
@@ -300,11 +305,10 @@ def write_skinned_glb(
     `vertices` and `faces` as in `write_glb`; `keypoints` (K, 3) in mm, NaN for a missing one, which gets no
     node; `weights` (V, K) not negative, rows sum to 1, 0 for missing key points; `parents` (K,) the joint
     that carries each along, -1 for none (children of a missing joint are attached to its parent). Each vertex
-    keeps its `influences` largest weights, divided by their sum, as most viewers read only a file's first
-    four; None keeps all that are not 0 in 32 bits. Returns the weights (V, K) as written, rounded to 32 bits,
-    rows sum to 1, and the greatest part of a vertex's weight that was cut off: that times the greatest
-    distance between any two of the places to which its joints, each by itself, would take it, it moves at
-    most.
+    keeps its four largest weights, divided by their sum: most viewers read no more. Returns the weights
+    (V, K) as written, rounded to 32 bits, rows sum to 1, and the greatest part of a vertex's weight that was
+    cut off: that times the greatest distance between any two of the places to which its joints, each by
+    itself, would take it, it moves at most.
 
     Raises OutputError when the folder cannot be written; ValueError for wrong shapes, numbers that are not
     finite, negative weights, weights of missing joints or parents that form a cycle.
@@ -315,78 +319,57 @@ def write_skinned_glb(
     parent = checked_array(parents, (len(names),), "parents", kind=int)
     if not len(index):
         raise ValueError("there must be faces")
-    if influences is not None and influences < 1:
-        raise ValueError(f"influences must be 1 or more, or None, got {influences}")
     there = finite_rows(joints)
     if shares.min() < 0 or shares[:, ~there].any() or np.abs(shares.sum(1) - 1).max() > 1e-6:
         raise ValueError("weights must not be negative, sum to 1, and be 0 for missing key points")
     known = np.flatnonzero(there)
-    bound = _bound(shares[:, known], influences)
-    file, attributes = GlbFile(), dict[str, NDArray]()
-    kind = "u1" if len(known) <= 256 else "u2"
-    for n, start in enumerate(range(0, bound.joint.shape[1], 4)):
-        attributes[f"JOINTS_{n}"] = bound.joint[:, start : start + 4].astype(kind)
-        attributes[f"WEIGHTS_{n}"] = bound.weight[:, start : start + 4]
+    joint, weight = _largest_weights(shares[:, known])
+    file = GlbFile()
+    attributes = {"JOINTS_0": joint.astype("u1" if len(known) <= 256 else "u2"), "WEIGHTS_0": weight}
     frame = plain_material("frame", (0.25, 0.25, 0.28, 1.0), 0.6)
     mesh = file.add_mesh(frame, xyz, index, attributes)
     # A skinned mesh stands beside its skeleton: transforms of its own node do not count.
-    number = {int(joint): i + 2 for i, joint in enumerate(known)}
+    number = {int(k): i + 2 for i, k in enumerate(known)}
     skeleton: Values = {"name": "skeleton"}
     nodes: list[Values] = [{"name": "frame", "mesh": mesh, "skin": 0}, skeleton]
     places = joints * METRES_PER_MM
-    above = _nearest_known(parent, there)
-    nodes += [{"name": names[joint]} for joint in number]
-    for joint, carrier in above.items():
+    nodes += [{"name": names[k]} for k in number]
+    above = _known_parents(parent, there)
+    for k, node in number.items():
         origin, holder = np.zeros(3), skeleton
-        if carrier >= 0:
+        if (carrier := int(above[k])) >= 0:
             origin, holder = places[carrier], nodes[number[carrier]]
-        nodes[number[joint]]["translation"] = (places[joint] - origin).tolist()
-        holder.setdefault("children", []).append(number[joint])
+        nodes[node]["translation"] = (places[k] - origin).tolist()
+        holder.setdefault("children", []).append(node)
     inverse = identities(len(known), 4)
     inverse[:, :3, 3] = -places[known]
     matrices = file.add_array(inverse.transpose(0, 2, 1))  # column by column
     skin = {"skeleton": 1, "joints": list(number.values()), "inverseBindMatrices": matrices}
     file.write(path, nodes, [0, 1], skins=[skin])
     written = np.zeros(shares.shape)
-    np.add.at(written, (np.arange(len(shares))[:, None], known[bound.joint]), bound.weight)
-    return written / written.sum(1, keepdims=True), bound.cut
+    np.add.at(written, (np.arange(len(shares))[:, None], known[joint]), weight)
+    cut = max(float((shares * (written == 0)).sum(1).max()), 0.0)
+    return written / written.sum(1, keepdims=True), cut
 
 
-def _nearest_known(parents: IntArray, known: BoolArray) -> dict[int, int]:
-    """Return the nearest known joint above each known one, -1 for none; ValueError for a circle."""
-    above: dict[int, int] = {}
-    for joint in np.flatnonzero(known).tolist():
-        above[joint], climb = -1, int(parents[joint])
-        for _ in parents:
-            if above[joint] < 0 and climb >= 0 and known[climb]:
-                above[joint] = climb
-            climb = int(parents[climb]) if climb >= 0 else -1
-        if climb >= 0:
-            raise ValueError(f"parents go round in a circle from joint {joint}")
+def _known_parents(parents: IntArray, known: BoolArray) -> IntArray:
+    """Return the nearest known joint (K,) above each one, -1 for none; ValueError for a circle."""
+    above = parents
+    climbed = parents
+    for _ in parents:
+        above = np.where((above >= 0) & ~known[above], parents[above], above)
+        climbed = np.where(climbed >= 0, parents[climbed], -1)
+    if (climbed[known] >= 0).any():
+        raise ValueError("parents go round in a circle")
     return above
 
 
-@dataclass(frozen=True)
-class _Bound:
-    """The joints (V, 4 n) that move each vertex, heaviest first, and their weights, whose sum is 1."""
-
-    joint: IntArray
-    weight: Float32Array
-    cut: float
-    """The greatest part of a vertex's weight that was left out."""
-
-
-def _bound(shares: FloatArray, influences: int | None) -> _Bound:
-    """Keep the `influences` largest of the weights (V, K) of each vertex, None for all that 32 bits keep."""
-    some = shares > np.finfo(np.float32).epsneg  # others vanish beside 1 in 32 bits
-    width = int(some.sum(1).max())
-    if influences is not None:
-        width = min(influences, width)
-    order = np.argsort(-shares, axis=1, kind="stable")[:, :width]
-    kept = np.take_along_axis(np.where(some, shares, 0.0), order, 1)
-    total = kept.sum(1, keepdims=True)
-    cut = max(float((shares.sum(1) - total[:, 0]).max()), 0.0)
-    filling = ((0, 0), (0, -width % 4))
-    weight = np.pad((kept / total).astype(np.float32), filling)
-    # The standard wants joint 0 where a weight is 0.
-    return _Bound(np.where(weight > 0, np.pad(order, filling), 0), weight, cut)
+def _largest_weights(shares: FloatArray) -> tuple[IntArray, Float32Array]:
+    """Return the joints (V, 4) of each vertex's largest weights, of sum 1, heaviest first, and these."""
+    # Of weights that do not vanish beside 1 in 32 bits; the standard wants joint 0 with none.
+    some = np.where(shares > np.finfo(np.float32).epsneg, shares, 0.0)
+    order = np.argsort(-some, axis=1, kind="stable")[:, :_INFLUENCES]
+    kept = np.take_along_axis(some, order, 1)
+    filling = ((0, 0), (0, _INFLUENCES - order.shape[1]))
+    weight = np.pad((kept / kept.sum(1, keepdims=True)).astype(np.float32), filling)
+    return np.where(weight > 0, np.pad(order, filling), 0), weight

@@ -53,8 +53,8 @@ class GltfFile:
             gloss = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness")
             if gloss is not None:
                 base["baseColorFactor"] = gloss.get("diffuseFactor", (1, 1, 1, 1))
-            if gloss is not None and "diffuseTexture" in gloss:
-                base["baseColorTexture"] = gloss["diffuseTexture"]
+                if "diffuseTexture" in gloss:
+                    base["baseColorTexture"] = gloss["diffuseTexture"]
             glow = material.get("emissiveFactor", (0, 0, 0))
             if any(glow) and "emissiveTexture" in material and "baseColorTexture" not in base:
                 # Shadeless exports have the colour in the slot of what glows.

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal, Self
 from xml.etree import ElementTree
@@ -93,31 +94,31 @@ def read_landmarks(file: str | Path, mm_per_unit: float = 1.0) -> PlacedLandmark
     most = COUNT * NAME_BYTES  # a long line each
     text = read_text(path, what=f"landmarks {path}", advice=_ADVICE, error=ScanError, limit=most)
     points, sigma_mm = np.full((COUNT, 3), np.nan), np.full(COUNT, PLACED_SIGMA_MM)
-    seen: dict[int, str] = {}
+    seen: dict[float, str] = {}
     for where, written, place, sigma in reader(text, path):
-        try:
-            number = int(str(written))
-        except ValueError:
-            number = -1
-        if not 0 <= number < COUNT:
+        number = _number(written)
+        if number not in range(COUNT):
             known = f"the number of a landmark (0 to {COUNT - 1})"
             raise ScanError(f"{where}: {str(written)[:40]!r} is not {known}; {_ADVICE}")
         if number in seen:
-            raise ScanError(f"{where}: landmark {number} was given before ({seen[number]}); keep one")
+            raise ScanError(f"{where}: landmark {int(number)} was given before ({seen[number]}); keep one")
         if not isinstance(place, list | tuple) or len(place) != 3:
             raise ScanError(f"{where}: {str(place)[:40]} are not three coordinates; {_ADVICE}")
         seen[number] = where
-        values = []
         for value in (*place, sigma):
-            try:
-                values.append(math.nan if isinstance(value, bool) else float(value))
-            except (TypeError, ValueError, OverflowError):
-                values.append(math.nan)
-            if not math.isfinite(values[-1]):
+            if not math.isfinite(_number(value)):
                 raise ScanError(f"{where}: {str(value)[:40]!r} is not a finite number; {_ADVICE}")
-        points[number], sigma_mm[number] = [value * mm_per_unit for value in values[:3]], values[3]
+        points[int(number)] = [_number(value) * mm_per_unit for value in place]
+        sigma_mm[int(number)] = _number(sigma)
     with errors_of(str(path), ScanError):
         return PlacedLandmarks(points, sigma_mm)
+
+
+def _number(written: Any) -> float:
+    """Return a number as written in a file, NaN for what is none."""
+    with suppress(TypeError, ValueError, OverflowError):
+        return math.nan if isinstance(written, bool) else float(written)
+    return math.nan
 
 
 # The readers yield, of each point: where it stands, its number, coordinates and deviation as written.

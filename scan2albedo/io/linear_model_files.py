@@ -27,7 +27,7 @@ from scan2albedo.core.arrays import (
 from scan2albedo.errors import ModelError, ScanError, needs_extra, one_line
 from scan2albedo.geometry.rigid import rotation_from_vector
 from scan2albedo.io import limits
-from scan2albedo.io.load_scan import file_sha256
+from scan2albedo.io.input_hash import file_sha256
 from scan2albedo.io.npz import read_npz
 from scan2albedo.statistics.linear_model import LinearModel
 

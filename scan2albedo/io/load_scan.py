@@ -1,10 +1,7 @@
-"""`load_scan`: any supported scan file as a checked `RawScan` in mm and linear colour; and its hash."""
+"""`load_scan`: any supported scan file as a checked `RawScan` in mm and linear colour."""
 
-import hashlib
-import math
 import os
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -16,21 +13,31 @@ from scan2albedo.core.arguments import linear_doubt, require_type
 from scan2albedo.core.arrays import IntArray
 from scan2albedo.core.landmarks import AUTO, PlacedLandmarks, landmarks_option
 from scan2albedo.core.raw_scan import scan_name
-from scan2albedo.errors import ScanError, TooLargeError, memory_errors_named, one_line
+from scan2albedo.errors import ScanError, memory_errors_named, one_line
 from scan2albedo.io import limits
 from scan2albedo.io.parsed_mesh import ParsedMesh, ScanFolder
 
-READERS = {
-    ".obj": ("scan2albedo.io.obj:read_obj", "scan2albedo.io.obj:files_of_obj"),
-    ".ply": ("scan2albedo.io.ply:read_ply", "scan2albedo.io.ply:files_of_ply"),
-    ".glb": ("scan2albedo.io.gltf:read_gltf", "scan2albedo.io.gltf:files_of_gltf"),
-    ".gltf": ("scan2albedo.io.gltf:read_gltf", "scan2albedo.io.gltf:files_of_gltf"),
-    ".stl": ("scan2albedo.io.ply:read_stl", ""),
-    ".off": ("scan2albedo.io.ply:read_off", ""),
+Reader = Callable[[Path, ScanFolder], ParsedMesh]
+READERS: dict[str, Reader | str] = {
+    ".obj": "scan2albedo.io.obj:read_obj",
+    ".ply": "scan2albedo.io.ply:read_ply",
+    ".glb": "scan2albedo.io.gltf:read_gltf",
+    ".gltf": "scan2albedo.io.gltf:read_gltf",
+    ".stl": "scan2albedo.io.ply:read_stl",
+    ".off": "scan2albedo.io.ply:read_off",
 }
-"""Functions of a path and a `ScanFolder`, imported when such a file is read: one that returns a `ParsedMesh`,
-and where a scan refers to other files one that returns their names."""
-SUPPORTED_SCANS = tuple(READERS)
+"""By extension in lower case: functions, or places of functions that are imported when such a file is read.
+
+What is added here is read by every function and command.
+"""
+REFERENCES = {
+    ".obj": "scan2albedo.io.obj:files_of_obj",
+    ".ply": "scan2albedo.io.ply:files_of_ply",
+    ".glb": "scan2albedo.io.gltf:files_of_gltf",
+    ".gltf": "scan2albedo.io.gltf:files_of_gltf",
+}
+"""Places of functions that return the names of files to which a scan refers: its reader finds no others."""
+SUPPORTED_SCANS = READERS.keys()
 
 
 def load_scan(
@@ -165,44 +172,11 @@ def read_mesh_file(file: Path, textures: Path | None = None) -> ParsedMesh:
             raise ScanError(f"{file.name}: the file is empty (0 bytes); export the scan again")
         with memory_errors_named(file.name):
             folder = ScanFolder(file.parent, textures, frozenset(files_of_scan(file, textures)))
-            mesh: ParsedMesh = resolve_name(READERS[extension][0])(file, folder)
+            reader = READERS[extension]
+            mesh: ParsedMesh = (resolve_name(reader) if isinstance(reader, str) else reader)(file, folder)
     except (OSError, ValueError) as error:
         raise ScanError(f"{file}: cannot be read: {one_line(error)}; check the path") from error
     return mesh
-
-
-def input_sha256(source: str | Path | RawScan, textures: str | Path | None = None) -> str:
-    """Return the SHA-256 of a scan file with its material libraries and textures, or of a `RawScan`'s arrays.
-
-    `textures` is the folder that `load_scan` may also read from. Take it when the file is read: the file may
-    change before results are written. Raises ScanError when the file cannot be read.
-    """
-    digest = hashlib.sha256()
-    if not isinstance(source, str | Path):
-        for field in ("vertices", "faces", "uv", "texture_linear", "vertex_color_linear", "color_seen"):
-            value = getattr(source, field)
-            digest.update(f"{field}:{None if value is None else (value.shape, value.dtype.str)};".encode())
-            if value is not None:
-                digest.update(value.tobytes())
-        return digest.hexdigest()
-    try:
-        limits.require_file(Path(source), math.inf)
-        files: tuple[Path, ...] = (Path(source),)
-        with suppress(TooLargeError):  # load_scan says so
-            files = files_of_scan(files[0], textures)
-        for file in files:
-            digest.update(f"{file.stat().st_size}:".encode())
-            with file.open("rb") as opened:
-                hashlib.file_digest(opened, lambda: digest)
-    except OSError as error:
-        raise ScanError(f"{source}: cannot be read: {error.strerror or error}; check the path") from error
-    return digest.hexdigest()
-
-
-def file_sha256(path: Path) -> str:
-    """Return the SHA-256 of one file; raises OSError."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def files_of_scan(path: Path, textures: str | Path | None = None) -> tuple[Path, ...]:
@@ -210,10 +184,10 @@ def files_of_scan(path: Path, textures: str | Path | None = None) -> tuple[Path,
 
     Its reader reads no others, see `ScanFolder`, and its hash is that of all of them. Raises TooLargeError.
     """
-    _, reader = READERS.get(path.suffix.lower(), ("", ""))
     folder = ScanFolder(path.parent, None if textures is None else Path(textures))
     names: list[str] = []
-    if reader and path.is_file():  # a pipe or a device may never end
-        names = resolve_name(reader)(path, folder)
+    extension = path.suffix.lower()
+    if extension in REFERENCES and path.is_file():  # a pipe or a device may never end
+        names = resolve_name(REFERENCES[extension])(path, folder)
     found = map(folder.find, names)
     return (path, *dict.fromkeys(file for file in found if file is not None))

@@ -201,18 +201,16 @@ def parse_mtl(text: str) -> dict[str, Material]:
     for raw in text.splitlines():
         if len(raw) > limits.NAME_BYTES:
             continue
-        keyword, _, rest = raw.strip().partition(" ") if "\t" not in raw else raw.strip().partition("\t")
+        keyword, rest = [*raw.split(maxsplit=1), "", ""][:2]
         keyword, rest = keyword.lower(), rest.strip()
         if keyword == "newmtl":
             name = rest
             materials[name] = Material(name, base_color_linear=GREY)
         elif name is not None and keyword == "kd":
-            try:
-                values = [min(max(float(token), 0.0), 1.0) for token in rest.split()[:3]]
-            except ValueError:
-                values = []
-            red, green, blue = srgb_to_linear({1: values * 3, 3: values}.get(len(values), [0.5] * 3)).tolist()
-            materials[name] = replace(materials[name], base_color_linear=(red, green, blue))
+            with suppress(ValueError, ZeroDivisionError):
+                values = [float(token) for token in rest.split()[:3]]
+                red, green, blue = srgb_to_linear(np.clip(values * (3 // len(values)), 0, 1)).tolist()
+                materials[name] = replace(materials[name], base_color_linear=(red, green, blue))
         elif name is not None and rest and keyword in ("map_kd", "map_ka", "map_ke"):
             if keyword != "map_kd" and materials[name].texture_file is not None:
                 continue

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from scan2albedo.core.arrays import IntArray, NDArray, dots, triangle_sides
+from scan2albedo.core.arrays import BoolArray, IntArray, NDArray, dots, norms, triangle_sides
 from scan2albedo.core.raw_scan import LARGEST_COORDINATE, require_valid_indices
 from scan2albedo.errors import ScanError
 from scan2albedo.geometry.mesh import turned_against_neighbours, vertex_mask
@@ -12,6 +12,9 @@ from scan2albedo.io.parsed_mesh import ParsedMesh
 
 _AREA_FLOOR = 1e-12
 """A face whose doubled area is below this share of its squared longest edge has no usable normal."""
+
+
+_BLOCK = 1 << 20
 
 
 def require_usable(mesh: ParsedMesh, name: str) -> None:
@@ -52,6 +55,18 @@ def first_equal_row(rows: NDArray) -> IntArray:
     return np.where((rows[place[group]] == rows).all(1), place[group], first)
 
 
+def _flat_faces(mesh: ParsedMesh) -> BoolArray:
+    """Return (F,) which faces have no usable normal; in blocks to spare memory."""
+    flat = np.empty(len(mesh.faces), bool)
+    for start in range(0, len(flat), _BLOCK):
+        corner = mesh.vertices[mesh.faces[start : start + _BLOCK]]
+        one, two = triangle_sides(corner)
+        longest = np.max([dots(edge, edge) for edge in (one, two, two - one)], axis=0)
+        doubled = norms(np.cross(one, two))
+        flat[start : start + len(corner)] = doubled <= _AREA_FLOOR * longest
+    return flat
+
+
 def repair(mesh: ParsedMesh) -> ParsedMesh:
     """Return the mesh with equal positions merged and useless faces and vertices dropped.
 
@@ -64,15 +79,7 @@ def repair(mesh: ParsedMesh) -> ParsedMesh:
     merged = int((used & (first != np.arange(len(first)))).sum())
     notes = (f"vertices merged at equal positions (seams): {merged}",) if merged else ()
     mesh = replace(mesh, faces=first[mesh.faces], notes=mesh.notes + notes)
-    # Faces without a usable normal, in blocks to spare memory.
-    flat = np.empty(len(mesh.faces), bool)
-    for start in range(0, len(flat), 1 << 20):
-        corner = mesh.vertices[mesh.faces[start : start + (1 << 20)]]
-        one, two = triangle_sides(corner)
-        longest = np.max([dots(edge, edge) for edge in (one, two, two - one)], axis=0)
-        cross = np.cross(one, two)
-        doubled = np.sqrt(dots(cross, cross))
-        flat[start : start + len(corner)] = doubled <= _AREA_FLOOR * longest
+    flat = _flat_faces(mesh)
     keep = ~flat
     repeats = first_equal_row(np.sort(mesh.faces[keep], axis=1)) != np.arange(int(keep.sum()))
     keep[np.flatnonzero(keep)[repeats]] = False

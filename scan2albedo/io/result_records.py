@@ -10,7 +10,7 @@ from pydantic import Field, PlainSerializer, PlainValidator
 
 from scan2albedo.core import EnvironmentLight, PlanStep, PointLight, RawScan
 from scan2albedo.core.arrays import Texts, Values
-from scan2albedo.io.load_scan import input_sha256
+from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.records import (
     CalledWith,
     Count,

@@ -56,11 +56,13 @@ def pack_texture(mesh: ParsedMesh) -> PackedTexture:
     if not mapped.any():
         return PackedTexture(np.where(has_uv[:, None, None], mesh.uv, 0.0), None, ())
     first: dict[int, int] = {}  # material of each picture: several may share one
-    same = [first.setdefault(id(m.texture_linear), i) for i, m in enumerate(mesh.materials)]
-    material_of_picture = np.array([*same, -1])
-    tiles, notes = _pictures(mesh, mesh.uv, np.where(mapped, material_of_picture[material], -1))
-    plain = np.flatnonzero(~mapped)
-    tiles += _patches(mesh, plain)
+    pictures = [first.setdefault(id(m.texture_linear), i) for i, m in enumerate(mesh.materials)]
+    # The material of each face's picture; of faces without one, which come last, their own.
+    count = len(mesh.materials)
+    label = np.where(
+        mapped, np.array([*pictures, -1])[material], count + 1 + (-1 if mesh.material is None else material)
+    )
+    tiles, notes = _tiles(mesh, mesh.uv, label)
     if len(tiles) == 1:
         return PackedTexture(tiles[0].uv, tiles[0].picture, tuple(notes))
     boxes, height, width = _on_shelves([tile.picture.shape[:2] for tile in tiles])
@@ -77,41 +79,44 @@ def pack_texture(mesh: ParsedMesh) -> PackedTexture:
         # Texel centres of a tile stay texel centres in its box of the atlas.
         uv[tile.faces, :, 0] = (x + tile.uv[..., 0] * w) / width
         uv[tile.faces, :, 1] = 1 - (y + (1 - tile.uv[..., 1]) * h) / height
-    if len(plain):
-        notes.append(f"faces without texture, given their material's colour: {len(plain)}")
-    if (count := len(np.unique(material_of_picture[textured]))) > 1:
-        notes.append(f"packed {count} textures into one of {width}x{height}")
+    if plain := int((~mapped).sum()):
+        notes.append(f"faces without texture, given their material's colour: {plain}")
+    if (packed := len({pictures[i] for i in np.flatnonzero(textured)})) > 1:
+        notes.append(f"packed {packed} textures into one of {width}x{height}")
     placed = tuple(TextureTile(tile.name, *box) for tile, box in zip(tiles, boxes, strict=True))
     return PackedTexture(uv, atlas, tuple(notes), placed)
 
 
-def _pictures(mesh: ParsedMesh, uv: FloatArray, material: IntArray) -> tuple[list[_Tile], list[str]]:
-    """Return tiles and notes for the materials (F,) with a texture, -1 for none, repeated as faces need."""
+def _tiles(mesh: ParsedMesh, uv: FloatArray, label: IntArray) -> tuple[list[_Tile], list[str]]:
+    """Return tiles and notes for the M materials' pictures, repeated as faces need, and base colours.
+
+    `label` (F,) is below M for a face with that material's picture, M for one without a material, and
+    1 + M more than its material for others without a picture.
+    """
+    count = len(mesh.materials)
+    used = np.unique(label).tolist()
     tiles: list[_Tile] = []
     notes: list[str] = []
-    used = [(index, mesh.materials[index]) for index in np.unique(material[material >= 0])]
-    textures = [(i, one.name, one.texture_linear) for i, one in used if one.texture_linear is not None]
-    left = limits.PIXELS - sum(texture.shape[0] * texture.shape[1] for _, _, texture in textures)
-    for index, name, texture in textures:
-        faces = np.flatnonzero(material == index)
-        texels = texture.shape[0] * texture.shape[1]
-        inside, repeated, note = _inside_unit_square(uv[faces], texture, left + texels)
-        left -= repeated.shape[0] * repeated.shape[1] - texels
-        tiles.append(_Tile(name, repeated, faces, inside))
-        notes += [f"{name}: {note}"] if note else []
+    left = limits.PIXELS - sum(_texels(mesh.materials[i].texture_linear) for i in used if i < count)
+    for index in used:
+        faces = np.flatnonzero(label == index)
+        one = Material("no material")
+        if index != count:
+            one = mesh.materials[index % (count + 1)]
+        if index < count and one.texture_linear is not None:
+            most = left + _texels(one.texture_linear)
+            inside, picture, note = _inside_unit_square(uv[faces], one.texture_linear, most)
+            left = most - _texels(picture)
+            notes += [f"{one.name}: {note}"] if note else []
+        else:
+            picture = np.full((2 * GUTTER, 2 * GUTTER, 4), (*one.base_color_linear, 0), np.float32)
+            inside = np.full((len(faces), 3, 2), 0.5)
+        tiles.append(_Tile(one.name, picture, faces, inside))
     return tiles, notes
 
 
-def _patches(mesh: ParsedMesh, faces: IntArray) -> list[_Tile]:
-    """Return the tiles of base colours for faces (N,) without a picture."""
-    own = np.full(len(faces), -1) if mesh.material is None else mesh.material[faces]
-    tiles = []
-    for index in np.unique(own):
-        one = mesh.materials[index] if index >= 0 else Material("no material")
-        patch = np.full((2 * GUTTER, 2 * GUTTER, 4), (*one.base_color_linear, 0), np.float32)
-        chosen = faces[own == index]
-        tiles.append(_Tile(one.name, patch, chosen, np.full((len(chosen), 3, 2), 0.5)))
-    return tiles
+def _texels(picture: Image | None) -> int:
+    return 0 if picture is None else picture.shape[0] * picture.shape[1]
 
 
 def _on_shelves(sizes: list[tuple[int, ...]]) -> tuple[list[tuple[int, int, int, int]], int, int]:
@@ -141,7 +146,7 @@ def _inside_unit_square(uv: FloatArray, texture: Image, most: int) -> tuple[Floa
     moved = in_first_period(uv, texture.shape)
     # As floats: absurd coordinates overflow any integer.
     columns, rows = (float(n) for n in np.maximum(np.ceil(moved.max(axis=(0, 1)) - texel), 1))
-    if columns * rows * texture.shape[0] * texture.shape[1] > most:
+    if columns * rows * _texels(texture) > most:
         far = int((moved > 1 + texel).any(axis=(1, 2)).sum())
         note = f"texture coordinates of {far} faces span {columns:.4g}x{rows:.4g} repeats: clamped to one"
         return np.clip(moved, 0.0, 1.0), texture, note

@@ -22,9 +22,10 @@ from scan2albedo.io import load_scan
 from scan2albedo.io.geometry_image_files import write_geometry_image, write_geometry_image_exr
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import write_exr, write_indexed_png, write_png
+from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.landmark_files import LANDMARKS_FILE, LandmarksRecord, write_landmarks_csv
 from scan2albedo.io.linear_model_files import LinearFaceModel
-from scan2albedo.io.load_scan import input_sha256, with_landmarks
+from scan2albedo.io.load_scan import with_landmarks
 from scan2albedo.io.npz import write_npz
 from scan2albedo.io.records import write_record
 from scan2albedo.io.result_records import RegistrationRecord

@@ -1,5 +1,6 @@
 """The floors of pyproject.toml hold, no files import each other in a circle, the import is light."""
 
+import runpy
 import subprocess
 import sys
 from graphlib import TopologicalSorter
@@ -23,6 +24,12 @@ def test_no_two_files_import_each_other_in_a_circle():
     graph = grimp.build_graph("scan2albedo", cache_dir=None)
     imports = {module: graph.find_modules_directly_imported_by(module) for module in graph.modules}
     TopologicalSorter(imports).prepare()  # raises CycleError with the circle
+
+
+def test_the_picture_shows_the_imports():
+    drawn = runpy.run_path(str(Path(__file__).with_name("floors.py")))
+    mend = "python tests/architecture/floors.py draws it anew"
+    assert drawn["PICTURE"].read_text(encoding="utf-8") == drawn["picture"](), mend
 
 
 def test_import_loads_no_heavy_library():

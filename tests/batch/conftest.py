@@ -73,7 +73,7 @@ def stand_in(diary):
         import time
         from pathlib import Path
 
-        from scan2albedo.io.load_scan import file_sha256
+        from scan2albedo.io.input_hash import file_sha256
 
         tries = len(list(diary.glob(f"{task.name}@*")))
         (diary / f"{task.name}@{tries}").write_text(str(os.getpid()))

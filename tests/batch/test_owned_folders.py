@@ -131,7 +131,7 @@ def test_marks_that_are_none_are_left_alone(batched, layout):
     running.mkdir(parents=True)
     os.mkfifo(running / "pipe")
     (running / "deep").write_text("[" * 100_000)
-    (running / "a").write_text("1.0")
+    (running / "a").write_text('{"pid": 1, "started_at": 1.0}')
     assert batched("a").progress.done == 1
     assert files_in(running) == {"deep", "pipe"}
 

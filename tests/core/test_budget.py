@@ -91,12 +91,6 @@ def test_many_stages_are_drawn_in_rows():
     assert figure.get_figwidth() < 30
 
 
-def test_an_error_that_does_not_change_is_told_instead_of_drawn():
-    (axis,) = Trace(rows_of("icp", [0.01, 0.02], [0.7, 0.7])).plot().axes
-    assert not axis.lines
-    assert [text.get_text() for text in axis.texts] == ["0.7 mm\n2 evaluations, 0.02 s"]
-
-
 @pytest.mark.parametrize("start_s", [0.00063, 9.026, 123.0])
 def test_labels_of_times_do_not_overlap(start_s):
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -8,7 +8,8 @@ from helpers.square import png_bytes, quarters, square_gltf, write_image, write_
 
 from scan2albedo.core import RawScan
 from scan2albedo.errors import ScanError
-from scan2albedo.io.load_scan import files_of_scan, input_sha256, load_scan
+from scan2albedo.io.input_hash import input_sha256
+from scan2albedo.io.load_scan import files_of_scan, load_scan
 
 
 def test_the_hash_follows_the_content_of_all_files_not_their_names(tmp_path):

@@ -17,7 +17,7 @@ import scan2albedo as s2a
 from scan2albedo.errors import GeometryImageError, ScanError, TooLargeError
 from scan2albedo.io import limits, load_scan
 from scan2albedo.io.images import declared_pixels, read_exr_channels, read_image_linear, write_exr
-from scan2albedo.io.load_scan import input_sha256
+from scan2albedo.io.input_hash import input_sha256
 
 
 def _memory_bytes(field):

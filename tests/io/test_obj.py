@@ -19,7 +19,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from scan2albedo.io import load_scan, parsed_mesh
 from scan2albedo.io.color import srgb_to_linear
-from scan2albedo.io.load_scan import input_sha256
+from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.obj import read_obj, write_obj
 from scan2albedo.io.parsed_mesh import ScanFolder, parse_mtl
 

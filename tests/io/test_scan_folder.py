@@ -2,17 +2,20 @@
 
 import shutil
 
+import numpy as np
 import pytest
 from helpers.cli import invoke
 from helpers.commands import succeeded
 from helpers.records import read_json
-from helpers.scan_files import textured_gltf, textured_ply
+from helpers.scan_files import assert_refused, textured_gltf, textured_ply
 from helpers.square import quarters, write_image, write_square_obj
 
 from scan2albedo import load_scan
+from scan2albedo.batch.manifest import read_manifest
 from scan2albedo.errors import ScanError
-from scan2albedo.io.load_scan import files_of_scan, input_sha256
-from scan2albedo.io.parsed_mesh import ScanFolder
+from scan2albedo.io.input_hash import input_sha256
+from scan2albedo.io.load_scan import READERS, files_of_scan
+from scan2albedo.io.parsed_mesh import ParsedMesh, ScanFolder
 
 OUTSIDE = "lies outside the scan's folder, and only --textures"
 
@@ -100,3 +103,15 @@ def test_the_command_takes_the_folder(places, tmp_path):
     record = read_json(out / "face" / "result.json")
     assert record["options"]["textures"] == str(other)
     assert record["input"]["sha256"] == input_sha256(path, other)
+
+
+def test_a_reader_that_is_added_is_honoured_everywhere(tmp_path, monkeypatch):
+    def read_points(path, folder):
+        return ParsedMesh(np.loadtxt(path), np.array([[0, 1, 2]]))
+
+    monkeypatch.setitem(READERS, ".xyz", read_points)
+    (tmp_path / "face.XYZ").write_text("0 0 0\n150 0 0\n0 150 0\n")
+    assert load_scan(tmp_path / "face.XYZ").vertices.shape == (3, 3)
+    assert [scan.name for scan in read_manifest(tmp_path).scans] == ["face"]
+    (tmp_path / "face.abc").touch()
+    assert_refused(tmp_path / "face.abc", r"save the scan as one of .*\.xyz")

@@ -23,7 +23,7 @@ from scan2albedo.errors import ModelError, OutputError, RegistrationError, ScanE
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.io.images import read_image_linear
-from scan2albedo.io.load_scan import input_sha256
+from scan2albedo.io.input_hash import input_sha256
 from scan2albedo.io.obj import write_obj
 from scan2albedo.io.units import MM_PER_UNIT
 from scan2albedo.pipeline import stages

@@ -18,7 +18,7 @@ import scan2albedo as s2a
 from scan2albedo.core import GeometryImage
 from scan2albedo.core.arrays import grid_faces
 from scan2albedo.io.geometry_image_files import write_geometry_image, write_geometry_image_exr
-from scan2albedo.io.glb import write_glb, write_skinned_glb
+from scan2albedo.io.glb import GlbFile, write_glb, write_skinned_glb
 from scan2albedo.io.images import encode_image, write_exr
 
 Reader = Callable[[Path], object]
@@ -195,21 +195,12 @@ def _draco(xyz: NDArray[np.float64], faces: NDArray[np.int64], uv: NDArray[np.fl
         "extensions": {extension: {"bufferView": 0, "attributes": names}},
     }
     accessors = ((5126, len(xyz), "VEC3"), (5126, len(xyz), "VEC2"), (5125, faces.size, "SCALAR"))
-    content = {
-        "asset": {"version": "2.0"},
-        "extensionsUsed": [extension],
-        "extensionsRequired": [extension],
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [primitive]}],
-        "accessors": [{"componentType": kind, "count": n, "type": shape} for kind, n, shape in accessors],
-        "bufferViews": [{"buffer": 0, "byteLength": len(blob)}],
-        "buffers": [{"byteLength": len(blob)}],
-    }
-    text, body = json.dumps(content).encode(), blob + b"\0" * (-len(blob) % 4)
-    text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(body), 0x4E4942) + body
-    return struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks
+    file = GlbFile()
+    file.add_bytes(blob)
+    file.accessors += [{"componentType": kind, "count": n, "type": shape} for kind, n, shape in accessors]
+    file.meshes.append({"name": "face", "primitives": [primitive]})
+    named = {"extensionsUsed": [extension], "extensionsRequired": [extension]}
+    return _written("face.glb", lambda path: file.write(path, **named))
 
 
 def _pictures() -> Iterator[BaseFile]:

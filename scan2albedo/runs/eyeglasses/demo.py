@@ -19,7 +19,7 @@ from scan2albedo.geometry.pinhole import camera_centers
 from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.io.atomic import check_writable
 from scan2albedo.io.glb import write_glb
-from scan2albedo.io.load_scan import file_sha256, input_sha256
+from scan2albedo.io.input_hash import file_sha256, input_sha256
 from scan2albedo.io.obj import write_obj
 from scan2albedo.io.publication import result_folder
 from scan2albedo.io.run_folder import RunFolder

@@ -22,7 +22,8 @@ from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.io.atomic import atomic_path, check_writable
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.images import read_image_linear
-from scan2albedo.io.load_scan import file_sha256, input_sha256, load_scan, load_scan_with
+from scan2albedo.io.input_hash import file_sha256, input_sha256
+from scan2albedo.io.load_scan import load_scan, load_scan_with
 from scan2albedo.io.parsed_mesh import ParsedMesh
 from scan2albedo.io.records import Record
 from scan2albedo.io.result_records import SHA256

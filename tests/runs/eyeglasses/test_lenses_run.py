@@ -35,7 +35,7 @@ from scan2albedo.geometry.pinhole import look_at
 from scan2albedo.geometry.rigid import random_rotation
 from scan2albedo.io.glb import write_glb
 from scan2albedo.io.images import read_image_linear, write_exr, write_png
-from scan2albedo.io.load_scan import file_sha256, input_sha256
+from scan2albedo.io.input_hash import file_sha256, input_sha256
 from scan2albedo.io.obj import write_obj
 from scan2albedo.lighting.environment import texel_directions, texel_solid_angles
 from scan2albedo.runs.eyeglasses.inputs import material_pair, read_lens_scene
