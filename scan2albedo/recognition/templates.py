@@ -296,7 +296,8 @@ def image_coefficients(
         pixels, valid = averaged_down(pixels, valid, options.size, what)
         certain = area_mean(certain, (valid.shape[0], valid.shape[1]))
     if options.unit_mean:
-        mean = float(pixels[valid].mean())
+        with np.errstate(over="ignore"):  # refused below
+            mean = float(pixels[valid].mean())
         if not 0 < mean < np.inf:
             raise NothingToCompareError(
                 f"{what} has the mean {mean:g} in its mask, expected > 0 and finite; "
