@@ -175,7 +175,7 @@ def _make(
             run.template = template_texture(bare.scan, fitted, size, bare)
             rows.append(PlanStep(output.name, True, "the template has texture coordinates"))
         if output.name != "maps":
-            reason = "hair, beard and brows as they were lit are kept apart"
+            reason = "hair, beard and brows are kept apart as they were lit, where any are found"
             rows.append(PlanStep(f"{output.name}.hair", bare.hair is not None, reason))
     return rows
 
