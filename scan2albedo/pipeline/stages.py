@@ -240,7 +240,11 @@ class Sample(Stage):
             else:
                 image = geometry_image(fitted, scan, size)
             chart = "charts cut by xatlas" if fitted is None else "the model's own chart"
-            rows = [PlanStep(self.name, True, chart, f"{image.figures()['coverage']:.1%} of the texels used")]
+            evidence = f"{image.figures()['coverage']:.1%} of the texels used"
+            if image.on_face is not None:
+                part = image.on_face.sum() / image.mask.sum()
+                evidence += f"; {part:.0%} are the face, where light is sought"
+            rows = [PlanStep(self.name, True, chart, evidence)]
             if fitted is not None and (doubt := texture_doubt(fitted, scan, image)):
                 rows.append(doubt)
             white = run.options.white_balance
