@@ -1,8 +1,11 @@
 """README and the pages of docs/ say nothing that is not so."""
 
 import dataclasses
+import os
 import re
 import shlex
+import subprocess
+import sys
 from functools import cache
 from importlib import import_module
 from itertools import takewhile
@@ -10,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from bench.registry import benches_of
 from helpers.square import vertex_colors
 
@@ -51,6 +55,11 @@ def shell_lines(page):
     for span in code_spans(page):
         if re.match(r"scan2albedo \S|python tools/", span):
             yield shlex.split(span)
+
+
+def write_ply(scan, file):
+    color = np.round(255 * vertex_colors(scan) ** (1 / 2.2)).astype(np.uint8)
+    trimesh.Trimesh(scan.vertices, scan.faces, vertex_colors=color, process=False).export(file)
 
 
 @cache
@@ -275,17 +284,26 @@ def test_the_picture_is_small():
         assert 1100 <= opened.width <= 1300
 
 
+RECIPES = re.findall(
+    r"^### (.*?)\n.*?^```py\n(.*?)^```", text_of(DOCS / "architecture.md"), re.DOTALL | re.MULTILINE
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("recipe", [block for _, block in RECIPES], ids=[title for title, _ in RECIPES])
+def test_what_is_added_from_outside_runs(recipe, coarse_scan, tmp_path):
+    write_ply(coarse_scan[0], tmp_path / "subject.ply")
+    assert len(recipe.splitlines()) <= 40
+    environment = {**os.environ, "PYTHONPATH": str(ROOT / "tools")}
+    subprocess.run([sys.executable, "-c", recipe], cwd=tmp_path, env=environment, check=True)
+
+
 @pytest.mark.slow
 def test_python_examples_run(tmp_path, monkeypatch):
     """Every Python block of every page, with a synthetic scan in place of the reader's."""
-    import trimesh
-
     from scan2albedo.synthetic import raw_scan, wearer
 
-    scan, _ = raw_scan(0)
-    color = np.round(255 * vertex_colors(scan) ** (1 / 2.2)).astype(np.uint8)
-    mesh = trimesh.Trimesh(scan.vertices, scan.faces, vertex_colors=color, process=False)
-    mesh.export(tmp_path / "subject.ply")
+    write_ply(raw_scan(0)[0], tmp_path / "subject.ply")
     monkeypatch.chdir(tmp_path)
     worn = wearer(0)
     frame = worn.glasses

@@ -41,7 +41,19 @@ from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.lighting.shading import DIFFUSE_MODELS, Reflectance
 
 _CAMERAS = "albedo.cameras"
-BRDFS = (*DIFFUSE_MODELS, "spherical-harmonics")
+SPHERICAL_HARMONICS = "spherical-harmonics"
+"""The `brdf` that fits the shading by harmonics of order 2, without lamps."""
+
+
+def check_light_options(lights: object, brdf: str) -> None:
+    """Raise ValueError unless `lights` are "auto" or 1 to 4, and `brdf` of `DIFFUSE_MODELS` or harmonics."""
+    if lights != "auto" and (
+        isinstance(lights, bool) or not isinstance(lights, Integral) or not 1 <= int(lights) <= 4
+    ):
+        raise ValueError(f"lights is {lights!r}, expected 'auto' or a whole number from 1 to 4")
+    known = (*DIFFUSE_MODELS, SPHERICAL_HARMONICS)
+    if brdf not in known:
+        raise ValueError(f"brdf is {brdf!r}, expected one of {', '.join(known)}")
 
 
 def estimate_albedo(
@@ -115,12 +127,7 @@ def estimate_albedo(
     """
     advice = "geometry_image(fitted, scan) and read_geometry_image(path) return one"
     require_type(image, GeometryImage, "estimate_albedo: image", advice)
-    if brdf not in DIFFUSE_MODELS and brdf != BRDFS[-1]:
-        raise ValueError(f"brdf is {brdf!r}, expected one of {BRDFS}")
-    if lights != "auto" and (
-        isinstance(lights, bool) or not isinstance(lights, Integral) or not 1 <= int(lights) <= 4
-    ):
-        raise ValueError(f"lights is {lights!r}, expected 'auto' or an integer from 1 to 4")
+    check_light_options(lights, brdf)
     toward = np.asarray(view_direction, float)
     length = float(np.linalg.norm(toward)) if toward.shape == (3,) else 0.0
     if not 0 < length < math.inf:
@@ -217,7 +224,7 @@ def _parameters(lit: TexelLight, harmonic: bool) -> dict[str, object]:
     """Return the parameters of `AlbedoEstimate`."""
     if harmonic and lit.environment is not None:
         coefficients = open_shading(lit.environment)
-        return {"brdf": BRDFS[-1], "sh_coefficients": coefficients.tolist()}
+        return {"brdf": SPHERICAL_HARMONICS, "sh_coefficients": coefficients.tolist()}
     far = not lit.lights or math.isinf(lit.lights[0].distance_mm)
     distance = None if far else lit.lights[0].distance_mm
     return {"ambient": 1.0, **lit.reflectance.parameters(), "light_distance_mm": distance}

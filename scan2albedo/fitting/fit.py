@@ -1,5 +1,6 @@
 """Deform the model onto a registered scan."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Protocol
 
@@ -13,7 +14,7 @@ from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.fitting.alignment import SIZE_SD, aligned, proportioned
 from scan2albedo.fitting.covers import uncovered
 from scan2albedo.fitting.forces import MIN_ROBUST_MM, ForceGates
-from scan2albedo.fitting.landmark_pull import WRONG_MM, LandmarkPull, openings
+from scan2albedo.fitting.landmark_pull import WRONG_MM, LandmarkPull, joined, openings
 from scan2albedo.fitting.mouth_opening import corners_pulled, mouth_opened
 from scan2albedo.fitting.options import GATE_MM, FitOptions
 from scan2albedo.fitting.painted_features import painted_pull
@@ -28,6 +29,9 @@ CROP_MARGIN = 0.35
 """Part of the model's size by which the scan may reach beyond the model and still be looked at."""
 MIN_FIRST_CONTACT = 0.03
 """Least part of the model's area with scan near before it bends."""
+Cue = Callable[[RawScan, FloatArray, AnnotatedSurface, FloatArray], LandmarkPull | None]
+CUES: list[Cue] = [painted_pull]
+"""What shows landmarks on a scan, from scan, pose (4, 4), model and control points (C, 3); add your own."""
 
 
 class Posed(Protocol):
@@ -87,8 +91,7 @@ def fit(
     meter = Meter("fit", "mm", budget, on_progress)
     samples = SurfaceSamples.of(model, model.control_vertices, 0)
     surface = scan_near(scan, samples, model.control_vertices, pose, chosen)
-    placed, seen = LandmarkPull.of(model, scan.landmarks, pose), openings(surface, model)
-    pull = seen if placed is None else placed.with_more(seen)
+    pull = joined(LandmarkPull.of(model, scan.landmarks, pose), openings(surface, model))
     # Cheeks and forehead fit at many poses and sizes; nose, lids and lips do not.
     weight = samples.area * samples.rigidity * samples.relief(samples.matrix @ model.control_vertices)
     gates = ForceGates(GATE_MM[0], chosen.tangential, MIN_ROBUST_MM[1])
@@ -135,8 +138,7 @@ def fit(
     deformation = corners_pulled(mouth_opened(deformation, pull))
     if chosen.colors and not meter.exhausted:
         shown = scan.without_faces(covered) if covered.any() else scan
-        painted = painted_pull(shown, pose, model, deformation.reference)
-        pull = painted if pull is None else pull.with_more(painted)
+        pull = joined(pull, *(cue(shown, pose, model, deformation.reference) for cue in CUES))
     samples = SurfaceSamples.of(model, deformation.reference, 0)
     reference = proportioned(bare, samples, deformation.reference, chosen, meter, pull)
     if pull is not None:

@@ -81,15 +81,6 @@ class LandmarkPull:
             still=np.isin(numbers, STILL),
         )
 
-    def with_more(self, other: LandmarkPull | None) -> LandmarkPull:
-        """Return the pull to both their targets."""
-        if other is None:
-            return self
-        pairs = [(getattr(self, part.name), getattr(other, part.name)) for part in fields(self)]
-        return LandmarkPull(
-            *(sparse.vstack(p).tocsr() if sparse.issparse(p[0]) else np.concatenate(p) for p in pairs)
-        )
-
     @property
     def openings(self) -> int:
         """How many holes of the scan there are among the targets: each has a middle and two ends."""
@@ -271,6 +262,17 @@ class _Holes:
         tilt = np.abs(np.ptp(self.ends[:, :, 1], axis=1))
         found = [k for k in self.near(lips, _MOUTH_MM) if aside[k] < _ASIDE_MM and tilt[k] < _LEVEL_MM]
         return max(found, key=lambda hole: self.size[hole, 0], default=None)
+
+
+def joined(*pulls: LandmarkPull | None) -> LandmarkPull | None:
+    """Return the pull to the targets of all; None without any."""
+    known = [pull for pull in pulls if pull is not None]
+    if not known:
+        return None
+    columns = ([getattr(pull, part.name) for pull in known] for part in fields(LandmarkPull))
+    return LandmarkPull(
+        *(sparse.vstack(c).tocsr() if sparse.issparse(c[0]) else np.concatenate(c) for c in columns)
+    )
 
 
 def openings(scan: ScanSurface, model: AnnotatedSurface) -> LandmarkPull | None:

@@ -63,11 +63,8 @@ class ProcessOptions:
     )
     lights: int | str = option("auto", "'auto', or how many.")
     """Lamps, 1 to 4; "auto" decides by evidence, and may find none."""
-    brdf: str = option(
-        "oren-nayar",
-        "oren-nayar, lambert, minnaert or spherical-harmonics.",
-        choices=("oren-nayar", "lambert", "minnaert", "spherical-harmonics"),
-    )
+    brdf: str = option("oren-nayar", "oren-nayar, lambert, minnaert or spherical-harmonics.")
+    """One of `lighting.shading.DIFFUSE_MODELS`, or "spherical-harmonics"."""
     unit: str = option("auto", "auto, mm, cm or m.", choices=("auto", "mm", "cm", "m"))
     """Of the scan's file."""
     quality: Quality | str = option(
@@ -148,24 +145,24 @@ class ProcessOptions:
     """The model, or its file; `template` is then its mesh."""
 
     def __post_init__(self) -> None:
+        from scan2albedo.albedo.estimate import check_light_options
         from scan2albedo.pipeline.quality import PRESETS
         from scan2albedo.unlit.template_baking import LARGEST_TEXTURE
 
         for name, value in self._read().items():
             object.__setattr__(self, name, value)
         checked_seed(self.seed)
+        check_light_options(self.lights, self.brdf)
         if isinstance(self.quality, str) and self.quality not in PRESETS:
             raise ValueError(f"quality is {self.quality!r}, expected one of {', '.join(PRESETS)}")
         for chosen in fields(self):
             choices, value = chosen.metadata["choices"], getattr(self, chosen.name)
             if choices and value not in choices:
-                names = ", ".join(choice for choice in choices if choice is not None)
-                none = ", or None" if None in choices else ""
-                raise ValueError(f"{chosen.name} is {value!r}, expected one of {names}{none}")
+                raise ValueError(
+                    f"{chosen.name} is {value!r}, expected one of {', '.join(map(str, choices))}"
+                )
         if self.linear_model is not None and self.model == "none":
             raise ValueError("linear_model needs the model of a face: leave model='none' out")
-        if self.lights != "auto" and not (isinstance(self.lights, Integral) and 1 <= self.lights <= 4):
-            raise ValueError(f"lights is {self.lights!r}, expected 'auto' or a whole number from 1 to 4")
         sides = {"size": (self.texels, LARGEST_SIZE), "texture_size": (self.texture_size, LARGEST_TEXTURE)}
         for name, (size, most) in sides.items():
             if not isinstance(size, Integral) or not SMALLEST_SIZE <= size <= most:

@@ -162,7 +162,7 @@ def test_parts_are_forced_by_the_caller(frontal):
         ({"lights": 0}, "1 to 4"),
         ({"lights": 9}, "1 to 4"),
         ({"lights": np.nan}, "1 to 4"),
-        ({"lights": "two"}, "'auto' or an integer"),
+        ({"lights": "two"}, "'auto' or a whole number"),
         ({"brdf": "plastic"}, "expected one of"),
         ({"view_direction": (0, 0, 0)}, "not all zero"),
         ({"view_direction": (0, np.nan, 1)}, "finite"),

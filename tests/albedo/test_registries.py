@@ -1,14 +1,13 @@
-"""What others add from outside: a part of the light, and a diffuse reflectance, each one entry of a table."""
+"""What others add from outside: a part of the light, one entry of a table."""
 
 from dataclasses import replace
 from types import SimpleNamespace
 
-import numpy as np
 from helpers.lit_scenes import lit_scene, percent_off
 
 from scan2albedo.albedo import estimate_albedo
 from scan2albedo.albedo.light_parameters import PARTS, LightPart
-from scan2albedo.lighting.shading import DIFFUSE_MODELS, DiffuseModel, Parameter
+from scan2albedo.lighting.shading import Parameter
 
 
 def band(shadows):
@@ -28,14 +27,3 @@ def test_a_part_of_the_light_is_one_entry(monkeypatch):
     estimate = estimate_albedo(banded.image, 1)
     assert estimate.plan.ran("albedo.band")
     assert 2 * percent_off(estimate, banded) < without
-
-
-def test_a_diffuse_reflectance_is_one_entry(monkeypatch):
-    def squared(n_l, n_v, l_v, roughness):
-        nothing = np.zeros_like(n_l)
-        return n_l**2, 2 * n_l, nothing, nothing
-
-    scene = lit_scene((20, 10), size=64)
-    monkeypatch.setitem(DIFFUSE_MODELS, "squared", DiffuseModel(squared))
-    estimate = estimate_albedo(scene.image, 1, "squared")
-    assert estimate.parameters["brdf"] == "squared"

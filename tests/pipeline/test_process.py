@@ -15,7 +15,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 import scan2albedo as s2a
-from scan2albedo.albedo.estimate import BRDFS
 from scan2albedo.applications import load_result, reflectance_of_processed
 from scan2albedo.applications.face_reflectance import sampled_at_vertices
 from scan2albedo.core.plan import Plan, PlanStep
@@ -380,7 +379,6 @@ def test_its_keywords_are_its_options_and_win_over_them(ball):
 
 def test_choices_of_options_are_those_of_the_stages():
     choices = {option.name: option.metadata["choices"] for option in fields(ProcessOptions)}
-    assert choices["brdf"] == BRDFS
     assert choices["unit"] == ("auto", *MM_PER_UNIT)
     assert choices["unlit"] == (None, *REACHES)
     assert choices["maps"] == (None, *CARRIERS)

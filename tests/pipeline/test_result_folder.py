@@ -1,7 +1,6 @@
 """Results replace those of earlier runs and nothing else; a scan that fails changes nothing."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from helpers.folders import contents
@@ -9,30 +8,9 @@ from helpers.meshes import ball
 
 import scan2albedo as s2a
 from scan2albedo.errors import OutputError, ScanError
-from scan2albedo.pipeline import process
 from scan2albedo.pipeline.process import write_result
-from scan2albedo.pipeline.stages import Stage
 
 TINY = {"model": "none", "size": 32, "unit": "mm", "pictures": False, "quality": "draft", "lights": 1}
-
-
-class Note(Stage):
-    """A stage as somebody else writes one."""
-
-    name = "note"
-    files = ("note.txt",)
-
-    def run(self, run, clock):
-        return []
-
-    def write(self, result, files):
-        files.write("note.txt", Path.touch)
-
-
-def test_a_stage_that_is_appended_writes_a_file_of_its_own(monkeypatch, tmp_path):
-    monkeypatch.setattr(process, "STAGES", [*process.STAGES, Note()])
-    made = s2a.process(ball(), tmp_path, **TINY)
-    assert (made.out / "note.txt").exists()
 
 
 @pytest.fixture(scope="module")

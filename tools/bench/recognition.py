@@ -28,10 +28,11 @@ from worlds.population import Population, population_scan
 import scan2albedo as s2a
 from bench.peers.filters import histogram_equalized, multi_scale_retinex
 from bench.runner import Bench, Case
-from scan2albedo.albedo.estimate import BRDFS
+from scan2albedo.albedo.estimate import SPHERICAL_HARMONICS
 from scan2albedo.core.arrays import BoolArray, FloatArray
 from scan2albedo.errors import Scan2AlbedoError
 from scan2albedo.io.color import linear_to_srgb
+from scan2albedo.lighting.shading import DIFFUSE_MODELS
 from scan2albedo.recognition import (
     Identification,
     Templates,
@@ -46,6 +47,8 @@ from scan2albedo.recognition import (
 from scan2albedo.recognition.templates import LUMINANCE
 from scan2albedo.synthetic import Scanner
 
+BRDFS = (*DIFFUSE_MODELS, SPHERICAL_HARMONICS)
+DEFAULT = BRDFS[:1]
 FLASHES = Population(scanner=Scanner(picture_size=640, size=64))
 ROOM = replace(FLASHES, light="room", lamp_colors=0.3)
 CROWDS = {
@@ -230,7 +233,7 @@ def lamps(quick: bool) -> Iterator[Case]:
     for crowd in list(CROWDS)[: 1 if quick else None]:
         seed = 0 if crowd == "coloured lamps" else 1
         people = crowd_of(crowd, 4 if quick else 20, 2 if quick else 3, seed)
-        yield Case(crowd, lambda people=people: compared(people, 128 if quick else 256, BRDFS[:1]))
+        yield Case(crowd, lambda people=people: compared(people, 128 if quick else 256, DEFAULT))
 
 
 def scans_of(manifest: Path) -> list[ListedScan]:
@@ -247,10 +250,10 @@ def scans_of(manifest: Path) -> list[ListedScan]:
 def by_condition(manifest: Path) -> Iterator[Case]:
     """Yield all probes of a data set, and those of each value of a condition."""
     scans = scans_of(manifest)
-    yield Case("all probes", lambda: compared(scans, 256, BRDFS[:1]), "everybody")
+    yield Case("all probes", lambda: compared(scans, 256, DEFAULT), "everybody")
     for name in scans[0].conditions:
         for value in dict.fromkeys(scan.conditions[name] for scan in scans):
-            here = partial(compared, scans, 256, BRDFS[:1], value)
+            here = partial(compared, scans, 256, DEFAULT, value)
             yield Case(f"{name} {value}", here, f"{name} {value}")
 
 
@@ -272,8 +275,8 @@ BENCHES = {
     name: Bench(cases, methods=methods(brdfs), peers=PEERS, score=figures, summaries=("mean",))
     for name, cases, brdfs in (
         ("figure_10", figure_10, BRDFS),
-        ("lamps", lamps, BRDFS[:1]),
-        ("traced", traced, BRDFS[:1]),
-        ("own", own, BRDFS[:1]),
+        ("lamps", lamps, DEFAULT),
+        ("traced", traced, DEFAULT),
+        ("own", own, DEFAULT),
     )
 }
