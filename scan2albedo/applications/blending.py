@@ -109,7 +109,7 @@ def matched_skins(a: ProcessedFace, b: ProcessedFace, weight: float) -> tuple[li
             skin = _between(skin, continued_skin(face, other, wins), share)
         skins.append(skin)
         labels.append(
-            [face_features.named_texels(face, parts[:1]) for parts in face_features.FEATURES.values()]
+            [face_features.texels_of_parts(face, parts[:1]) for parts in face_features.FEATURES.values()]
         )
         same |= face_features.taken_features(face, other, wins)[0]
     beside = face_features.displacement(skins[0], skins[1], a.mask & b.mask, list(zip(*labels, strict=True)))

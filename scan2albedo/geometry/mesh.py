@@ -38,7 +38,7 @@ def lengths(vectors: FloatArray) -> FloatArray:
     return np.sqrt(dots(vectors, vectors))
 
 
-def usual_edge(vertices: FloatArray, faces: IntArray) -> float:
+def median_edge(vertices: FloatArray, faces: IntArray) -> float:
     """Return the median length of the faces' first edges."""
     return float(np.median(lengths(vertices[faces[:, 0]] - vertices[faces[:, 1]])))
 
