@@ -167,7 +167,7 @@ def errors_of(
 
 
 @contextmanager
-def memory_errors_named(name: str) -> Iterator[None]:
+def memory_errors_of(name: str) -> Iterator[None]:
     """Turn a MemoryError, RecursionError or OverflowError into a TooLargeError that names its scan."""
     try:
         yield

@@ -6,16 +6,16 @@ from dataclasses import dataclass
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from scan2albedo.albedo.estimate import divided, lit_image
+from scan2albedo.albedo.estimate import divided, shaded_image
 from scan2albedo.albedo.levels import cell_field
 from scan2albedo.albedo.light_colour import light_colours
 from scan2albedo.albedo.light_priors import parts_steps
 from scan2albedo.albedo.light_search import LightSearch
-from scan2albedo.albedo.lit_image import Explanation, LightFound, LitImage
 from scan2albedo.albedo.node_field import FAINT, TINY, deviation_of_light
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.posterior import Point, robust_weights
 from scan2albedo.albedo.result import AlbedoEstimate
+from scan2albedo.albedo.shaded_image import Explanation, LightFound, ShadedImage
 from scan2albedo.albedo.shared_light import shared_lights
 from scan2albedo.albedo.texel_light import light_on_texels
 from scan2albedo.albedo.uncertainty import light_uncertainty
@@ -114,8 +114,8 @@ def estimate_common_albedo(
     searched = list[LightFound]()
     charts = set[tuple[int, ...]]()
 
-    def scene_of(image: GeometryImage) -> tuple[LitImage, Plan]:
-        return lit_image(image, brdf, (0.0, 0.0, 1.0), options, meter)
+    def scene_of(image: GeometryImage) -> tuple[ShadedImage, Plan]:
+        return shaded_image(image, brdf, (0.0, 0.0, 1.0), options, meter)
 
     # The systems are small: further threads of BLAS would wait for work.
     with threadpool_limits(1, "blas"):
@@ -170,7 +170,7 @@ def estimate_common_albedo(
     )
 
 
-def _measured(scene: LitImage, estimate: AlbedoEstimate) -> tuple[NDArray, NDArray, NDArray]:
+def _measured(scene: ShadedImage, estimate: AlbedoEstimate) -> tuple[NDArray, NDArray, NDArray]:
     """Return log albedo (N, 3) on the masked texels, weights (N,), and the errors that it expects (N,)."""
     mask = scene.image.mask
     assert estimate.expected_error is not None

@@ -35,7 +35,7 @@ def divide_light(
     mask: BoolArray,
     usable: BoolArray,
     *,
-    usual: ChannelNoise | None = None,
+    image_noise: ChannelNoise | None = None,
 ) -> Division:
     """Return (M_T - I_s) / I, drawn toward the neighbourhood where noise outweighs texture.
 
@@ -44,8 +44,8 @@ def divide_light(
 
     `texture` is linear, (H, W) or (H, W, C), `light` I_a + I_d > 0 (H, W) or of the texture's shape, and
     `specular` (H, W) or (H, W, 3) I_s. `mask` and `usable` (H, W) are the texels of the surface and
-    those that were measured; the others keep the plain quotient. `usual` is the noise of another part of the
-    same image, so that parts join without a seam.
+    those that were measured; the others keep the plain quotient. `image_noise` is the noise of another part
+    of the same image, so that parts join without a seam.
     """
     channels = texture.reshape(*mask.shape, -1).astype(float)
     channels -= specular.reshape(*mask.shape, -1)
@@ -55,15 +55,15 @@ def divide_light(
     around = window_mean(quotient, known, WINDOW)
     around = np.maximum(around, max(1e-6 * float(around.max(initial=0.0)), 1e-12))
     relative = quotient / around
-    noise = channel_noise(relative, channels, around, light, usable, usual)
+    noise = channel_noise(relative, channels, around, light, usable, image_noise)
     weight = known * light[..., noise.lead] ** 2
     leading, own, left = _filtered(relative[..., noise.lead], weight, noise.leading)
     filtered = np.empty(relative.shape)
     for c in range(relative.shape[-1]):
-        beside = relative[..., c] - relative[..., noise.lead]
-        if noise.beside[..., c].any():
-            beside = _filtered(beside, weight, noise.beside[..., c])[0]
-        filtered[..., c] = (leading + beside) * around[..., c]
+        chroma = relative[..., c] - relative[..., noise.lead]
+        if noise.chroma[..., c].any():
+            chroma = _filtered(chroma, weight, noise.chroma[..., c])[0]
+        filtered[..., c] = (leading + chroma) * around[..., c]
     own[~usable] = 0.0
     kept = np.where(usable[..., None], filtered, quotient)
     albedo = np.where(mask[..., None], np.maximum(kept, 0.0), 0.0).reshape(texture.shape)
@@ -94,7 +94,7 @@ def _filtered(field: FloatArray, weight: FloatArray, noise: FloatArray) -> Float
     finer, finer_share = field, np.ones(field.shape)
     result, own, variance = np.zeros(field.shape), np.zeros(field.shape), np.zeros(field.shape)
     for window in _SCALES:
-        coarser, share = _means_of_alike(field, weight, guide, reach, window)
+        coarser, share = _bilateral_means(field, weight, guide, reach, window)
         share = np.minimum(share, finer_share)
         added = finer - coarser
         there = np.maximum(window_mean(added**2, weight, WINDOW), 1e-30)
@@ -108,7 +108,7 @@ def _filtered(field: FloatArray, weight: FloatArray, noise: FloatArray) -> Float
 
 
 @compiled(error_model="numpy")
-def _means_of_alike(field, weight, guide, reach, window):  # type: ignore[no-untyped-def]
+def _bilateral_means(field, weight, guide, reach, window):  # type: ignore[no-untyped-def]
     """Return weighted means (H, W) over windows, and the part of white noise's variance that they have.
 
     Texels whose guide differs by d count by 1 / (1 + d^2 / reach)^2. Texels without weight keep their value.
@@ -131,8 +131,8 @@ def _means_of_alike(field, weight, guide, reach, window):  # type: ignore[no-unt
                 sums, masses, products = total[here:], mass[here:], squares[here:]
                 for column in range(width):
                     apart = near[column] - own[column]
-                    alike = far[column] / (far[column] + apart * apart)
-                    w = known[column] * alike * alike
+                    similarity = far[column] / (far[column] + apart * apart)
+                    w = known[column] * similarity * similarity
                     sums[column] += w * value[column]
                     masses[column] += w
                     products[column] += w * w

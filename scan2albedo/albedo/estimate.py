@@ -14,12 +14,12 @@ from scan2albedo.albedo.division import divide_light
 from scan2albedo.albedo.inpainting import continued_smoothly
 from scan2albedo.albedo.levels import Level, build_level, cell_field, usable_texels
 from scan2albedo.albedo.light_search import LightSearch
-from scan2albedo.albedo.lit_image import LightFound, LitImage
 from scan2albedo.albedo.options import EstimateOptions
 from scan2albedo.albedo.paper_search import paper_search
 from scan2albedo.albedo.prior import AlbedoPrior
 from scan2albedo.albedo.result import AlbedoEstimate
 from scan2albedo.albedo.saturation import inpainted
+from scan2albedo.albedo.shaded_image import LightFound, ShadedImage
 from scan2albedo.albedo.shadows import FEWEST
 from scan2albedo.albedo.soft_terms import DARKEST
 from scan2albedo.albedo.texel_light import TexelLight, light_on_texels
@@ -136,7 +136,7 @@ def estimate_albedo(
     if brdf == "lambert" and options.choice("albedo.roughness"):
         raise ValueError("albedo.roughness is forced, but a Lambertian surface has none: choose another brdf")
     meter = Meter("albedo", "perplexity a cell", budget, on_progress)
-    scene, plan = lit_image(image, brdf, (x, y, z), options, meter, prior)
+    scene, plan = shaded_image(image, brdf, (x, y, z), options, meter, prior)
     # The systems are small: further threads of BLAS would wait for work and burn as much time again.
     with threadpool_limits(1, "blas"):
         if brdf == "spherical-harmonics":
@@ -147,14 +147,14 @@ def estimate_albedo(
         return divided(scene, light_on_texels(scene, found), found, plan, seed)
 
 
-def lit_image(
+def shaded_image(
     image: GeometryImage,
     brdf: str,
     view: tuple[float, float, float],
     options: EstimateOptions,
     meter: Meter,
     prior: AlbedoPrior | None = None,
-) -> tuple[LitImage, Plan]:
+) -> tuple[ShadedImage, Plan]:
     """Return an image as a search takes it, seen from the unit vector `view`; see `estimate_albedo`."""
     usable = usable_texels(image)
     known = lengths(image.normal) > 0.5
@@ -172,22 +172,22 @@ def lit_image(
             "normals outward"
         )
         plan += [PlanStep.doubt("albedo.view", reason)]
-    assumed = prior or AlbedoPrior.named(options.prior, face=image.face_chart is not None)
-    return LitImage(image, usable, brdf, view, options, meter, assumed), plan
+    assumed = prior or AlbedoPrior.by_name(options.prior, face=image.face_chart is not None)
+    return ShadedImage(image, usable, brdf, view, options, meter, assumed), plan
 
 
 def divided(
-    scene: LitImage, lit: TexelLight, found: LightFound | None, plan: Plan, seed: int
+    scene: ShadedImage, texel_light: TexelLight, found: LightFound | None, plan: Plan, seed: int
 ) -> AlbedoEstimate:
     """Remove the light from the full-size image; `found` is None for spherical harmonics."""
     image, usable, options, meter = scene.image, scene.usable, scene.options, scene.meter
     assert image.texture_linear is not None
-    mask, deviation, reflectance = image.mask, None, lit.reflectance
-    specular, shading = on_grid(mask, lit.specular), on_grid(mask, lit.light_linear)
+    mask, deviation, reflectance = image.mask, None, texel_light.reflectance
+    specular, shading = on_grid(mask, texel_light.specular), on_grid(mask, texel_light.light_linear)
     if found is not None and found.explanation is not None:
         best = found.explanation.best
         cells = cell_field(best.problem.level, best.light_deviation()[:, None], mask)[:, 0]
-        deviation = on_grid(mask, np.hypot(cells, lit.deviation))
+        deviation = on_grid(mask, np.hypot(cells, texel_light.deviation))
     division = divide_light(image.texture_linear, shading, specular, mask, usable)
     color = division.albedo.astype(np.float32)
     if found is None:
@@ -198,11 +198,11 @@ def divided(
     color = continued_smoothly(color, mask & ~image.seen, image.seen)
     return AlbedoEstimate(
         albedo_linear=color,
-        lights=lit.lights,
-        parameters=_parameters(lit, harmonic=found is None),
+        lights=texel_light.lights,
+        parameters=_parameters(texel_light, harmonic=found is None),
         shading=shading.astype(np.float32),
         specular=specular.mean(-1).astype(np.float32),
-        shadow=on_grid(mask, lit.visible.astype(np.float32)),
+        shadow=on_grid(mask, texel_light.visible.astype(np.float32)),
         confidence=division.confidence.astype(np.float32),
         plan=plan,
         trace=meter.trace,
@@ -215,22 +215,22 @@ def divided(
         casts_shadows=found is None or scene.shadows[0] is not None,
         uncertainty=None if found is None else found.uncertainty,
         albedo_deviation=None if deviation is None else deviation.astype(np.float32),
-        environment=lit.environment,
+        environment=texel_light.environment,
         expected_error=expected_error(division.deviation, deviation, mask, image.skin),
     )
 
 
-def _parameters(lit: TexelLight, harmonic: bool) -> dict[str, object]:
+def _parameters(texel_light: TexelLight, harmonic: bool) -> dict[str, object]:
     """Return the parameters of `AlbedoEstimate`."""
-    if harmonic and lit.environment is not None:
-        coefficients = open_shading(lit.environment)
+    if harmonic and texel_light.environment is not None:
+        coefficients = open_shading(texel_light.environment)
         return {"brdf": SPHERICAL_HARMONICS, "sh_coefficients": coefficients.tolist()}
-    far = not lit.lights or math.isinf(lit.lights[0].distance_mm)
-    distance = None if far else lit.lights[0].distance_mm
-    return {"ambient": 1.0, **lit.reflectance.parameters(), "light_distance_mm": distance}
+    far = not texel_light.lights or math.isinf(texel_light.lights[0].distance_mm)
+    distance = None if far else texel_light.lights[0].distance_mm
+    return {"ambient": 1.0, **texel_light.reflectance.parameters(), "light_distance_mm": distance}
 
 
-def _cameras_step(scene: LitImage, reflectance: Reflectance) -> PlanStep:
+def _cameras_step(scene: ShadedImage, reflectance: Reflectance) -> PlanStep:
     image = scene.image
     if scene.options.choice(_CAMERAS) is False:
         return PlanStep(_CAMERAS, False, "left out by the caller")
@@ -245,7 +245,7 @@ def _cameras_step(scene: LitImage, reflectance: Reflectance) -> PlanStep:
     return PlanStep(_CAMERAS, True, "each texel is seen from its camera", evidence)
 
 
-def harmonic_light(scene: LitImage) -> TexelLight:
+def harmonic_light(scene: ShadedImage) -> TexelLight:
     """Return light as harmonics that nothing hides, of each channel's mean 1 over the usable texels.
 
     Minimises sum rho(w (T - a_b Y c) / mean T) over each channel's coefficients c, with the block albedos a_b

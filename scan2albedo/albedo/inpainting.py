@@ -60,8 +60,8 @@ def resynthesize(
     # Random places that are tried for a texel; as many of its neighbours are compared.
     jumps = rng.integers(-radius, radius + 1, (len(order), 14, 2), np.int32)
     steep = np.float32(1 / max(field[copies].var(0).mean(), 1e-6))
-    given = field, order, copies, around, offsets, np.argwhere(copies), jumps
-    filled, came_from = _fill(*given, steep, rng)
+    places = np.argwhere(copies)
+    filled, came_from = _fill(field, order, copies, around, offsets, places, jumps, steep, rng)
     across, down = (copied_steps(filled, field, came_from, around, axis) for axis in (1, 0))
     filled = filled_over_grid(filled, inside, around, across=across, down=down, pull=_HOLD)
     result = albedo.copy()

@@ -100,9 +100,10 @@ class _Colours:
         tie = np.eye(2 * len(deviation) + 5)
         tie[-1, -5:-3] = p.prior.level[1] * np.linalg.inv(change)[0] * self.gloss.any()
         self.known = tie.T @ block_diag(np.diag(np.tile(deviation**-2.0, 2)), *both, strength_sd**-2) @ tie
-        seen, usual = [np.median(ratio.log - ratio.mean) for ratio in self.ratios], change @ p.prior.chroma[0]
+        seen = [np.median(ratio.log - ratio.mean) for ratio in self.ratios]
+        prior_mean = change @ p.prior.chroma[0]
         none = np.zeros(2 * len(deviation))
-        self.expected = np.r_[none, usual, 0.0, 0.0, tie[-1, -5:-3] @ (seen - usual)]
+        self.expected = np.r_[none, prior_mean, 0.0, 0.0, tie[-1, -5:-3] @ (seen - prior_mean)]
         self.x, self.precision = np.r_[none, seen, np.zeros(3)], self.known
 
     def at(self, number: int) -> IntArray:

@@ -9,9 +9,9 @@ import numpy as np
 from scan2albedo.albedo.light_colour import light_colours
 from scan2albedo.albedo.light_parameters import INTENSITY, PARTS, Hypothesis, LightModel
 from scan2albedo.albedo.light_priors import parts_steps
-from scan2albedo.albedo.lit_image import Explanation, LightFound, LitImage
 from scan2albedo.albedo.node_field import Scales
 from scan2albedo.albedo.posterior import EXTRA, NOISE, TEMPER, Point, Posterior, Start, descend
+from scan2albedo.albedo.shaded_image import Explanation, LightFound, ShadedImage
 from scan2albedo.albedo.shadows import OUTLINE_BLURS
 from scan2albedo.albedo.uncertainty import Alternative, light_uncertainty
 from scan2albedo.core import PlanStep
@@ -43,7 +43,7 @@ _FLAT = 0.5
 class LightSearch:
     """Searches one image; the budget ends it with the best so far."""
 
-    def __init__(self, scene: LitImage) -> None:
+    def __init__(self, scene: ShadedImage) -> None:
         self.scene, self.meter, self.options = scene, scene.meter, scene.options
         self.found = list[tuple[float, Point]]()
 
@@ -89,7 +89,11 @@ class LightSearch:
         found, others = best.solution().hypothesis, list[Alternative]()
         for value, point in wanted:
             other, near = point.solution().hypothesis, TEMPER * (first - value) < 1
-            if near and len(other.rows) == len(found.rows) > 0 and not _alike(other, found, math.cos(0.25)):
+            if (
+                near
+                and len(other.rows) == len(found.rows) > 0
+                and not _same_directions(other, found, math.cos(0.25))
+            ):
                 others.append(Alternative(other.lights(), round(first - value, 3)))
         if not self.meter.exhausted:
             largest = self._posterior(2, best.problem.blur)
@@ -116,9 +120,9 @@ class LightSearch:
                 fields.append(field)
         weights = np.exp(TEMPER * (np.array(values) - max(values)))
         weights /= weights.sum()
-        beside_first = np.array(fields) - fields[0]
-        shift = weights @ beside_first
-        return shift, np.sqrt(weights @ (beside_first - shift) ** 2)
+        differences = np.array(fields) - fields[0]
+        shift = weights @ differences
+        return shift, np.sqrt(weights @ (differences - shift) ** 2)
 
     def _sized(self, point: Point) -> tuple[Point, PlanStep]:
         """Return the best point over the angular radii of its lamps, and the plan's row."""
@@ -202,7 +206,7 @@ class LightSearch:
             if len(found) == count or (found and meter.exhausted):
                 break
             lamps = model.decode(x[:-EXTRA])
-            if not any(_alike(lamps, other, _SAME_COSINE) for other in followed):
+            if not any(_same_directions(lamps, other, _SAME_COSINE) for other in followed):
                 followed.append(lamps)
                 found.append(descend(point.problem.at(model, x, known), _STEPS, meter))
         return sorted(found, key=lambda point: point.cost)
@@ -211,8 +215,8 @@ class LightSearch:
         """Yield starts of one lamp more beside the light that is there, or a strong one in a dark room."""
         count, coarse = base.model.lights, self._posterior(0, base.problem.blur)
         head, rows = base.x[: 3 * count], base.solution().hypothesis.rows[:, :3]
-        beside = self.scene.model(count) if dark else base.model
-        tail = beside.extend(base.x[: beside.size], model)[3 * model.lights :]
+        known_model = self.scene.model(count) if dark else base.model
+        tail = known_model.extend(base.x[: known_model.size], model)[3 * model.lights :]
         strength = math.log(_DARK_STRENGTH) if dark else INTENSITY.mean
         for direction in self.scene.directions:
             if count and (rows @ direction).max() > _SAME_COSINE:
@@ -237,6 +241,6 @@ class LightSearch:
         return self.scene.posterior(self.options.sizes[size], blur)
 
 
-def _alike(one: Hypothesis, other: Hypothesis, cosine: float) -> bool:
+def _same_directions(one: Hypothesis, other: Hypothesis, cosine: float) -> bool:
     """Return whether each lamp of one has a lamp of the other in a direction of such a cosine to it."""
     return bool((one.rows[:, :3] @ other.rows[:, :3].T > cosine).any(1).all())

@@ -93,10 +93,10 @@ class NodeField:
         return np.outer(size, size) * np.exp(-apart / _REACH) + TINY * np.eye(len(at))
 
 
-def deviation_of_light(light: FloatArray, usual: float) -> FloatArray:
+def deviation_of_light(light: FloatArray, typical_light: float) -> FloatArray:
     """Return the standard deviation of the log of light that no part stands for, beside (N,) `light`."""
     # Never more: an ambient light of a tenth remains anywhere.
-    return np.minimum(UNMODELLED * usual / light, 2.0)
+    return np.minimum(UNMODELLED * typical_light / light, 2.0)
 
 
 def posterior_factor(nodes: sparse.csr_matrix, weight: FloatArray, precision: FloatArray) -> FloatArray:

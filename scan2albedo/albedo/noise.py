@@ -18,7 +18,7 @@ more: what is more in some place, such as stubble, is texture."""
 
 @dataclass(frozen=True)
 class ChannelNoise:
-    """Variances of relative noise: `leading` (H, W) of channel number `lead`, and `beside` (H, W, C).
+    """Variances of relative noise: `leading` (H, W) of channel number `lead`, and `chroma` (H, W, C).
 
     The latter are those of each channel's difference from the leading one. `rounding` (H, W) is what 8 bits
     alone give the leading channel.
@@ -26,7 +26,7 @@ class ChannelNoise:
 
     lead: int
     leading: FloatArray
-    beside: FloatArray
+    chroma: FloatArray
     rounding: FloatArray
     ratio: float = _SHARED
     """The multiple, for the whole image, of what two channels do not share."""
@@ -38,7 +38,7 @@ def channel_noise(
     around: FloatArray,
     light: FloatArray,
     usable: BoolArray,
-    usual: ChannelNoise | None = None,
+    image_noise: ChannelNoise | None = None,
 ) -> ChannelNoise:
     """Return how noisy the quotient of texture and light is.
 
@@ -50,13 +50,13 @@ def channel_noise(
     does not depend on the light is all that can be found (`additive_deviation`).
 
     `relative` (H, W, C) is the quotient divided by `around` (H, W, C), its local mean; `texture` and `light`
-    (H, W, C) are the linear texture without highlights, and the light; `usable` is (H, W). `usual`
+    (H, W, C) are the linear texture without highlights, and the light; `usable` is (H, W). `image_noise`
     is the noise of the whole image, where this is a part of it.
     """
-    lead = 0 if usual is None else usual.lead
-    if usual is None and usable.any():
+    lead = 0 if image_noise is None else image_noise.lead
+    if image_noise is None and usable.any():
         lead = int(np.argmax(around[usable].mean(0)))
-    beside = np.zeros(texture.shape)
+    chroma = np.zeros(texture.shape)
     # What rounding of sRGB to 8 bits leaves in linear values.
     code = linear_to_srgb(np.clip(texture, 0.0, 1.0))
     rounding = (srgb_to_linear(code + 0.5 / 255) - srgb_to_linear(code - 0.5 / 255)) ** 2 / 12
@@ -64,7 +64,7 @@ def channel_noise(
     if texture.shape[-1] < 3 or not (texture[..., 1:] != texture[..., :1])[usable].any():
         deviation = additive_deviation(texture[..., lead], light[..., lead], usable)
         leading = (deviation / (light[..., lead] * around[..., lead])) ** 2
-        return ChannelNoise(lead, leading, beside, rounding[..., lead])
+        return ChannelNoise(lead, leading, chroma, rounding[..., lead])
     pairs = (0, 1), (0, 2), (1, 2)
     steps = [relative[..., i] - relative[..., j] for i, j in pairs]
     *apart, white = np.moveaxis(white_variance(np.stack([*steps, relative[..., lead]], -1), usable), -1, 0)
@@ -75,16 +75,16 @@ def channel_noise(
         differences[i, j] = differences[j, i] = different
     one, two = (c for c in range(3) if c != lead)
     least = np.min([differences[pair] for pair in pairs], axis=0)
-    known, ratio = usable & (least > 0), _SHARED if usual is None else usual.ratio
-    if usual is None and known.any():
+    known, ratio = usable & (least > 0), _SHARED if image_noise is None else image_noise.ratio
+    if image_noise is None and known.any():
         ratio = max(ratio, float(np.median(white[known] / least[known])))
     shared = np.minimum(white, ratio * least)
     own = (differences[lead, one] + differences[lead, two] - differences[one, two]) / 2
     leading = np.maximum(shared, np.minimum(own, least))
     for c in (one, two):
         # White texture may colour a channel beside the others: it leaves one difference without any.
-        beside[..., c] = np.minimum(differences[lead, c], 4 * least)
-    return ChannelNoise(lead, np.maximum(leading, 0.0), beside, rounding[..., lead], ratio)
+        chroma[..., c] = np.minimum(differences[lead, c], 4 * least)
+    return ChannelNoise(lead, np.maximum(leading, 0.0), chroma, rounding[..., lead], ratio)
 
 
 def white_variance(fields: FloatArray, usable: BoolArray) -> FloatArray:

@@ -8,8 +8,8 @@ from scipy.optimize import minimize
 
 from scan2albedo.albedo.levels import Level
 from scan2albedo.albedo.light_parameters import PARTS, LightModel, Solution
-from scan2albedo.albedo.lit_image import CONE_RAD, LightFound, LitImage
 from scan2albedo.albedo.node_field import TINY
+from scan2albedo.albedo.shaded_image import CONE_RAD, LightFound, ShadedImage
 from scan2albedo.core import PlanStep
 from scan2albedo.core.arrays import FloatArray, NDArray
 from scan2albedo.lighting.shading import shade_rows
@@ -55,7 +55,7 @@ def albedo_deviation(
 class DeviationProblem:
     """The objective over the cells of one level."""
 
-    def __init__(self, scene: LitImage, level: Level) -> None:
+    def __init__(self, scene: ShadedImage, level: Level) -> None:
         self._level, self._view, self.meter = level, np.asarray(scene.view), scene.meter
         self._blocks, self._count = level.blocks()
         self._shadows = ShadowMap(scene.shadows[0], level.anchor, level.normal)
@@ -71,12 +71,12 @@ class DeviationProblem:
         toward = found.rows[:, :3]
         seen = map(self._shadows.visible, toward, far) if rays else map(self._table.nearest, toward)
         where = level.position, level.normal, np.array(list(seen))
-        lit = shade_rows(*where, found.rows, self._view, found.reflectance, level.scale)
-        known = level.value, level.weight, lit.light, lit.specular, self._blocks, self._count
+        shading = shade_rows(*where, found.rows, self._view, found.reflectance, level.scale)
+        known = level.value, level.weight, shading.light, shading.specular, self._blocks, self._count
         return albedo_deviation(*known)
 
 
-def paper_search(scene: LitImage, lights: int | None, seed: int) -> LightFound:
+def paper_search(scene: ShadedImage, lights: int | None, seed: int) -> LightFound:
     """Anneal the paper's objective, all parts of the model free; `lights` None adds lights while they pay."""
     meter, options = scene.meter, scene.options
     middle, largest = (DeviationProblem(scene, scene.at(size).level) for size in options.sizes[1:])

@@ -136,9 +136,11 @@ class Posterior:
         of_light = (albedo[:, None] * slopes[0] + slopes[1]) / seen[:, None]
         rows = np.column_stack([of_light, diffuse, diffuse * self.mean, self.value - np.log(seen)])
         x = np.concatenate([light_x, [scale, likeness]])
-        lit = self, model, x, light, specular, parts, highlights, rows
         nothing = np.zeros(0)
-        return Point(*lit, known, nothing, nothing, known.weight).settled(known, fixed)
+        point = Point(
+            self, model, x, light, specular, parts, highlights, rows, known, nothing, nothing, known.weight
+        )
+        return point.settled(known, fixed)
 
 
 class Start(NamedTuple):
@@ -334,8 +336,8 @@ class Point:
         """
         if self.shared is not None:
             return float(self.x[-EXTRA]), self.shared
-        p, scales, lit = self.problem, self.known.scales, self.light
-        dark = scales.light * node_field.deviation_of_light(lit, float(np.median(lit)))
+        p, scales, light = self.problem, self.known.scales, self.light
+        dark = scales.light * node_field.deviation_of_light(light, float(np.median(light)))
         albedo = scales.albedo**2 * p.field.albedo_covariance
         total = albedo + p.field.light_error(p.onto_nodes, dark)
         precision = cho_solve(cho_factor(total, lower=True), np.eye(len(total)))

@@ -92,7 +92,7 @@ class AlbedoPrior:
             return AlbedoPrior.load(path)
 
     @classmethod
-    def named(cls, name: str, *, face: bool) -> AlbedoPrior:
+    def by_name(cls, name: str, *, face: bool) -> AlbedoPrior:
         """Return what `EstimateOptions.prior` names; `face`: whether the image lies on the chart of faces."""
         if name == "auto" and face:
             return cls.faces()
@@ -120,8 +120,10 @@ class AlbedoPrior:
         found: dict[str, Any] = read_npz(path, tuple(_SHAPES), what=what, advice=advice, error=LightingError)
         for name, shape in _SHAPES.items():
             got = found[name].shape
-            alike = len(got) == len(shape) and all(b in (a, None) for a, b in zip(got, shape, strict=True))
-            if not alike or found[name].dtype.kind not in "bf" or not all_finite(found[name]):
+            same_shape = len(got) == len(shape) and all(
+                b in (a, None) for a, b in zip(got, shape, strict=True)
+            )
+            if not same_shape or found[name].dtype.kind not in "bf" or not all_finite(found[name]):
                 expected = str(shape).replace("None", "R")
                 raise LightingError(
                     f"{what} {path}: {name} is {found[name].dtype} of shape {got}, expected finite numbers "

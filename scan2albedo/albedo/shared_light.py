@@ -69,8 +69,8 @@ class SharedLight:
             self.factor = node_field.posterior_factor(self.nodes, known * share, self.precision)
             self.u = node_field.solved(self.factor, onto @ (top * share))
             self.total, smooth = known + 1 / self.own, self.nodes @ self.u
-            beside = (top - known * smooth) / self.total
-            self.error = [p.left - (smooth + beside)[c] for p, c in zip(self.points, self.cells, strict=True)]
+            detail = (top - known * smooth) / self.total
+            self.error = [p.left - (smooth + detail)[c] for p, c in zip(self.points, self.cells, strict=True)]
             pairs = list(zip(self.error, self.variance, strict=True))
             weights = [robust_weights(e, v, repeats, e < 0) for e, v in pairs]
         misfit = 0.0
@@ -78,7 +78,7 @@ class SharedLight:
         for e, v in pairs:
             tail = np.where(e < 0, free, 1.0)
             misfit += float(((free + 1) / tail * np.log1p(tail * e**2 / (free * v)) + np.log(v)).sum())
-        rough = float(self.u @ self.precision @ self.u) + float((beside**2 / self.own).sum())
+        rough = float(self.u @ self.precision @ self.u) + float((detail**2 / self.own).sum())
         self.cost = (misfit / repeats + rough) / 2 + sum(point.prior.cost for point in self.points)
 
     @cached_property

@@ -10,10 +10,10 @@ from scipy.stats import norm
 from scan2albedo.albedo.levels import along_surface, cell_field, cell_means
 from scan2albedo.albedo.light_colour import CAST, LightColours
 from scan2albedo.albedo.light_parameters import PARTS, Solution
-from scan2albedo.albedo.lit_image import LightFound, LitImage
 from scan2albedo.albedo.node_field import TINY, deviation_of_light
 from scan2albedo.albedo.posterior import FREEDOM, Point
 from scan2albedo.albedo.prior import SPREADS
+from scan2albedo.albedo.shaded_image import LightFound, ShadedImage
 from scan2albedo.albedo.soft_terms import DARKEST
 from scan2albedo.core import EnvironmentLight, PointLight
 from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, row_sums
@@ -48,7 +48,7 @@ class TexelLight:
     """With the highlight in the unit of the texture."""
 
 
-def light_on_texels(scene: LitImage, found: LightFound) -> TexelLight:
+def light_on_texels(scene: ShadedImage, found: LightFound) -> TexelLight:
     """Return the light found on the image at its full size, with the mean of what explains it as well."""
     mask, caster = scene.image.mask, scene.shadows[0]
     solution, explained = found.solution, found.explanation
@@ -89,7 +89,7 @@ def _coloured(lamp: PointLight, color: FloatArray) -> PointLight:
     return replace(lamp, intensity=lamp.intensity * mean, color_linear=(red, green, blue))
 
 
-def _surface(scene: LitImage, softly: bool) -> ShadowMap:
+def _surface(scene: ShadedImage, softly: bool) -> ShadowMap:
     """Return the texels, with the horizon above which nothing hides a lamp where soft light knows it."""
     image, mask, caster = scene.image, scene.image.mask, scene.shadows[0]
     above = None
@@ -99,7 +99,7 @@ def _surface(scene: LitImage, softly: bool) -> ShadowMap:
 
 
 def _lamps_on_texels(
-    scene: LitImage,
+    scene: ShadedImage,
     rows: FloatArray,
     lights: list[PointLight],
     reflectance: Reflectance,
@@ -109,8 +109,9 @@ def _lamps_on_texels(
     count = len(surface.position)
     traced = [surface.reached(lamp.direction, lamp.distance_mm, lamp.radius_deg) for lamp in lights]
     visible = np.reshape(traced, (len(lights), count)).astype(np.float32)
-    lit = surface.position, surface.normal, np.ones_like(visible)
-    whole, gloss = lamp_factors(*lit, rows, scene.toward, reflectance) * rows[:, 4:]
+    unshadowed = np.ones_like(visible)
+    factors = lamp_factors(surface.position, surface.normal, unshadowed, rows, scene.toward, reflectance)
+    whole, gloss = factors * rows[:, 4:]
     gloss *= reflectance.specular_strength
     if scene.image.specular_scale is not None:
         gloss *= scene.image.specular_scale[scene.image.mask]
@@ -123,7 +124,7 @@ class _Expected:
 
     parts = np.linspace(0, 1, 9)  # of a lamp, or of twice a highlight, that are compared
 
-    def __init__(self, scene: LitImage, point: Point, coloured: bool) -> None:
+    def __init__(self, scene: ShadedImage, point: Point, coloured: bool) -> None:
         (field, places), mask = (point.problem.field, scene.places), scene.image.mask
         self.point, self.coloured, self.usable = point, coloured, scene.usable[mask]
         self.lead, self.first = point.problem.lead, np.arange(3) == point.problem.lead
@@ -177,10 +178,10 @@ def _seen_shadows(
     priors = [np.clip(blurred(v) / whole, _LEAST, 1 - _LEAST) for v in np.where(away, 1.0, visible)]
     known.settle(soft + np.einsum("ln,lnc->nc", seen, lamps))
     for _ in range(2):
-        for k, lit in enumerate(priors):
+        for k, reached in enumerate(priors):
             others = soft + np.einsum("ln,lnc->nc", seen, lamps) - seen[k][:, None] * lamps[k]
-            prior = np.tile(lit * (1 - lit) / (len(known.parts) - 2), (len(known.parts), 1))
-            prior[0], prior[-1] = (1 - lit) * (1 - lit / 2), lit * (1 + lit) / 2
+            prior = np.tile(reached * (1 - reached) / (len(known.parts) - 2), (len(known.parts), 1))
+            prior[0], prior[-1] = (1 - reached) * (1 - reached / 2), reached * (1 + reached) / 2
             left = [known.left(others + part * lamps[k]) for part in known.parts]
             dark = DARKEST / np.maximum(others[:, known.lead], DARKEST)
             seen[k] = np.where(away[k], 1.0, known.mean_part(left, dark, prior))
@@ -211,7 +212,7 @@ def _left_over(known: _Expected, light: FloatArray, gloss: FloatArray) -> tuple[
 
 
 def _soft_light(
-    scene: LitImage, solution: Solution, lamps: FloatArray, colours: LightColours, surface: ShadowMap
+    scene: ShadedImage, solution: Solution, lamps: FloatArray, colours: LightColours, surface: ShadowMap
 ) -> tuple[EnvironmentLight, FloatArray]:
     """Return the environment, and its light (N, 3) on texels, with what their `surface` throws onto itself.
 

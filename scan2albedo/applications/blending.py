@@ -59,14 +59,14 @@ def blend_faces(
         specular_scale=_between(scales[0], scales[-1], weight) if scales else None,
         labels=nearer.image.labels if weight in (0, 1) else None,
     )
-    skins, beside = matched_skins(a, b, weight)
+    skins, displacement = matched_skins(a, b, weight)
     if weight in (0, 1):
         albedo = gains[round(weight)] * skins[round(weight)]
     else:
         # Features move toward one another, A's by `weight`, so that none is there twice.
         first, second = (gain * filled_from_nearest(s, mask) for s, gain in zip(skins, gains, strict=True))
-        first = face_features.warped(first, -weight * beside)
-        albedo = _between(first, face_features.warped(second, (1 - weight) * beside), weight)
+        first = face_features.warped(first, -weight * displacement)
+        albedo = _between(first, face_features.warped(second, (1 - weight) * displacement), weight)
     own, other = (
         replace(face.reflectance, specular_strength=float(gain) * face.reflectance.specular_strength)
         for face, gain in zip((a, b), np.exp(np.log(gains).mean(1)), strict=True)
@@ -109,14 +109,16 @@ def matched_skins(a: ProcessedFace, b: ProcessedFace, weight: float) -> tuple[li
             skin = _between(skin, continued_skin(face, other, wins), share)
         skins.append(skin)
         labels.append(
-            [face_features.named_texels(face, parts[:1]) for parts in face_features.FEATURES.values()]
+            [face_features.texels_of_parts(face, parts[:1]) for parts in face_features.FEATURES.values()]
         )
         same |= face_features.taken_features(face, other, wins)[0]
-    beside = face_features.displacement(skins[0], skins[1], a.mask & b.mask, list(zip(*labels, strict=True)))
+    displacement = face_features.displacement(
+        skins[0], skins[1], a.mask & b.mask, list(zip(*labels, strict=True))
+    )
     # What one face gives to both lies where it is.
     reach = face_features.AROUND
     free = gaussian_filter(1.0 - face_features.grown(same, reach), reach * max(same.shape))
-    return skins, beside * free[..., None]
+    return skins, displacement * free[..., None]
 
 
 def _between(a: ArrayLike, b: ArrayLike, weight: float) -> NDArray:

@@ -102,8 +102,8 @@ def expression_displacement(
     moved = laid_on_what_is_still(expression_a.vertices, rest)
     level = level_to_refine(neutral_a, options, model)
     if level is not None:
-        given = model or default_model()
-        moved = laid_on_what_is_still(refined_expression(neutral_a, moved, given, level), rest)
+        used_model = model or default_model()
+        moved = laid_on_what_is_still(refined_expression(neutral_a, moved, used_model, level), rest)
     return options.strength * (moved - rest)
 
 
@@ -113,12 +113,12 @@ def level_to_refine(
     """Return the model's refinement that the mesh is; None where A's fits are taken as they are."""
     if options.correspondence == "as-fitted":
         return None
-    given = model or default_model()
-    level = refinement_level(neutral_a, given)
+    used_model = model or default_model()
+    level = refinement_level(neutral_a, used_model)
     if level is None and options.correspondence == "refined":
         raise ApplicationError(
-            f"the correspondence cannot be refined: the faces are not on the mesh of {given.name!r}; give "
-            'the model that they were processed with, or take correspondence "as-fitted"'
+            f"the correspondence cannot be refined: the faces are not on the mesh of {used_model.name!r}; "
+            'give the model that they were processed with, or take correspondence "as-fitted"'
         )
     return level
 
@@ -199,8 +199,8 @@ def personal_model(
 def refinement_level(mesh: FaceMesh, model: AnnotatedSurface) -> int | None:
     """Return how often the model's control mesh is refined to these triangles; None when they are others."""
     level = round(math.log(len(mesh.faces) / len(model.control_faces), 4))
-    alike = len(mesh.faces) == len(model.control_faces) * 4**level
-    return level if alike and np.array_equal(model.subdivision(level).faces, mesh.faces) else None
+    same_count = len(mesh.faces) == len(model.control_faces) * 4**level
+    return level if same_count and np.array_equal(model.subdivision(level).faces, mesh.faces) else None
 
 
 def limit_control_points(vertices: FloatArray, subdivision: LoopSubdivision) -> FloatArray:

@@ -67,9 +67,9 @@ def reflectance_of_processed(
     if not known.any():
         raise ApplicationError(f"{face.name}: no vertex of its surface was seen; scan it from other sides")
     scale = 1.0 if level is None else level / face.level()
-    skin, given_scale = face.reflectance, face.image.specular_scale
+    skin, specular_scale = face.reflectance, face.image.specular_scale
     lobes = lobe_weights_of_phong(skin.specular_strength, skin.exponent)
-    gloss = np.ones(face.image.shape) if given_scale is None else given_scale.astype(float)
+    gloss = np.ones(face.image.shape) if specular_scale is None else specular_scale.astype(float)
     strength, _ = sampled_at_vertices(gloss[..., None], face)
     lambert_share = 1.0
     if skin.brdf != "lambert":

@@ -206,7 +206,7 @@ def write_face(
         staging.write_record(
             **attributes(face, "name", *OF_LIGHT),
             application=application,
-            inputs=tuple(given.name for given in inputs),
+            inputs=tuple(source.name for source in inputs),
             options=plain_json(options or {}),
             model=face.model_name,
             chart_mesh=mesh.from_chart,

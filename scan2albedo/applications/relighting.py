@@ -100,8 +100,8 @@ class RelitFace:
         if min(shape) < 2 or samples < 1:
             raise ValueError(f"shape is {shape}, samples {samples}, expected 2 pixels and 1 sample or more")
         face, mesh, mask = self.face, self.face.mesh, self.face.mask
-        given = default_camera(face, shape) if camera is None else np.asarray(camera, float)
-        projection = normalized_cameras(given[None])[0]
+        matrix = default_camera(face, shape) if camera is None else np.asarray(camera, float)
+        projection = normalized_cameras(matrix[None])[0]
         seen = pictures.seen_samples(mesh.vertices, mesh.faces, projection, shape, samples)
         normal = seen.interpolated(mesh.normals)
         toward = normalized(camera_centers(projection[None])[0] - seen.interpolated(mesh.vertices))
@@ -117,7 +117,7 @@ class RelitFace:
         if gloss is not None:
             scale = bilinear(filled_from_nearest(gloss[..., None], mask), pixels)[:, 0]
         diffuse, specular = shade(shadows, self.light, face.reflectance, toward, scale)
-        lit = np.column_stack([albedo * diffuse + specular, np.ones(len(albedo))])
+        radiance = np.column_stack([albedo * diffuse + specular, np.ones(len(albedo))])
         eye = camera_centers(projection[None])[0]
         if face.inside is not None and (parts := face.inside.parts) and eye[2] > mesh.vertices[:, 2].min():
             # Eyes and mouth, where they are nearer, or the face is cut away before them.
@@ -133,13 +133,13 @@ class RelitFace:
             there = behind.interpolated(vertices)
             colors = behind.interpolated(np.concatenate([np.asarray(part.color_linear) for part in parts]))
             normal = np.concatenate([vertex_normals(p.vertices, p.faces) for p in parts])
-            shown = self._lit_parts(there, behind.interpolated(normal), normalized(eye - there), colors)
+            shown = self._parts_radiance(there, behind.interpolated(normal), normalized(eye - there), colors)
             seen = seen.chosen(kept).joined(behind)
-            lit = np.concatenate([lit[kept], np.column_stack([shown, np.ones(len(shown))])])
-        made = seen.picture(lit)
+            radiance = np.concatenate([radiance[kept], np.column_stack([shown, np.ones(len(shown))])])
+        made = seen.picture(radiance)
         return Picture(made[..., :3].astype(np.float32), made[..., 3].astype(np.float32))
 
-    def _lit_parts(
+    def _parts_radiance(
         self, position: FloatArray, normal: FloatArray, toward: FloatArray, albedo: FloatArray
     ) -> FloatArray:
         """Return (N, 3) light from points (N, 3) of eyes and mouth, mm, toward a viewer, all of it wet."""
@@ -176,8 +176,8 @@ class RelitFace:
             for part in inside.parts:
                 xyz, normals = part.vertices, vertex_normals(part.vertices, part.faces)
                 toward = np.tile(view, (len(xyz), 1))
-                lit = self._lit_parts(xyz, normals, toward, np.asarray(part.color_linear))
-                parts.append(replace(part, color_linear=factor * lit))
+                radiance = self._parts_radiance(xyz, normals, toward, np.asarray(part.color_linear))
+                parts.append(replace(part, color_linear=factor * radiance))
         write_glb(path, mesh.vertices, mesh.faces, mesh.uv, texture, emissive=True, parts=parts)
 
 
@@ -240,7 +240,7 @@ def relight(
             raise ApplicationError(f"environment_linear holds {np.min(distant):.3g}; radiance is 0 or more")
         distant = DistantLights.from_environment(distant, 128, "important")
     light = SceneLight(lights, distant, base, environment)
-    known, (face, notes) = face.inside, as_lit(face, options)
+    known, (face, notes) = face.inside, prepared_for_light(face, options)
     inside = eyes_and_mouth(face) if known is None else known
     object.__setattr__(face, "inside", inside)
     if inside.eyes and not inside.eyes[0].painted:
@@ -251,15 +251,15 @@ def relight(
     shadows = ShadowMap(caster, image.position[mask], image.normal[mask], face.shadow_offset_mm)
     scale = None if image.specular_scale is None else image.specular_scale[mask].astype(float)
     diffuse, specular = shade(shadows, light, face.reflectance, view / np.linalg.norm(view), scale)
-    lit = []
+    images = []
     for values in (face.albedo_linear[mask].astype(float) * diffuse + specular, diffuse, specular):
         if np.abs(values).max() > np.finfo(np.float32).max:
             raise ApplicationError(f"{face.name} is lit brighter than 3e38: lower the intensities")
-        lit.append(on_grid(mask, values).astype(np.float32))
-    return RelitFace(face, light, lit[0], lit[1], lit[2], notes)
+        images.append(on_grid(mask, values).astype(np.float32))
+    return RelitFace(face, light, images[0], images[1], images[2], notes)
 
 
-def as_lit(face: ProcessedFace, options: RelightOptions) -> tuple[ProcessedFace, Texts]:
+def prepared_for_light(face: ProcessedFace, options: RelightOptions) -> tuple[ProcessedFace, Texts]:
     """Return the face as `relight` lights it, and what was assumed for it, for people."""
     notes = []
     if options.fill_gaps:

@@ -96,10 +96,10 @@ def continued_skin(face: ProcessedFace, other: ProcessedFace, wins: bool = True)
     # Where either has a feature, the other one's gradients are of another place.
     both = [texels for f in (face, other) for texels in feature_texels(f).values()]
     featured = grown(np.logical_or.reduce([*both, np.zeros_like(kept)]), AROUND) & ~taken
-    beside = featured & sure[:, ::-1] & face_features.mirrored(face)
-    source = np.where(taken | (theirs & ~featured), 1, 0) + 2 * beside
-    detail = np.where(beside[..., None], own[:, ::-1], detail)
-    known = (sure | (kept & ~(beside & ~face.image.seen))) & ~taken
+    from_mirror = featured & sure[:, ::-1] & face_features.mirrored(face)
+    source = np.where(taken | (theirs & ~featured), 1, 0) + 2 * from_mirror
+    detail = np.where(from_mirror[..., None], own[:, ::-1], detail)
+    known = (sure | (kept & ~(from_mirror & ~face.image.seen))) & ~taken
     return continued(own, known, replace(other, albedo_linear=detail.astype(np.float32)), source, taken)
 
 

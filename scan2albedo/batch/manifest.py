@@ -43,13 +43,13 @@ class ManifestScan:
 
     def options(self, batch: ProcessOptions, folder: Path) -> ProcessOptions:
         """Return the batch's options with the line's, paths from `folder`; BatchError for a wrong cell."""
-        given: dict[str, Any] = {name: text for name, text in self.own.items() if text}
+        cells: dict[str, Any] = {name: text for name, text in self.own.items() if text}
         with errors_of(self.where, BatchError, ValueError):
-            chosen = replace(batch, **given)
-        if "model" in given and given["model"] not in ("default", "none"):
-            chosen = replace(chosen, model=str((folder / given["model"]).absolute()))
-        if "landmarks" in given and chosen.landmarks != AUTO:
-            chosen = replace(chosen, landmarks=str((folder / given["landmarks"]).absolute()))
+            chosen = replace(batch, **cells)
+        if "model" in cells and cells["model"] not in ("default", "none"):
+            chosen = replace(chosen, model=str((folder / cells["model"]).absolute()))
+        if "landmarks" in cells and chosen.landmarks != AUTO:
+            chosen = replace(chosen, landmarks=str((folder / cells["landmarks"]).absolute()))
         return chosen
 
 

@@ -166,11 +166,11 @@ class BatchReport:
         if progress.scans_per_hour:
             parts.append(f"{progress.scans_per_hour:.0f} scans/h with {self.jobs} job{'s' * (self.jobs > 1)}")
         lines = ["batch: " + ", ".join(parts) + f"; files in {self.out}, doubts in its catalogue"]
-        told = [f"  failed: {name}: {reason}" for name, reason in self.failures.items()]
-        told += [f"  {note}" for note in self.notes if lost_texture((note,))]
-        lines += told[:_SHOWN]
-        if len(told) > _SHOWN:
-            lines.append(f"  and {len(told) - _SHOWN} more; all are in catalogue.parquet")
+        messages = [f"  failed: {name}: {reason}" for name, reason in self.failures.items()]
+        messages += [f"  {note}" for note in self.notes if lost_texture((note,))]
+        lines += messages[:_SHOWN]
+        if len(messages) > _SHOWN:
+            lines.append(f"  and {len(messages) - _SHOWN} more; all are in catalogue.parquet")
         return "\n".join(lines)
 
 

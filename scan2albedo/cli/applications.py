@@ -151,8 +151,8 @@ def bake(
         # As registration left them: it may have turned their faces outward.
         meshes, fits = [result.scan for result in done], tuple(result.fitted for result in done)
     else:
-        given = MM_PER_UNIT.get(unit, 1.0), f"unit: {'mm' if unit == 'auto' else unit}"
-        meshes = [load_scan_with(path, lambda *_: given) for path in (source, target)]
+        unit_scale = MM_PER_UNIT.get(unit, 1.0), f"unit: {'mm' if unit == 'auto' else unit}"
+        meshes = [load_scan_with(path, lambda *_: unit_scale) for path in (source, target)]
     stop_cleanly_on_interrupt(None)
     made = baked(meshes[0], meshes[1], size, fits)
     write_template(out.parent, made, stem=out.stem, mm_per_unit=meshes[1].mm_per_unit)
@@ -190,5 +190,5 @@ def _write_face(
     for text in (*face.notes, f"{application}; files in {out}"):
         say(f"{face.name}: {text}")
     if json_summary:
-        names = [given.name for given in inputs]
+        names = [source.name for source in inputs]
         echo_json({"face": face.name, "status": "done", "out": str(out), "inputs": names, "options": options})

@@ -41,9 +41,9 @@ class OptionsCommand(TyperCommand):
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command with the options that the flags give."""
-        given = {name: ctx.params.pop(name) for name in self.names}
+        values = {name: ctx.params.pop(name) for name in self.names}
         try:
-            ctx.params["options"] = ProcessOptions(**given)
+            ctx.params["options"] = ProcessOptions(**values)
         except ValueError as error:
             raise typer.BadParameter(str(error), ctx=ctx) from None
         return super().invoke(ctx)

@@ -254,11 +254,11 @@ def register(
     with _one_frame(mesh, "glasses", json_summary, out, FILES) as progress:
         progress.say(f"glasses: reading {mesh}")
         more = {"pictures": pictures, "masks": masks, "head": head, "keypoints": keypoints, "start": start}
-        given = read_registration(mesh, cameras, labels, **more, unit=unit, frame_width_mm=frame_width)
-        done = register_frame(given, bend=not rigid, budget=spend, on_progress=progress.update)
+        inputs = read_registration(mesh, cameras, labels, **more, unit=unit, frame_width_mm=frame_width)
+        done = register_frame(inputs, bend=not rigid, budget=spend, on_progress=progress.update)
         figures = write_registration_files(done, out)
         for note in done.notes:
-            progress.say(f"{given.frame.name}: {note}")
+            progress.say(f"{inputs.frame.name}: {note}")
         progress.say(f"{done.summary()}; files in {out}")
     if json_summary:
         views = [view.model_dump() for view in done.views]

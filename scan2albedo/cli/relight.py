@@ -78,13 +78,13 @@ def relight(
     lamps = [_lamp(text, lamp_radius) for text in light or ()]
     azimuth, elevation = (math.radians(angle) for angle in _angles("--view", view, 2, 2))
     extension = out.suffix.lower()
-    lit = bool(lamps) or environment is not None or sweep is not None
+    has_light = bool(lamps) or environment is not None or sweep is not None
     if extension not in (WRITTEN if sweep is None else (ANIMATED, "")):
         takes = f"{', '.join(WRITTEN)}, or with --sweep {ANIMATED} or a folder of frames"
         raise typer.BadParameter(f"-o takes {takes}, not {out.name}")
     if sweep is not None and (texture or environment is not None):
         raise typer.BadParameter("--sweep moves a lamp in pictures; leave out --texture and --environment")
-    if not lit:
+    if not has_light:
         raise typer.BadParameter("no light is given; add --light, --environment or --sweep")
     if exposure is not None and not 0 < exposure < math.inf:
         raise typer.BadParameter(f"--exposure is {exposure}, expected a number above 0")
@@ -169,8 +169,8 @@ def _angles(option: str, text: str, fewest: int, most: int) -> list[float]:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
         numbers = []
-    usual = all(abs(number) <= bound for number, bound in zip(numbers, (360, 360, 1e9, 1e9), strict=False))
-    if not (fewest <= len(numbers) <= most and usual):
+    in_range = all(abs(number) <= bound for number, bound in zip(numbers, (360, 360, 1e9, 1e9), strict=False))
+    if not (fewest <= len(numbers) <= most and in_range):
         shape = "AZ,EL" if most == 2 else "AZ,EL[,INTENSITY[,DISTANCE_MM]]"
         wanted = "angles of at most 360 degrees, other numbers of at most 1e9"
         raise typer.BadParameter(f"{option} {text!r}: expected {shape}, {wanted}")

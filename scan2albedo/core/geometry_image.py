@@ -125,8 +125,8 @@ class GeometryImage:
         if (self.camera is None) != (self.camera_positions is None):
             raise GeometryImageError("camera and camera_positions belong together, and one of them is None")
         if self.camera is not None:
-            given, error = self.camera_positions, GeometryImageError
-            positions = checked_array(given, ("K", 3), "camera_positions", error, finite=error)  # type: ignore[arg-type]
+            camera_positions, error = self.camera_positions, GeometryImageError
+            positions = checked_array(camera_positions, ("K", 3), "camera_positions", error, finite=error)  # type: ignore[arg-type]
             unknown = (self.camera >= len(positions)) & (self.camera != NO_CAMERA)
             if unknown.any():
                 raise GeometryImageError(

@@ -22,13 +22,13 @@ PLACED_SIGMA_MM = 1.5
 """Standard deviation of a point of which nothing else is said: how well people repeat their own clicks."""
 
 
-def landmarks_option(given: Any) -> Any:
+def landmarks_option(landmarks: Any) -> Any:
     """Return landmarks as a caller gave them, "auto" in any spelling as `AUTO`; ValueError for empty text."""
-    if not isinstance(given, str):
-        return given
-    if not given.strip():
+    if not isinstance(landmarks, str):
+        return landmarks
+    if not landmarks.strip():
         raise ValueError("landmarks is empty, expected a file, a folder or 'auto'")
-    return AUTO if given.strip().lower() == AUTO else given
+    return AUTO if landmarks.strip().lower() == AUTO else landmarks
 
 
 @dataclass(frozen=True)
@@ -60,26 +60,26 @@ class PlacedLandmarks:
         vars(self).update(points=points, sigma_mm=sigma_mm)
 
     @classmethod
-    def of(cls, given: Any, mm_per_unit: float = 1.0) -> PlacedLandmarks:
+    def of(cls, landmarks: Any, mm_per_unit: float = 1.0) -> PlacedLandmarks:
         """Return landmarks given as {number: (3,)} or a (68, 3) array with NaN, in a scan's unit.
 
         Raises ScanError for unknown numbers and what `PlacedLandmarks` refuses, TypeError for other objects.
         """
-        if isinstance(given, PlacedLandmarks):
-            return given
-        if isinstance(given, Mapping):
+        if isinstance(landmarks, PlacedLandmarks):
+            return landmarks
+        if isinstance(landmarks, Mapping):
             points = np.full((COUNT, 3), np.nan)
-            for number, point in given.items():
+            for number, point in landmarks.items():
                 if not isinstance(number, Integral) or int(number) not in range(COUNT):
                     raise ScanError(f"unknown landmark {number!r}; iBUG-68 has numbers from 0 to {COUNT - 1}")
                 if np.shape(point) != (3,) or not all(isinstance(value, Real) for value in point):
                     raise ScanError(f"landmark {number} is {point!r}, expected three coordinates")
                 points[int(number)] = point
-        elif isinstance(given, np.ndarray | list | tuple):
+        elif isinstance(landmarks, np.ndarray | list | tuple):
             with errors_of("landmarks are not a (68, 3) array of numbers", ScanError, ValueError, TypeError):
-                points = np.asarray(given, float)
+                points = np.asarray(landmarks, float)
         else:
-            said = f"landmarks are of type {type(given).__name__}"
+            said = f"landmarks are of type {type(landmarks).__name__}"
             raise TypeError(f"{said}, expected a file, {{number: (x, y, z)}} or a (68, 3) array")
         return cls(points * mm_per_unit, np.full(COUNT, PLACED_SIGMA_MM))
 

@@ -83,12 +83,12 @@ class EnvironmentLight:
     """Albedo of the surface that throws light onto itself; 0 or more."""
 
     def __post_init__(self) -> None:
-        given = checked_array(self.coefficients, (9, 3), "coefficients", finite=ValueError)
+        coefficients = checked_array(self.coefficients, (9, 3), "coefficients", finite=ValueError)
         if not 0 <= self.fill <= 1:
             raise ValueError(f"fill is {self.fill}, expected a part from 0 to 1 of what is hidden")
         if not 0 <= self.bounce < np.inf:
             raise ValueError(f"bounce is {self.bounce}, expected a finite number, 0 or more")
-        object.__setattr__(self, "coefficients", given.copy())
+        object.__setattr__(self, "coefficients", coefficients.copy())
 
     @classmethod
     def constant(cls) -> Self:

@@ -155,17 +155,17 @@ def canonicalize(
         if each is not None and len(each) != len(meshes):
             raise ValueError(f"{name} must have one entry for each of {len(meshes)} meshes, got {len(each)}")
     shares = [None] * len(meshes) if weights is None else weights
-    given = [_Frame.checked(i, *one) for i, one in enumerate(zip(meshes, keypoints, shares, strict=True))]
+    checked = [_Frame.checked(i, *one) for i, one in enumerate(zip(meshes, keypoints, shares, strict=True))]
     reference, common = None, None
     if mean_keypoints is not None:
         reference = checked_keypoints("mean_keypoints", mean_keypoints)
         means.require_posable(reference, "mean_keypoints")
         with errors_of("mean_keypoints", EyeglassesError):
             common = means.unit_exponent(reference, options.widths_mm)
-    anchor = means.fullest([frame.points for frame in given]) if reference is None else reference
+    anchor = means.fullest([frame.points for frame in checked]) if reference is None else reference
     frames, failures = list[_Frame](), dict[int, str]()
-    called = [f"frame {frame.number}{f', {frame.name}' if frame.name else ''}" for frame in given]
-    for i, frame in enumerate(given):
+    called = [f"frame {frame.number}{f', {frame.name}' if frame.name else ''}" for frame in checked]
+    for i, frame in enumerate(checked):
         # Key points that the reference lacks do not count.
         shared = np.where(np.isfinite(anchor), frame.points, np.nan)
         try:
@@ -174,7 +174,7 @@ def canonicalize(
             exponent = means.unit_exponent(frame.points, options.widths_mm, width)
             used = frame if reference is None else replace(frame, points=shared)
             used = replace(used, unit_exponent=exponent, width=width)
-            frames.append(used.weighted(spacing, len(given) - i, meter))
+            frames.append(used.weighted(spacing, len(checked) - i, meter))
         except EyeglassesError as error:
             if not options.skip_failed:
                 raise EyeglassesError(f"{called[i]}: {error}") from error

@@ -65,7 +65,7 @@ def read_json(
     return read_record(path, kind, what=what, advice=advice, error=EyeglassesError)
 
 
-def named_key_points(entries: dict[str, Value]) -> dict[str, Value]:
+def known_key_points(entries: dict[str, Value]) -> dict[str, Value]:
     """Return entries by name, or raise ValueError, with names probably meant, unless all are key points."""
     strange = sorted(set(entries) - set(KEY_POINT_NAMES))
     if not strange:
@@ -84,9 +84,9 @@ class KeyPointsFile(Record):
     unit: LengthUnitIfKnown = "unknown"
     """Of the coordinates."""
     key_points: Annotated[
-        dict[KeyPointName, tuple[float, float, float] | None], AfterValidator(named_key_points)
+        dict[KeyPointName, tuple[float, float, float] | None], AfterValidator(known_key_points)
     ] = Field(description="Coordinates by name; null, or no entry, where a key point was not found.")
-    deviations_mm: Annotated[dict[KeyPointName, Number], AfterValidator(named_key_points)] = Field(
+    deviations_mm: Annotated[dict[KeyPointName, Number], AfterValidator(known_key_points)] = Field(
         {}, description="Standard deviations of proposed key points by name; placed ones have none."
     )
 
@@ -172,8 +172,8 @@ def exchanged_key_points(points: FloatArray) -> list[str]:
                 trial = current.copy()
                 trial[[a, b]] = current[[b, a]]
                 placed, misfit = laid(trial)
-                way, usual = current[b] - current[a], placed[b] - placed[a]
-                if misfit < least and way @ usual < -0.5 * (usual @ usual):
+                way, expected = current[b] - current[a], placed[b] - placed[a]
+                if misfit < least and way @ expected < -0.5 * (expected @ expected):
                     best, least, changed = (a, b), misfit, trial
         if best is None:
             break
@@ -190,9 +190,9 @@ def _write(path: str | Path, frame: CanonicalEyeglasses | RegisteredEyeglasses) 
 
 
 def _read(path: str | Path, kind: Callable[..., Value]) -> Value:
-    usual, layout = _KINDS[kind]
-    what = f"{usual} frame"
-    arrays = read_npz(path, layout, what=what, advice=f"give a {usual}.npz", error=EyeglassesError)
+    kind_name, layout = _KINDS[kind]
+    what = f"{kind_name} frame"
+    arrays = read_npz(path, layout, what=what, advice=f"give a {kind_name}.npz", error=EyeglassesError)
     lengths: Values = {"K": len(KEY_POINT_NAMES), "3": 3, "4": 4}
     for name, (_, *shape) in layout.items():
         got = arrays[name].shape

@@ -55,7 +55,7 @@ def is_posable(seen: FloatArray) -> bool:
     return bool(spread[1] > _FLAT * spread[0])
 
 
-def usual_size_factor(points: FloatArray) -> float:
+def typical_size_factor(points: FloatArray) -> float:
     """Return the factor that brings a frame's median bone to 30 mm, as that of usual spectacles."""
     return 30 / key_point_size(points)
 
@@ -150,7 +150,7 @@ def unit_exponent(points: FloatArray, widths_mm: tuple[float, float], mesh_width
     width = front_width(points) if mesh_width is None else mesh_width
     low, high = widths_mm if mesh_width is not None else (_INSIDE * widths_mm[0], widths_mm[1])
     if math.isnan(width):
-        return round(math.log10(usual_size_factor(points)))
+        return round(math.log10(typical_size_factor(points)))
     exponent = 0 if low <= width <= high else math.ceil(math.log10(low / width))
     if not low <= width * 10.0**exponent <= high:
         raise EyeglassesError(
@@ -186,10 +186,10 @@ def outliers(keypoints: Sequence[FloatArray], widths: FloatArray) -> dict[int, s
     found: dict[int, str] = {}
     least = 0.0
     if np.isfinite(widths).any():
-        usual = float(np.nanmedian(widths))
-        least, away = _LEAST * usual, np.abs(widths - usual)
+        median_width = float(np.nanmedian(widths))
+        least, away = _LEAST * median_width, np.abs(widths - median_width)
         for i in np.flatnonzero(away > max(_DEVIATIONS * float(np.nanmedian(away)), 4 * least)):
-            found[int(i)] = f"its front is {widths[i]:.4g} wide, the median of the set is {usual:.4g}"
+            found[int(i)] = f"its front is {widths[i]:.4g} wide, the median of the set is {median_width:.4g}"
     above = shapes - np.median(shapes)
     for i in np.flatnonzero(above > max(_DEVIATIONS * float(np.median(np.abs(above))), least)):
         worst = int(np.nanargmax(off[i]))

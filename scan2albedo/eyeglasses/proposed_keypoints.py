@@ -177,9 +177,9 @@ class _Seen:
         at = ((edge[:, None] + steps[:, None] * out[:, None]) * [sign, 1] - self.low) / self.pixel
         solid = ndimage.map_coordinates(self.front.astype(float), np.moveaxis(at, -1, 0)[::-1], order=1) > 0.5
         width = np.append(0, steps)[np.argmin(np.column_stack([solid, np.zeros(360, bool)]), 1)]
-        usual = np.median(width[width > 0]) if width.any() else 0
+        median_width = np.median(width[width > 0]) if width.any() else 0
         # Where bridge, temple and pads are joined the rim is as wide as elsewhere.
-        return edge, edge + np.where(width > 2 * usual, usual, width)[:, None] * out
+        return edge, edge + np.where(width > 2 * median_width, median_width, width)[:, None] * out
 
     def key_points(self, cloud: FloatArray) -> tuple[FloatArray, FloatArray, float]:
         """Return key points (20, 3), deviations (20,) and log odds of points (N, 3) in these axes."""

@@ -105,8 +105,9 @@ def front_halves(
 
     size, center = float(np.linalg.norm(np.ptp(target, axis=0))), moving.mean(0)
     own, first = np.concatenate([moving, source]) - center, transform_points(start, center)
-    given = own, np.ones(len(held)), pairs, Similarity(start[:3, :3], first)
-    found = align(*given, steps=30, scale_range=(1.0, 1.0), settled=1e-6 * size).pose
+    initial, settled = Similarity(start[:3, :3], first), 1e-6 * size
+    equal = np.ones(len(held))
+    found = align(own, equal, pairs, initial, steps=30, scale_range=(1.0, 1.0), settled=settled).pose
     pose = compose(found.rotation, found.translation - found.rotation @ center)
     moved = norms(transform_points(pose, source) - transform_points(start, source))
     if moved.max() > _FARTHEST * size:
@@ -155,7 +156,7 @@ def common_bend(points_mm: FloatArray, reflection: FloatArray) -> str:
     Rims turn back at the bridge, temples outward at the hinge and in a bow behind it. No symmetry tells these
     from the design: how much is a bend is known up to the spread of designs (`_DESIGNS_DEG`).
     """
-    usual, deviation = _DESIGNS_DEG.mean(1), np.ptp(_DESIGNS_DEG, axis=1) / np.sqrt(12)
+    mean_deg, deviation = _DESIGNS_DEG.mean(1), np.ptp(_DESIGNS_DEG, axis=1) / np.sqrt(12)
     across = np.linalg.svd(np.eye(3) - reflection[:3, :3])[0][:, 0]
     image = transform_points(reflection, points_mm[MIRROR])
     even, out = (points_mm + image) / 2, (points_mm - points_mm[MIRROR]) @ across / 2
@@ -164,8 +165,8 @@ def common_bend(points_mm: FloatArray, reflection: FloatArray) -> str:
     wrap = float(np.rad2deg(np.arcsin(side * normalized(np.cross(outer - inner, top - bottom)) @ across)))
     said, temple = [], _TEMPLES[0][finite_rows(even[_TEMPLES[0]])]
     if np.isfinite(wrap):
-        spread, bend = f"+- {deviation[0]:.1f}", f"so the bend is {wrap - usual[0]:+.1f}"
-        designs = f"of designs {usual[0]:.1f} {spread}, {bend} {spread} degrees"
+        spread, bend = f"+- {deviation[0]:.1f}", f"so the bend is {wrap - mean_deg[0]:+.1f}"
+        designs = f"of designs {mean_deg[0]:.1f} {spread}, {bend} {spread} degrees"
         said.append(f"the rims are turned back by {wrap:.1f} degrees, {designs}")
     if len(temple) > 1:
         place, way = even[temple], side * (out[temple] - out[temple[0]])
@@ -174,8 +175,8 @@ def common_bend(points_mm: FloatArray, reflection: FloatArray) -> str:
         bow = f", bowed outward by {way[1] - way[2] * run[0] / run[1]:.1f} mm" if len(temple) > 2 else ""
         said.append(
             f"the temples lean {np.rad2deg(np.arcsin(way[-1] / length)):.1f} degrees outward, "
-            f"{way[-1]:.1f} mm at their ends{bow}, of designs {usual[1]:.1f} +- {deviation[1]:.1f} "
-            f"degrees, so the bend is {way[-1] - length * np.sin(np.deg2rad(usual[1])):+.1f} +- "
+            f"{way[-1]:.1f} mm at their ends{bow}, of designs {mean_deg[1]:.1f} +- {deviation[1]:.1f} "
+            f"degrees, so the bend is {way[-1] - length * np.sin(np.deg2rad(mean_deg[1])):+.1f} +- "
             f"{length * np.deg2rad(deviation[1]):.1f} mm"
         )
     return "; ".join(said)

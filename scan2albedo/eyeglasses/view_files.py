@@ -20,7 +20,7 @@ from scan2albedo.core.arrays import (
     norms,
 )
 from scan2albedo.errors import EyeglassesError, ScanError, errors_of
-from scan2albedo.eyeglasses.frame_files import KeyPointName, LengthUnit, named_key_points, read_json
+from scan2albedo.eyeglasses.frame_files import KeyPointName, LengthUnit, known_key_points, read_json
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
 from scan2albedo.io.atomic import make_folder
 from scan2albedo.io.images import read_image_linear, write_png
@@ -71,7 +71,7 @@ def require_distinct_names(names: Iterable[str]) -> None:
 MASK_ENDINGS = (".png", "_mask.png")
 """What follows a camera's name in those of masks: somebody's own, or as `register` proposes it."""
 CameraName = Annotated[str, AfterValidator(checked_name)]
-_Labels = Annotated[dict[KeyPointName, tuple[float, float] | None], AfterValidator(named_key_points)]
+_Labels = Annotated[dict[KeyPointName, tuple[float, float] | None], AfterValidator(known_key_points)]
 
 
 class CameraEntry(BaseModel):
@@ -166,10 +166,12 @@ def read_masks(folder: str | Path, cameras: Sequence[Camera]) -> tuple[BoolArray
     """
     masks = []
     for camera in cameras:
-        named = [Path(folder) / f"{camera.name}{end}" for end in MASK_ENDINGS]
-        path = next((one for one in named if one.is_file()), None)
+        candidates = [Path(folder) / f"{camera.name}{end}" for end in MASK_ENDINGS]
+        path = next((one for one in candidates if one.is_file()), None)
         if path is None:
-            raise EyeglassesError(f"mask {named[0]} is missing; give a PNG for each camera, named after it")
+            raise EyeglassesError(
+                f"mask {candidates[0]} is missing; give a PNG for each camera, named after it"
+            )
         with errors_of(f"mask {path}", EyeglassesError, ScanError):
             mask: BoolArray = (read_image_linear(path) != 0).any(-1)
         if mask.shape != camera.shape:

@@ -206,7 +206,7 @@ class Mixture:
         """Return the mixture that expectation maximisation finds from one colour of skin."""
         found = cls(model, np.zeros_like(_LIGHT_SD), np.zeros(len(graph.log_prior)))
         found.light[0] = start
-        usual = graph.independent * np.exp(graph.log_prior).sum(1) + 1
+        prior_count = graph.independent * np.exp(graph.log_prior).sum(1) + 1
         precision = graph.independent / model.covariance[0, 1, 1]
         # Skin is wider in the first rounds: light is known the less at first.
         for wider in (2.0, 1.5, 1.0, 1.0, 1.0):
@@ -214,8 +214,8 @@ class Mixture:
             trust = shares[0] * found.model.skin_trust(found.relative_to_skin(graph), wider)
             light = fit_light(graph.basis, graph.features[:, :3], precision * trust, start)
             # A cap or a beard is one event, however large: its share is learned, against one usual patch.
-            log_often = np.log((graph.independent * shares.sum(1) + 1) / usual)
-            log_often -= np.logaddexp.reduce(log_often + np.log(usual / usual.sum()))
+            log_often = np.log((graph.independent * shares.sum(1) + 1) / prior_count)
+            log_often -= np.logaddexp.reduce(log_often + np.log(prior_count / prior_count.sum()))
             found = cls(model, light, log_often)
         return found
 
@@ -499,8 +499,8 @@ class _Grid:
             colors, grain = chart_features(self.mean(texture_linear), self.part, likely, self.texel_mm)
             features = np.dstack([colors, grain]).reshape(-1, 4)
         # Neighbours are the texels of 3 x 3, each as far as it is seen.
-        beside = [sparse.diags([1.0, 1.0, 1.0], [-1, 0, 1], shape=(side, side)) for side in known.shape]
-        around = sparse.kron(*beside, format="csr") @ sparse.diags(self.part.ravel().astype(float))
+        tridiagonal = [sparse.diags([1.0, 1.0, 1.0], [-1, 0, 1], shape=(side, side)) for side in known.shape]
+        around = sparse.kron(*tridiagonal, format="csr") @ sparse.diags(self.part.ravel().astype(float))
         neighbours = sparse.diags(1 / np.maximum(row_sums(around), 1e-6)) @ around
         independent = (self.texel_mm / PATCH_MM) ** 2
         basis = light_basis(self.mean(normal).reshape(-1, 3))
@@ -514,9 +514,9 @@ class _Grid:
         error_mm = self.mean(np.minimum(residual_mm, _CLOSE_MM))
         rough = _local_mean(error_mm, self.part, _RELIEF_MM / self.texel_mm)
         likely = self.known & (likely_skin >= np.median(likely_skin[self.known]))
-        usual_mm = max(float(np.median(rough[likely])), _SMOOTH_MM)
+        typical_mm = max(float(np.median(rough[likely])), _SMOOTH_MM)
         # Skin itself shows up to 1.5 times its median.
-        return -2.0 * np.maximum(rough / usual_mm - 1.5, 0).ravel()
+        return -2.0 * np.maximum(rough / typical_mm - 1.5, 0).ravel()
 
 
 def _square(off: FloatArray, covariance: FloatArray) -> FloatArray:

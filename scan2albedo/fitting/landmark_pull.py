@@ -40,7 +40,7 @@ _SUREST_MM = 0.1
 """Least standard deviation of a placed point: no scan is finer."""
 _PERSON_MM = 4.0
 """Standard deviation of where shape alone puts a landmark."""
-_ALIKE_MM = 20.0
+_CORRELATION_MM = 20.0
 """Distance over which neighbouring points are misplaced alike."""
 
 
@@ -172,7 +172,7 @@ class LandmarkPull:
         # A point load on a plate of stiffness D on a foundation m meets 8 sqrt(D m), and dents it over
         # (D / m)^(1/4).
         product = _BENT_MM2 / _PERSON_MM**2 / 8
-        plate, foundation = product * _ALIKE_MM**2, product / _ALIKE_MM**2
+        plate, foundation = product * _CORRELATION_MM**2, product / _CORRELATION_MM**2
         area = np.maximum(vertex_areas(control_points, faces), 1e-6)
         spread = (self.matrix.T @ sparse.diags(_BENT_MM2 / self.sigma_mm**2)).tocsr()
         smooth = plate * bending(control_points, faces, np.ones(len(faces)))
@@ -194,7 +194,7 @@ _MOUTH_MM = ((20.0, 75.0), (4.0, 50.0))
 """The same of an open mouth."""
 _APART_MM = (50.0, 78.0)
 """Range of the distance between the middles of people's eyes."""
-_ALIKE = (1.3, 1.8)
+_SIZE_RATIO = (1.3, 1.8)
 """One eye's hole is at most so much wider and higher than the other's: else more is missing than an eye."""
 _MIDDLE_MM = 1.5
 """Standard deviation of the middle of a hole from that of the opening."""
@@ -248,9 +248,9 @@ class _Holes:
             apart, up, _ = self.middle[left] - self.middle[right]
             aside = (self.middle[right] + self.middle[left])[0] / 2 - (right_eye + left_eye)[0] / 2
             one, other = self.size[[right, left]]
-            alike = np.maximum(one, other) < _ALIKE * np.minimum(one, other)
+            similar = np.maximum(one, other) < _SIZE_RATIO * np.minimum(one, other)
             level = np.hypot(up / _LEVEL_MM, aside / _ASIDE_MM) < 1
-            if _APART_MM[0] < apart < _APART_MM[1] and level and alike.all():
+            if _APART_MM[0] < apart < _APART_MM[1] and level and similar.all():
                 off = norms([self.middle[right] - right_eye, self.middle[left] - left_eye])
                 pairs.append((float(off.sum()), right, left))
         return min(pairs, key=lambda pair: pair[0])[1:] if pairs else None

@@ -275,9 +275,9 @@ def corner_moves(model: AnnotatedSurface, control_points: FloatArray) -> FloatAr
     corners = landmarks[list(CORNERS)]
     middle, half_width = corners.mean(0), max(float(np.linalg.norm(corners[1] - corners[0])), 1e-6) / 2
     across, above = (control_points - middle)[:, :2].T
-    beside = np.maximum(np.abs(across) - half_width, 0)
+    beyond = np.maximum(np.abs(across) - half_width, 0)
     # The skin beside and above the corners follows them, with standard deviations of 15 and 14 mm.
-    share = np.minimum(np.abs(across) / half_width, 1) * np.exp(-0.5 * (beside / 15) ** 2)
+    share = np.minimum(np.abs(across) / half_width, 1) * np.exp(-0.5 * (beyond / 15) ** 2)
     share = share * np.exp(-0.5 * (above / 14) ** 2)
     toward = normalized(landmarks[[0, 16]] - corners)
     return (share * [across < 0, across > 0]).T[:, None] * toward.T

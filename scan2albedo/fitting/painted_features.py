@@ -199,7 +199,7 @@ def painted_features(
     # Channels are log darkness and log redness; NaN where there is no scan.
     bright = color @ _BRIGHTNESS
     black = _BLACK * np.median(bright[seen])
-    dark = -np.log(evenly_lit(picture, bright) + _BLACK)
+    dark = -np.log(without_shading(picture, bright) + _BLACK)
     red = np.log((color[..., 0] + black) / (color[..., 1] + black))
     dark, red = (np.clip(values, *np.percentile(values[seen], [1, 99])) for values in (dark, red))
     channels = np.where(seen, [dark, red], np.nan)
@@ -211,16 +211,16 @@ def painted_features(
         still = np.zeros(_MOTIONS), np.diag(_shared(side, side))
         variance, before = (p.var(axis=0) @ axes / axes.sum() for p in (places, side.places(*still)))
         # What the colours tell beyond the prior, which the fit has in its own way.
-        told = 1 / variance - (1 + _CHANCE) / before
-        if told.min() > 0:
-            error = _EXACT_MM[side.name] ** 2 + 1 / told
+        information = 1 / variance - (1 + _CHANCE) / before
+        if information.min() > 0:
+            error = _EXACT_MM[side.name] ** 2 + 1 / information
             # Its landmarks err alike: they count as six.
             sigma_mm = np.sqrt(error * max(len(side.numbers) / 6, 1))
             found.append((side, places.mean(axis=0), sigma_mm))
     return found
 
 
-def evenly_lit(picture: FrontPicture, brightness: FloatArray) -> FloatArray:
+def without_shading(picture: FrontPicture, brightness: FloatArray) -> FloatArray:
     """Return brightness (H, W) without what the light did to it.
 
     Of a matt surface it is about an albedo times a quadratic in the normal (Ramamoorthi and Hanrahan,
@@ -282,8 +282,8 @@ def _lips(landmarks: FloatArray) -> _Template:
     points = _around(outer, 10.0)
     away, inside = polyline_distance(points, _closed(outer)), points_in_poly(points, outer)
     used = (inside | (away < 8.0)) & (away > 0.4) & ~points_in_poly(points, inner)
-    beside = polyline_distance(points[used], line)
-    label = np.where(beside < _LINE_MM, 1.0, np.where((beside > 1.8) & (beside < 4.0), 0.0, np.nan))
+    distance = polyline_distance(points[used], line)
+    label = np.where(distance < _LINE_MM, 1.0, np.where((distance > 1.8) & (distance < 4.0), 0.0, np.nan))
     # Lamps stand above: the upper lip is darker than the lower one.
     up = _Places.of(points[used], line).up
     shut = np.exp(-np.sum((inner[2] - inner[6]) ** 2) / _OPEN_MM**2)

@@ -53,7 +53,7 @@ class ScanSurface:
     @cached_property
     def edge_mm(self) -> float:
         """Median length of the edges."""
-        return mesh.usual_edge(self.vertices, self.faces)
+        return mesh.median_edge(self.vertices, self.faces)
 
     def normals_at(self, hits: ClosestHits) -> FloatArray:
         """Return (N, 3) interpolated normals (not unit) at closest points."""
@@ -135,7 +135,7 @@ def smoothed(
     difference that averages made is averaged as well and added back ("twicing", J. W. Tukey, "Exploratory
     Data Analysis", 1977, section 16).
     """
-    edge_mm = mesh.usual_edge(vertices, faces)
+    edge_mm = mesh.median_edge(vertices, faces)
     passes = min(int(scale_mm**2 / (SPREAD_PER_PASS * max(edge_mm, 1e-9) ** 2) + 0.5), 40)
     if passes == 0:
         return vertices

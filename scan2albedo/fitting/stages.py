@@ -197,8 +197,8 @@ def imbalance_mm(deformation: Deformation, q: FloatArray) -> float:
     That is |d| with (K + H) d = f - K q: near 0 where stiffness and forces balance.
     """
     options, none = deformation.options, np.zeros(len(q))
-    samples, usual = deformation.sampled(options.levels[-1])
-    system = ImplicitSystem(none, none, deformation.elasticity(1.0), usual, 1.0)
+    samples, force_stiffness = deformation.sampled(options.levels[-1])
+    system = ImplicitSystem(none, none, deformation.elasticity(1.0), force_stiffness, 1.0)
     points = samples.matrix @ (deformation.reference + q)
     normals, _ = surface_normals(points, samples.faces)
     forces = scan_forces(deformation.scan, points, normals, ForceGates.at(options, 1.0), rim=samples.rim)
@@ -212,11 +212,11 @@ def run_stage(
 ) -> FloatArray:
     """Return the displacement (C, 3) after at most `steps` with the samples of a refinement `level`."""
     meter, reference, pull = deformation.meter, deformation.reference, deformation.landmarks
-    samples, usual = deformation.sampled(level)
+    samples, force_stiffness = deformation.sampled(level)
     gates, faces = ForceGates.at(deformation.options, progress), deformation.model.control_faces
     area, stiffness = vertex_areas(reference, faces), deformation.elasticity(progress, stiff)
     area = np.maximum(area, 1e-6 * area.mean())
-    system = ImplicitSystem(MASS * area, DAMPING * area, stiffness, usual, TIME_STEP)
+    system = ImplicitSystem(MASS * area, DAMPING * area, stiffness, force_stiffness, TIME_STEP)
     velocity, errors = np.zeros_like(q), list[float]()
     forces: ScanForces | None = None
     for step in range(steps):

@@ -73,8 +73,17 @@ class FaceTracker:
         turned = self._hinge.opened(rest, jaw + 1) - self._hinge.opened(rest, jaw)
         modes = np.concatenate([turned[:, :, None], self._corners], axis=2)
         prior, steps = np.diag([1, 3**-2, 10**-2, 10**-2]), 2 * options.rigid_iterations
-        given = surface, samples, last.control_points, self._weight, lambda step: gates, prior
-        found = aligned(*given, steps=steps, meter=meter, modes=modes)  # heads turn by 40 degrees a frame
+        found = aligned(
+            surface,
+            samples,
+            last.control_points,
+            self._weight,
+            lambda step: gates,
+            prior,
+            steps=steps,  # heads turn by 40 degrees a frame
+            meter=meter,
+            modes=modes,
+        )
         correction = invert_rigid(found.pose.rigid(model.front))
         surface, mouth = surface.moved(correction), last.mouth + found.coefficients
         moved = last.control_points + modes @ found.coefficients
@@ -82,9 +91,9 @@ class FaceTracker:
         forces = scan_forces(surface, points, samples.normals(points), gates)
         # Distances have a half Cauchy density: beside the face of the last gate's scale, on it of a tenth of
         # that, which is what the last shape, laid on the next frame, has. Where the scan ends it tells none.
-        known, on, beside = ~np.isnan(forces.near_mm), GATE_MM[1] / 10, GATE_MM[1]
+        known, on, off = ~np.isnan(forces.near_mm), GATE_MM[1] / 10, GATE_MM[1]
         square, weight = forces.near_mm[known] ** 2, self._weight[known]
-        odds = weight @ np.log(on / beside * (beside**2 + square) / (on**2 + square)) / (weight.sum() or 1)
+        odds = weight @ np.log(on / off * (off**2 + square) / (on**2 + square)) / (weight.sum() or 1)
         reference = self._hinge.opened(rest, mouth[0]) + self._corners @ mouth[1:]
         deformation = Deformation(model, reference, surface, options, meter)
         q, finest = moved - reference, max(options.levels[-1], options.finest_level)

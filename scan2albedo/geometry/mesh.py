@@ -38,7 +38,7 @@ def lengths(vectors: FloatArray) -> FloatArray:
     return np.sqrt(dots(vectors, vectors))
 
 
-def usual_edge(vertices: FloatArray, faces: IntArray) -> float:
+def median_edge(vertices: FloatArray, faces: IntArray) -> float:
     """Return the median length of the faces' first edges."""
     return float(np.median(lengths(vertices[faces[:, 0]] - vertices[faces[:, 1]])))
 
@@ -138,13 +138,13 @@ def turned_against_neighbours(faces: IntArray) -> BoolArray:
     >>> turned_against_neighbours(np.array([[0, 1, 2], [2, 1, 3], [2, 4, 3]])).tolist()
     [False, False, True]
     """
-    first, second, alike = neighbouring_faces(faces)
+    first, second, same_winding = neighbouring_faces(faces)
     count = len(faces)
-    if not alike.any():
+    if not same_winding.any():
         return np.zeros(count, bool)
     # Each face has two copies, as it is and reversed; neighbours are joined where they wind alike.
     rows = np.concatenate([first, first + count])
-    columns = np.concatenate([second + count * alike, second + count * ~alike])
+    columns = np.concatenate([second + count * same_winding, second + count * ~same_winding])
     graph = sparse.csr_matrix((np.ones(len(rows), bool), (rows, columns)), shape=(2 * count, 2 * count))
     _, labels = connected_components(graph, directed=False)
     kept, reverse = labels[:count], labels[count:]

@@ -262,8 +262,10 @@ def front_picture(
     corners = vertices[scan.faces]
     least, most = corners[..., :2].min(1), corners[..., :2].max(1)
     inside = ((most > low) & (least < high) & (most - least < 30)).all(1)
-    across, beside = triangle_sides(corners)
-    used = np.flatnonzero(inside & (across[:, 0] * beside[:, 1] > across[:, 1] * beside[:, 0]))
+    first_side, second_side = triangle_sides(corners)
+    used = np.flatnonzero(
+        inside & (first_side[:, 0] * second_side[:, 1] > first_side[:, 1] * second_side[:, 0])
+    )
     # The first look at a square lies half a square beside its centre, and half a look inward.
     first = low - (step_mm - fine) / 2
     shape = rows * 2, columns * 2

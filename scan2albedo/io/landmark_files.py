@@ -171,9 +171,9 @@ def _of_picked_points(text: str, file: Path) -> _Points:
             yield f"{file}, point {index}", point.get("name"), place, PLACED_SIGMA_MM
 
 
-def landmarks_file(given: str | Path, scan: str | Path | None) -> Path | None:
+def landmarks_file(location: str | Path, scan: str | Path | None) -> Path | None:
     """Return the file of a scan's landmarks: the file given, or that of its stem in the folder given."""
-    path = Path(given)
+    path = Path(location)
     if not path.is_dir():
         return path
     stem = "" if scan is None else Path(scan).stem

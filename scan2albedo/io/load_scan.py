@@ -13,7 +13,7 @@ from scan2albedo.core.arguments import linear_doubt, require_type
 from scan2albedo.core.arrays import IntArray
 from scan2albedo.core.landmarks import AUTO, PlacedLandmarks, landmarks_option
 from scan2albedo.core.raw_scan import scan_name
-from scan2albedo.errors import ScanError, memory_errors_named, one_line
+from scan2albedo.errors import ScanError, memory_errors_of, one_line
 from scan2albedo.io import limits
 from scan2albedo.io.parsed_mesh import ParsedMesh, ScanFolder
 
@@ -111,7 +111,7 @@ def load_scan_with(
     """
     require_type(path, (str, PathLike), "load_scan: path", "give the path of a scan's file")
     file = Path(path)
-    with memory_errors_named(file.name):
+    with memory_errors_of(file.name):
         parsed = read_mesh_file(file, None if textures is None else Path(textures))
         from scan2albedo.geometry.mesh import vertex_components
         from scan2albedo.io.repair import repair, require_usable
@@ -170,7 +170,7 @@ def read_mesh_file(file: Path, textures: Path | None = None) -> ParsedMesh:
     try:
         if limits.require_file(file, advice="decimate it") == 0:
             raise ScanError(f"{file.name}: the file is empty (0 bytes); export the scan again")
-        with memory_errors_named(file.name):
+        with memory_errors_of(file.name):
             folder = ScanFolder(file.parent, textures, frozenset(files_of_scan(file, textures)))
             reader = READERS[extension]
             mesh: ParsedMesh = (resolve_name(reader) if isinstance(reader, str) else reader)(file, folder)

@@ -102,7 +102,7 @@ def read_obj(path: Path, folder: ScanFolder) -> ParsedMesh:
         uv = np.where((corner >= 0)[..., None], coordinates[corner], np.nan)
     pictures = ScanPictures(folder)
     material, own, notes = _materials(lines, pictures)
-    materials, notes = pictures.or_named_like(path, uv, own, notes)
+    materials, notes = pictures.with_stem_fallback(path, uv, own, notes)
     # Colours are the last of six numbers, or of seven with a weight; what is below 0 is a normal's.
     coloured, colors = tokens >= 6, None
     srgb = np.where((tokens > 6)[:, None], positions[:, 4:7], positions[:, 3:6])
@@ -150,7 +150,7 @@ def files_of_obj(path: Path, folder: ScanFolder) -> list[str]:
             if (file := folder.find(library)) is not None:
                 materials |= parsed_mesh.parse_mtl(decoded(limits.read_bytes(file, limits.LIBRARY_BYTES)))
     textures = [m.texture_file for m in materials.values() if m.texture_file is not None]
-    return names + folder.or_named_like(path, textures)
+    return names + folder.with_stem_fallback(path, textures)
 
 
 def write_obj(path: str | Path, vertices: FloatArray, faces: IntArray) -> None:

@@ -55,9 +55,9 @@ class ScanFolder:
                 for home in filter(None, (self.path, self.textures)):
                     folders = dict.fromkeys((home / relative.parent, home))
                     places = [place for place in folders if self._allows(place)]
-                    named = (place / relative.name for place in places)
+                    candidates = (place / relative.name for place in places)
                     others = (file for place in places if place.is_dir() for file in sorted(place.iterdir()))
-                    for file in chain(named, (file for file in others if _folded(file.name) == wanted)):
+                    for file in chain(candidates, (file for file in others if _folded(file.name) == wanted)):
                         known = self.only is None or file in self.only
                         if known and file.is_file() and self._allows(file):
                             return file
@@ -69,7 +69,7 @@ class ScanFolder:
         """Return the files of a `mtllib` line: one name with spaces if there is such a file, else several."""
         return [words] if not words or self.find(words) else words.split()
 
-    def or_named_like(self, scan: Path, textures: list[str]) -> list[str]:
+    def with_stem_fallback(self, scan: Path, textures: list[str]) -> list[str]:
         """Return names of textures, where one is missing also those that an image of the scan may have."""
         lost = not textures or any(self.find(name) is None for name in textures)
         return textures + ([scan.stem + extension for extension in SUPPORTED_IMAGES] if lost else [])
@@ -234,10 +234,10 @@ class ScanPictures:
     pixels: int = 0
     read: dict[Path, Float32Array | str] = field(default_factory=dict)
 
-    def materials(self, named: Iterable[Material]) -> tuple[tuple[Material, ...], Texts]:
+    def materials(self, untextured: Iterable[Material]) -> tuple[tuple[Material, ...], Texts]:
         """Return materials with textures, and notes on missing or damaged ones; may raise TooLargeError."""
         materials, notes = [], []
-        for one in named:
+        for one in untextured:
             picture = None if one.texture_file is None else self._picture(one.texture_file)
             if isinstance(picture, str):
                 notes.append(f"{picture}: went on without it")
@@ -270,14 +270,14 @@ class ScanPictures:
                 self.read[file] = str(error)
         return self.read[file]
 
-    def or_named_like(
+    def with_stem_fallback(
         self, scan: Path, uv: FloatArray | None, materials: tuple[Material, ...], notes: Texts
     ) -> tuple[tuple[Material, ...], Texts]:
         """Return materials and notes; where all textures are missing, the image with the scan's own name."""
         lost = not materials or any(note.startswith("texture ") for note in notes)
         if uv is None or not lost or any(m.texture_linear is not None for m in materials):
             return materials, notes
-        for name in self.folder.or_named_like(scan, []):
+        for name in self.folder.with_stem_fallback(scan, []):
             if (file := self.folder.find(name)) is not None:
                 found, _ = self.materials([Material(file.name, None, GREY, texture_file=file.name)])
                 if found[0].texture_linear is None:

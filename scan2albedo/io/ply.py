@@ -161,9 +161,9 @@ def mesh_of_columns(
         colors = np.stack(means, axis=1).astype(np.float32)
     limits.require_at_most(path.name, "textures", len(texture_files), limits.MATERIALS, "join them into one")
     pictures = ScanPictures(folder)
-    named = [Material(name, None, GREY, texture_file=name) for name in texture_files]
-    materials, notes = pictures.materials(named)
-    materials, notes = pictures.or_named_like(path, uv, materials, notes)
+    untextured = [Material(name, None, GREY, texture_file=name) for name in texture_files]
+    materials, notes = pictures.materials(untextured)
+    materials, notes = pictures.with_stem_fallback(path, uv, materials, notes)
     material = None
     if len(materials) > 1 and "texnumber" in of_face:
         chosen = of_face["texnumber"].astype(int)[polygon]
@@ -187,7 +187,7 @@ def files_of_ply(path: Path, folder: ScanFolder) -> list[str]:
     """Return the names of the textures of a PLY file."""
     with path.open("rb") as file:
         header = file.read(1 << 16).split(b"end_header", maxsplit=1)[0].decode("latin-1")
-    return folder.or_named_like(path, _texture_files(header))
+    return folder.with_stem_fallback(path, _texture_files(header))
 
 
 def _texture_files(header: str) -> list[str]:

@@ -81,10 +81,10 @@ class EnvironmentRecord(Record):
     bounce: NonNegative = Field(0.0, description="Albedo of the surface that throws light onto itself.")
 
 
-def _read_light(given: Any) -> PointLight:
-    if isinstance(given, PointLight):
-        return given
-    light = LightRecord.model_validate(given)
+def _read_light(value: Any) -> PointLight:
+    if isinstance(value, PointLight):
+        return value
+    light = LightRecord.model_validate(value)
     azimuth_rad, elevation_rad = math.radians(light.azimuth_deg), math.radians(light.elevation_deg)
     distance_mm = math.inf if light.distance_mm is None else light.distance_mm
     looks = (light.intensity, light.color_linear, light.radius_deg)
@@ -106,10 +106,10 @@ Light = Annotated[
 Environment = Annotated[
     EnvironmentLight,
     PlainValidator(
-        lambda given: (
-            given
-            if isinstance(given, EnvironmentLight)
-            else EnvironmentLight(**dict(EnvironmentRecord.model_validate(given)))
+        lambda value: (
+            value
+            if isinstance(value, EnvironmentLight)
+            else EnvironmentLight(**dict(EnvironmentRecord.model_validate(value)))
         )
     ),
     PlainSerializer(

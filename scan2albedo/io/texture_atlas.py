@@ -193,15 +193,15 @@ def seen_colors(
         return np.clip(row, 0, height - 1) * width + np.clip(column, 0, width - 1)
 
     middle = looked_at(_LOOKS[0])
-    alike = shown.ravel()[middle]
+    uniform = shown.ravel()[middle]
     for look in _LOOKS[1:]:
-        alike[alike] = (flat[looked_at(look)[alike]] == flat[middle[alike]]).all(1)
-    values, counts = np.unique(flat[middle[alike]], axis=0, return_counts=True)
-    if len(values) > 1 or not alike.all():
+        uniform[uniform] = (flat[looked_at(look)[uniform]] == flat[middle[uniform]]).all(1)
+    values, counts = np.unique(flat[middle[uniform]], axis=0, return_counts=True)
+    if len(values) > 1 or not uniform.all():
         counts[(values >= 1).all(1)] = 0
     # Poisson: log odds against no more than the second colour has, the prior odds being one face of all.
-    beside, most = np.maximum(np.sort([1, 1, *counts])[-2:], 1).tolist()
-    if most * math.log(most / beside) - (most - beside) > math.log(len(faces)):
+    second, most = np.maximum(np.sort([1, 1, *counts])[-2:], 1).tolist()
+    if most * math.log(most / second) - (most - second) > math.log(len(faces)):
         shown &= (colors != values[counts.argmax()]).any(-1)
     shown &= shown.ravel()[middle].any()
     return colors, None if shown.all() else shown

@@ -31,8 +31,8 @@ class DistantLights:
     irradiance_linear: ArrayLike
 
     def __post_init__(self) -> None:
-        toward, given = _checked_directions(self.directions), np.asarray(self.irradiance_linear, float)
-        rgb = np.repeat(given[:, None], 3, 1) if given.ndim == 1 else given
+        toward, irradiance = _checked_directions(self.directions), np.asarray(self.irradiance_linear, float)
+        rgb = np.repeat(irradiance[:, None], 3, 1) if irradiance.ndim == 1 else irradiance
         rgb = checked_array(rgb, (len(toward), 3), "irradiance_linear", finite=ValueError)
         vars(self).update(directions=toward, irradiance_linear=rgb)
 

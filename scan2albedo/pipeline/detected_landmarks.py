@@ -53,13 +53,13 @@ def with_detected(
     if seconds is not None and seconds < 2:  # what loading the network and looking take
         reason = "too little of the budget is left to look for landmarks with MediaPipe"
         return scan, [PlanStep.doubt("fit.landmarks", reason)]
-    found, given = detected_landmarks(scan, pose), scan.landmarks
+    found, supplied = detected_landmarks(scan, pose), scan.landmarks
     if found is None:
         reason = "MediaPipe finds no face on the scan: no landmarks of it are used"
         return scan, [PlanStep.doubt("fit.landmarks", reason)]
-    if given is not None:
-        points = np.where(given.placed[:, None], given.points, found.points)
-        found = PlacedLandmarks(points, np.where(given.placed, given.sigma_mm, found.sigma_mm))
+    if supplied is not None:
+        points = np.where(supplied.placed[:, None], supplied.points, found.points)
+        found = PlacedLandmarks(points, np.where(supplied.placed, supplied.sigma_mm, found.sigma_mm))
     return replace(scan, landmarks=found), []
 
 

@@ -109,17 +109,19 @@ def process_person(
     if not scans:
         raise ValueError("no scan was given: give one or more scans of the person")
     if isinstance(scans, Mapping):
-        named = list(scans.items())
+        scans_by_name = list(scans.items())
     else:
-        named = [(scan.name if isinstance(scan, RawScan) else scan_name(scan), scan) for scan in scans]
-    names = [one for one, _ in named]
+        scans_by_name = [
+            (scan.name if isinstance(scan, RawScan) else scan_name(scan), scan) for scan in scans
+        ]
+    names = [one for one, _ in scans_by_name]
     if twice := sorted({one for one in names if names.count(one) > 1}):
         raise ValueError(f"{len(scans)} scans, of which several are called {twice[0]!r}: rename the files")
     takes = Takes(name, out, ProcessOptions(**options), on_progress)
     left_out = list[tuple[str, str]]()
     with tempfile.TemporaryDirectory(prefix="scan2albedo") as folder:
         spool = _Spool(Path(folder), [])
-        for take in takes.each(named, partial(_alone, takes)):
+        for take in takes.each(scans_by_name, partial(_alone, takes)):
             if take.fit is None:
                 left_out.append((take.name, take.reason))
             else:

@@ -10,7 +10,7 @@ from scan2albedo.core import Budget, OnProgress, Plan, RawScan
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import Texts
 from scan2albedo.core.raw_scan import is_folder_name, scan_name
-from scan2albedo.errors import memory_errors_named
+from scan2albedo.errors import memory_errors_of
 from scan2albedo.io.atomic import check_writable
 from scan2albedo.io.leftovers import remove_leftovers
 from scan2albedo.io.result_records import RESULT_FILE, InputRecord, ResultRecord
@@ -86,7 +86,7 @@ def process(
         check_writable(Path(out))
         remove_leftovers(Path(out))
     run, clock = Run(source, chosen, name, on_progress), Clock(Budget.of(chosen.budget))
-    with memory_errors_named(known):
+    with memory_errors_of(known):
         try:
             load, *others = STAGES
             run.plan[load.name] = load.run(run, clock)

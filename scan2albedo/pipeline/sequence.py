@@ -52,8 +52,8 @@ class SequenceResult(ProcessResult):
     def summary(self) -> str:
         """Return a summary of one line for a person."""
         mm = [frame["residual_mm"] for frame in self.frames if frame["used"]]
-        told = f"followed through {len(mm)} of {len(self.frames)} frames; fit {np.mean(mm):.2f} mm mean"
-        return f"{super().summary()}; {told}"
+        tracking = f"followed through {len(mm)} of {len(self.frames)} frames; fit {np.mean(mm):.2f} mm mean"
+        return f"{super().summary()}; {tracking}"
 
     def vertices(self, frame: int) -> FloatArray:
         """Return (V, 3) vertices of a frame, mm in the model's frame, with the faces of ``fitted``."""

@@ -20,7 +20,7 @@ from scan2albedo.pipeline.stages import Files, Stage
 from scan2albedo.unlit.engine_maps import engine_maps
 from scan2albedo.unlit.eyes_and_mouth import eyes_and_mouth, on_template
 from scan2albedo.unlit.files import write_template, write_unlit
-from scan2albedo.unlit.light_removal import LightRemoval, UnlitScan, usual_light
+from scan2albedo.unlit.light_removal import LightRemoval, UnlitScan, median_light
 from scan2albedo.unlit.processed_face import ProcessedFace
 from scan2albedo.unlit.template_baking import template_texture, tile_numbers
 
@@ -194,7 +194,7 @@ def _put_eyes_in(run: Run, fitted: FittedFace, estimate: AlbedoEstimate, clock: 
     there = ""
     for name, mesh in meshes.items():
         if mesh is not None:
-            made = on_template(inside, fitted, usual_light(estimate), mesh)
+            made = on_template(inside, fitted, median_light(estimate), mesh)
             setattr(run, name, made)
             there = ", ".join(part.name for part in made.parts)
     return [PlanStep("eyes", bool(there), inside.reason, there)]

@@ -62,8 +62,8 @@ def checked_use(use: Sequence[tpl.Kind]) -> tuple[tpl.Kind, ...]:
     """Return the kinds to use, with albedo and texture the shading; ValueError for none, unknown or twice."""
     if isinstance(use, str) or not use or len(set(use)) < len(use) or set(use) - set(DEFAULT_USE):
         raise ValueError(f"use is {use!r}, expected one or more of {', '.join(DEFAULT_USE)}, each once")
-    lit = {"albedo", "texture"} <= set(use)
-    return tuple(kind for kind in get_args(tpl.Kind) if kind in use or (kind == "shading" and lit))
+    both = {"albedo", "texture"} <= set(use)
+    return tuple(kind for kind in get_args(tpl.Kind) if kind in use or (kind == "shading" and both))
 
 
 def read_labelled_templates(
@@ -98,10 +98,10 @@ def read_labelled_templates(
     if file.suffix.lower() != ".npz":
         manifest = read_manifest(file, persons_required=persons_required)
         return _of_manifest(manifest, kinds, options or tpl.TemplateOptions(), on_count)
-    beside = [
+    siblings = [
         of_kind for kind in get_args(tpl.Kind) if (of_kind := file.with_suffix(f".{kind}.npz")).is_file()
     ]
-    read = {templates.kind: templates for templates in map(read_templates, [file, *beside])}
+    read = {templates.kind: templates for templates in map(read_templates, [file, *siblings])}
     found = {kind: read[kind] for kind in kinds if kind in read}
     if not found:
         raise RecognitionError(

@@ -122,7 +122,7 @@ def _of_folder(folder: Path, persons_required: bool) -> Manifest:
             "the columns person and result"
         )
     # The persons of a batch's catalogue by the scan's name, where it has that column.
-    named, catalogue = None, folder / CATALOGUE_FILE
+    person_of, catalogue = None, folder / CATALOGUE_FILE
     if catalogue.is_file():
         with needs_extra("batch"):
             import pyarrow
@@ -130,7 +130,7 @@ def _of_folder(folder: Path, persons_required: bool) -> Manifest:
         try:
             if {"name", "person"} <= set(parquet.read_schema(catalogue).names):
                 rows = parquet.read_table(catalogue, columns=["name", "person"]).to_pylist()
-                named = {
+                person_of = {
                     row["name"]: unicodedata.normalize("NFC", (row["person"] or "").strip()) for row in rows
                 }
         except (OSError, pyarrow.ArrowException) as error:
@@ -140,7 +140,7 @@ def _of_folder(folder: Path, persons_required: bool) -> Manifest:
     entries = []
     for first in folders(folder):
         if holds_result(first):
-            person = first.name if named is None else named.get(first.name)
+            person = first.name if person_of is None else person_of.get(first.name)
             # A scan whose cell is empty stays alone: in a gallery it is called by its folder.
             entries.append(
                 ManifestEntry(person or (first.name if persons_required else None), first.name, first)

@@ -139,8 +139,8 @@ def same_person_log_odds(a: Mapping[Kind, Templates], b: Mapping[Kind, Templates
             f"one set has templates of {' and '.join(a) or 'nothing'}, the other of "
             f"{' and '.join(b) or 'nothing'}; make both of one kind"
         )
-    alike = {kind: comparable_similarities(a[kind], b[kind], WINDOW) for kind in kinds}
-    parts = log_odds_by_kind(alike, shape_variance=CALIBRATION.shape_variance)
+    similarities = {kind: comparable_similarities(a[kind], b[kind], WINDOW) for kind in kinds}
+    parts = log_odds_by_kind(similarities, shape_variance=CALIBRATION.shape_variance)
     return np.nan_to_num(sum(parts.values()), nan=0.0)
 
 

@@ -169,18 +169,18 @@ def comparable_similarities(a: Templates, b: Templates, window: int) -> FloatArr
     totals = np.zeros((len(a), len(b)))
     windows = np.tensordot(rows, columns, ((1, 2), (1, 2)))
     energy, lane_energy = _window_energies(a, window), _window_energies(b, window)
-    for beside in blocks(len(b), LANES):
-        lane_weight = _lanes(columns[beside])
+    for block in blocks(len(b), LANES):
+        lane_weight = _lanes(columns[block])
         for o in range(a.coefficients.shape[1]):
             own = np.ascontiguousarray(a.coefficients[:, o]), np.ascontiguousarray(energy[:, o]), rows
-            values = b.coefficients[beside, o]
+            values = b.coefficients[block, o]
             lanes = np.stack([_lanes(values.real), _lanes(values.imag)])
             total = np.zeros((len(a), LANES), np.float32)
             settings = window, np.float32(STABILIZER)
             _add_window_similarities(
-                *own, lanes, _lanes(lane_energy[beside, o]), lane_weight, *settings, total
+                *own, lanes, _lanes(lane_energy[block, o]), lane_weight, *settings, total
             )
-            totals[:, beside] += total[:, : len(values)]
+            totals[:, block] += total[:, : len(values)]
     bands = a.coefficients.shape[1]
     return np.divide(totals, windows * bands, out=np.full(totals.shape, np.nan), where=windows > 0)
 
@@ -238,9 +238,9 @@ def _add_window_similarities(  # type: ignore[no-untyped-def]
                     continue
                 if weight[n, row, at] > 0:
                     for k in range(LANES):
-                        alike = two * np.sqrt(shared[0, k] ** 2 + shared[1, k] ** 2) + stabilizer
+                        numerator = two * np.sqrt(shared[0, k] ** 2 + shared[1, k] ** 2) + stabilizer
                         most = energy[n, row, at] + lane_energy[row, at, k] + stabilizer
-                        total[n, k] += weight[n, row, at] * lane_weight[row, at, k] * alike / most
+                        total[n, k] += weight[n, row, at] * lane_weight[row, at, k] * numerator / most
                 for k in range(LANES):
                     shared[0, k] -= column[0, at, k]
                     shared[1, k] -= column[1, at, k]

@@ -41,7 +41,7 @@ class ShadingDivided:
     seen."""
     usable: BoolArray
     """(V,): where it depends on the albedo."""
-    lit: BoolArray
+    illuminated: BoolArray
     """(V,): where enough light arrives that predictions can be compared; contains `usable`."""
     highlight_share: FloatArray
     """(V, 3): of the predicted light; 0 where not seen."""
@@ -78,10 +78,10 @@ class ShadingDivided:
 
         free = diffuse_response(observation.normals[used])[:, 0]
         open_share = response.diffuse[:, 0] / np.maximum(free, EPSILON)
-        usable, lit = np.zeros((2, len(model.known)), bool)
+        usable, illuminated = np.zeros((2, len(model.known)), bool)
         bright = received.min(1) > _LEAST_LIGHT * np.median(received)
-        lit[used] = bright & (open_share > _LEAST_OPEN)
-        usable[used] = lit[used] & (observed - highlight > _LEAST_DIFFUSE * observed).all(1)
+        illuminated[used] = bright & (open_share > _LEAST_OPEN)
+        usable[used] = illuminated[used] & (observed - highlight > _LEAST_DIFFUSE * observed).all(1)
         by_normal, _ = shading_gradient(
             reflectance.chosen(used), observation.normals[used], observation.toward_camera[used], light
         )
@@ -90,7 +90,7 @@ class ShadingDivided:
         return cls(
             log_ratio=log_ratio(observed - highlight, diffuse),
             usable=usable,
-            lit=lit,
+            illuminated=illuminated,
             highlight_share=spread(np.clip(highlight / np.maximum(diffuse + highlight, floor), 0, 1), 0.0),
             log_whole=log_ratio(observed, diffuse + highlight),
             by_tilt=spread(by_tilt, 0.0),

@@ -98,12 +98,12 @@ def read_photograph(path: str | Path) -> PhotographFiles:
         error=ReflectanceError,
     )
     scale = MM_PER_UNIT[content.unit]
-    image = read_image_values(_beside(file, content.image), upright=True)
+    image = read_image_values(_sibling(file, content.image), upright=True)
     camera = np.array(content.camera, float)
     camera[:, :3] /= scale
     vertices, faces = None, None
     if content.mesh is not None:
-        place = _beside(file, content.mesh)
+        place = _sibling(file, content.mesh)
         place = place / "fitted.glb" if place.is_dir() else place
         mesh, metres = read_mesh_file(place), place.suffix.lower() in (".glb", ".gltf")  # by specification
         vertices, faces = np.asarray(mesh.vertices, float) * (1000 if metres else scale), mesh.faces
@@ -111,11 +111,11 @@ def read_photograph(path: str | Path) -> PhotographFiles:
     if content.landmarks is not None:
         landmarks = np.array([pixel or (np.nan, np.nan) for pixel in content.landmarks], float)
     shape, whose = image.shape[:2], f"photograph {file}"
-    mask = None if content.mask is None else read_skin_mask(_beside(file, content.mask), shape, whose)
+    mask = None if content.mask is None else read_skin_mask(_sibling(file, content.mask), shape, whose)
     return PhotographFiles(file, content, image, mask, camera, vertices, faces, landmarks)
 
 
-def _beside(file: Path, name: str) -> Path:
+def _sibling(file: Path, name: str) -> Path:
     """Return what a capture or photograph file names; ReflectanceError where that lies outside its folder."""
     place, folder = file.parent / name, os.path.realpath(file.parent)
     if "\0" in name or not Path(os.path.realpath(place)).is_relative_to(folder):
@@ -245,12 +245,12 @@ class CaptureFiles:
         `reflectance.extract_olat`, when pictures differ in size, and when flashes add nothing.
         """
         content, whose = self.content, f"capture {self.path}"
-        read = cache(lambda name: read_image_values(_beside(self.path, name), upright=True))
+        read = cache(lambda name: read_image_values(_sibling(self.path, name), upright=True))
         flashes = [read(pair.flash_image) for pair in content.pictures]
         rooms = [read(pair.room_image) for pair in content.pictures]
         first = flashes[0].shape[:2]
-        for pair, lit, ambient in zip(content.pictures, flashes, rooms, strict=True):
-            for name, picture in ((pair.flash_image, lit), (pair.room_image, ambient)):
+        for pair, flash, ambient in zip(content.pictures, flashes, rooms, strict=True):
+            for name, picture in ((pair.flash_image, flash), (pair.room_image, ambient)):
                 if picture.shape[:2] != first:
                     height, width = picture.shape[:2]
                     raise ReflectanceError(
@@ -260,7 +260,7 @@ class CaptureFiles:
         options = OlatOptions(gamma=content.gamma, noise=content.noise, saturation=content.saturation)
         olat = extract_olat(flashes, rooms, options=options)
         mask_of, valid = {pose.name: pose.mask for pose in content.poses}, olat.valid
-        mask = cache(lambda name: read_skin_mask(_beside(self.path, name), first, whose))
+        mask = cache(lambda name: read_skin_mask(_sibling(self.path, name), first, whose))
         for j, pair in enumerate(content.pictures):
             if (skin := mask_of[pair.camera]) is not None:
                 valid[j] &= mask(skin)[..., None]
@@ -287,7 +287,7 @@ def read_capture(path: str | Path) -> CaptureFiles:
         advice="give a file that write_capture wrote (data_schemas/flash_capture.schema.json)",
         error=ReflectanceError,
     )
-    mesh = read_mesh_file(place := _beside(file, content.mesh))
+    mesh = read_mesh_file(place := _sibling(file, content.mesh))
     if not len(mesh.faces):
         raise ScanError(f"{place}: holds no triangles; export the mesh again")
     scale, number = MM_PER_UNIT[content.unit], {pose.name: k for k, pose in enumerate(content.poses)}

@@ -142,7 +142,7 @@ def fit_face(
     why = "the person's coefficients have it" if person.ran else "no details are believed"
     if details.ran and not person.ran:
         why = "a part of the photograph's hue is probably the skin's"
-        hue = skin_hue(observation.response(np.flatnonzero(divided.lit)).diffuse @ fit.light)
+        hue = skin_hue(observation.response(np.flatnonzero(divided.illuminated)).diffuse @ fit.light)
         fit = fit_image(observation, model.mean_only(hue), lighting, budget=budget)
         fit = replace(fit, face=replace(fit.face, coefficients=mean.face.coefficients))
         divided = ShadingDivided.from_observation(observation, model, fit.face.reflectance, fit.light)
@@ -214,7 +214,7 @@ def errors_left_out(
             divided = ShadingDivided.from_observation(observation, model, fit.face.reflectance, fit.light)
             shown_part = replace(divided, usable=divided.usable & ~held_out)
             field = detail_field(shown_part, vertices, faces, normal_error)
-            tested = np.flatnonzero(held_out & divided.lit)
+            tested = np.flatnonzero(held_out & divided.illuminated)
             number = np.bincount(block[tested], minlength=count)
             for label, added in ((name, 0.0), (f"{name}+details", field)):
                 off = divided.left_over(added)[tested]

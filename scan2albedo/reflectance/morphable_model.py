@@ -138,10 +138,10 @@ class MorphableReflectanceModel(LinearModel):
             )
         trust = (there & known).astype(float)
         if weights is not None:
-            given = np.asarray([np.asarray(one, float) for one in weights])
-            if given.shape != there.shape or not ((given >= 0) & (given <= 1)).all():
-                raise ValueError(f"weights must be 0 to 1, of shape {there.shape}, got {given.shape}")
-            trust *= given
+            weight_values = np.asarray([np.asarray(one, float) for one in weights])
+            if weight_values.shape != there.shape or not ((weight_values >= 0) & (weight_values <= 1)).all():
+                raise ValueError(f"weights must be 0 to 1, of shape {there.shape}, got {weight_values.shape}")
+            trust *= weight_values
         values = np.stack([_columns(one) for one in samples])
         # Without gloss there are no shares of it; where nobody has any, they are equal.
         weight = np.repeat(trust[..., None], 7, axis=2)

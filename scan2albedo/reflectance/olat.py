@@ -113,15 +113,17 @@ def extract_olat(flash: Pictures, room: Pictures, *, options: OlatOptions = Olat
     (linear, sigma), (saturated, valid) = np.zeros((2, *shape), np.float32), np.zeros((2, *shape), bool)
     diagnostics: list[CaptureDiagnostic] = []
     for j in range(len(pictures)):
-        lit = picture_values(pictures[j], f"flash picture {j}", options.saturation)
+        flash_picture = picture_values(pictures[j], f"flash picture {j}", options.saturation)
         ambient = picture_values(rooms[j % len(rooms)], f"room picture {j}", options.saturation)
-        finite = np.isfinite(lit) & np.isfinite(ambient)
-        lit, ambient = np.where(finite, lit, 0.0), np.where(finite, ambient, 0.0)
-        difference = linear_values(lit, options.gamma) - linear_values(ambient, options.gamma)
+        finite = np.isfinite(flash_picture) & np.isfinite(ambient)
+        flash_picture, ambient = np.where(finite, flash_picture, 0.0), np.where(finite, ambient, 0.0)
+        difference = linear_values(flash_picture, options.gamma) - linear_values(ambient, options.gamma)
         gamma, sigma_values = options.gamma, options.noise
-        slopes = (gamma * np.maximum(np.abs(one), sigma_values) ** (gamma - 1) for one in (lit, ambient))
+        slopes = (
+            gamma * np.maximum(np.abs(one), sigma_values) ** (gamma - 1) for one in (flash_picture, ambient)
+        )
         noise, noise_of_room = ((sigma_values * slope) ** 2 for slope in slopes)
-        saturated[j] = finite & ((lit >= options.saturation) | (ambient >= options.saturation))
+        saturated[j] = finite & ((flash_picture >= options.saturation) | (ambient >= options.saturation))
         usable = (finite & ~saturated[j]).all(-1)
         # Four standard deviations in every channel are a change.
         changed = (np.abs(difference) > 4 * np.sqrt(noise + noise_of_room)).all(-1) & usable
@@ -150,8 +152,8 @@ def extract_olat(flash: Pictures, room: Pictures, *, options: OlatOptions = Olat
     return OlatImages(linear, sigma, valid, saturated, tuple(diagnostics))
 
 
-def _pictures(given: Pictures, name: str) -> list[NDArray]:
-    pictures = [given] if isinstance(given, np.ndarray) and given.ndim == 3 else list(given)
+def _pictures(values: Pictures, name: str) -> list[NDArray]:
+    pictures = [values] if isinstance(values, np.ndarray) and values.ndim == 3 else list(values)
     if not pictures:
         raise ReflectanceError(f"{name} holds no pictures: there are no pairs, give one at least")
     return [np.asarray(picture) for picture in pictures]

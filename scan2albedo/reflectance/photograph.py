@@ -81,19 +81,19 @@ def light_transfer(
     specular = np.zeros((len(xyz), len(EXPONENTS), weighted.shape[1]))
 
     def sum_up(block: slice) -> None:
-        lit, cosine = visible[:, block].T > 0, n[block] @ toward.T
+        reached, cosine = visible[:, block].T > 0, n[block] @ toward.T
         # Of vertices with shadow, from those without and max(0, n.w) (B, D). The first harmonic is constant,
         # so that its coefficient gives the lit share of the lobe.
-        some = np.flatnonzero((~lit & (cosine > 0)).any(1))
+        some = np.flatnonzero((~reached & (cosine > 0)).any(1))
         facing = np.maximum(cosine[some], 0)
         whole = facing @ weighted / np.pi
-        part = np.where(lit[some], facing, 0.0) @ weighted / np.pi
+        part = np.where(reached[some], facing, 0.0) @ weighted / np.pi
         rows = block.start + some
         diffuse[rows] = part + part[:, :1] / whole[:, :1] * (diffuse[rows] - whole)
         n_v = dots(n[block], v[block])[:, None]
         half = np.sqrt(np.maximum(2 + 2 * (v[block] @ toward.T), 1e-12))
         # A surface that faces away from the camera sends it no highlights.
-        n_h = np.where(lit & (cosine > 0) & (n_v > 0), (cosine + n_v) / half, 0.0)
+        n_h = np.where(reached & (cosine > 0) & (n_v > 0), (cosine + n_v) / half, 0.0)
         for k, s in enumerate(EXPONENTS):
             specular[block, k] = (s + 2) / (8 * np.pi) * n_h**s @ weighted
 
@@ -212,8 +212,8 @@ def observe_photograph(
     values = picture_values(np.asarray(image), "the image", saturation)
     finite = finite_rows(values)
     values = np.where(finite[..., None], values, 0.0)
-    given = np.ones(finite.shape, bool) if mask is None else mask
-    skin = checked_array(given, finite.shape, "mask", kind=bool)
+    region = np.ones(finite.shape, bool) if mask is None else mask
+    skin = checked_array(region, finite.shape, "mask", kind=bool)
     linear = linear_values(values, gamma).astype(np.float32)
     toward = normalized(camera_centers(matrix[None])[0] - xyz)
     seen = sight.VertexVisibility(xyz, index, normal).seen(matrix, VIEW_COSINE)

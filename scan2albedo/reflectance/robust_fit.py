@@ -81,9 +81,9 @@ class Observations:
     def of_vertices(self, rows: IntArray) -> Self:
         """Return the observations of some vertices (N,)."""
         names = ("observed", "precision", "lobes", "slopes", "bounce")
-        given = {name: array for name in names if (array := getattr(self, name)) is not None and len(array)}
+        arrays = {name: array for name in names if (array := getattr(self, name)) is not None and len(array)}
         sigma = None if self.tilt_sigma is None else self.tilt_sigma[rows]
-        return replace(self, tilt_sigma=sigma, **{name: array[:, rows] for name, array in given.items()})
+        return replace(self, tilt_sigma=sigma, **{name: array[:, rows] for name, array in arrays.items()})
 
 
 class RobustFit:
@@ -234,10 +234,10 @@ def normal_sigma(
     """
     from scipy.optimize import nnls
 
-    given = options.normal_sigma_degrees
+    degrees = options.normal_sigma_degrees
     count = data.observed.shape[1]
-    if not isinstance(given, str):
-        return np.full(count, np.radians(given))
+    if not isinstance(degrees, str):
+        return np.full(count, np.radians(degrees))
     few = rows[:: max(1, len(rows) // 1000)]
     part = replace(data.of_vertices(few), tilt_sigma=np.full(len(few), np.radians(10)))
     fitted = RobustFit(part, options.loss).fit(np.arange(len(few)), meter.untraced())

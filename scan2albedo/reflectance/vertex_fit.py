@@ -276,8 +276,8 @@ def with_bounce(
 
     def fit_few(sent: FloatArray) -> RobustFit:
         meter.count()
-        lit = replace(data.of_vertices(few), bounce=samples.bounced_light(sent)[:, few])
-        return RobustFit(lit, options.loss).fit(np.arange(len(few)), meter.untraced())
+        observations = replace(data.of_vertices(few), bounce=samples.bounced_light(sent)[:, few])
+        return RobustFit(observations, options.loss).fit(np.arange(len(few)), meter.untraced())
 
     albedo = fit_few(np.zeros(3)).estimate[:, :3]
     mean = np.maximum(np.median(albedo, axis=0), SMALLEST)

@@ -257,12 +257,12 @@ def add_tilt_equations(  # type: ignore[no-untyped-def]
                 if p == 0.0:
                     continue
                 c = estimate[v, k]
-                lit = diffuse + bounce[j, v, k] if len(bounce) else diffuse
-                r = observed[j, v, k] - lit * c - gloss
+                received = diffuse + bounce[j, v, k] if len(bounce) else diffuse
+                r = observed[j, v, k] - received * c - gloss
                 g0, g1 = c * d0 + h0, c * d1 + h1
                 a0, a1 = p * g0, p * g1
-                first[k] += lit * a0
-                second[k] += lit * a1
+                first[k] += received * a0
+                second[k] += received * a1
                 first[6] += a0 * g0
                 second[6] += a0 * g1
                 second[7] += a1 * g1

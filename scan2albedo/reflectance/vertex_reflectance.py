@@ -67,8 +67,8 @@ def require_one_topology(one: str, count: int, other: str, expected: int) -> Non
 
 def checked_coefficients(values: ArrayLike | None, shape: tuple[int, ...], name: str) -> FloatArray:
     """Return coefficients, 0 for None; `ValueError` for another shape, `ReflectanceError` for NaN."""
-    given = np.zeros(shape) if values is None else np.array(values, float)
-    return checked_array(given, shape, name, finite=ReflectanceError)
+    coefficients = np.zeros(shape) if values is None else np.array(values, float)
+    return checked_array(coefficients, shape, name, finite=ReflectanceError)
 
 
 def check_exponents(exponents: tuple[float, ...], place: str) -> None:

@@ -135,9 +135,9 @@ class VertexSamples:
             ("slopes", lobed),
             ("normal_spread", shape[1:2]),
         ):
-            if (given := getattr(self, name)) is not None:
+            if (value := getattr(self, name)) is not None:
                 kind = {"valid": bool, "light": int}.get(name, float)
-                array = checked_array(given, expected, name, ReflectanceError, kind=kind)
+                array = checked_array(value, expected, name, ReflectanceError, kind=kind)
                 object.__setattr__(self, name, np.ascontiguousarray(array))
         if self.form_factors is not None and self.form_factors.shape != 2 * shape[1:2]:
             raise ReflectanceError(f"form_factors is {self.form_factors.shape}, expected {2 * shape[1:2]}")
@@ -165,8 +165,8 @@ class VertexSamples:
     def of_pairs(self, pairs: ArrayLike) -> Self:
         """Return the samples of some pictures: indices, or a mask (J,)."""
         names = ("observed_linear", "sigma", "valid", "lobes", "light", "slopes")
-        given = {name: array for name in names if (array := getattr(self, name)) is not None}
-        return replace(self, **{name: array[np.asarray(pairs)] for name, array in given.items()})
+        arrays = {name: array for name in names if (array := getattr(self, name)) is not None}
+        return replace(self, **{name: array[np.asarray(pairs)] for name, array in arrays.items()})
 
     def bounced_light(self, albedo: FloatArray) -> FloatArray:
         """Return light (J, V, 3) between vertices of one `albedo` (3,), in units of the diffuse lobes D.
@@ -236,12 +236,12 @@ def sample_vertices(
     cameras, camera = np.unique(rig.cameras, axis=0, return_inverse=True)
     flashes, flash = np.unique(rig.light_positions, axis=0, return_inverse=True)
     seen = [visibility.seen(one, VIEW_COSINE) for one in cameras]
-    lit = [visibility.lit(one) for one in flashes]
+    illuminated = [visibility.illuminated(one) for one in flashes]
     camera, flash = camera.ravel(), flash.ravel()  # NumPy 2.0 gives them the axes of the rig
     lobes *= np.stack([visibility.reached(one) for one in flashes])[flash, :, None]
     for j, (view, light) in enumerate(zip(camera, flash, strict=True)):
         pixels, _ = project(cameras[view], xyz)
-        usable = seen[view] & lit[light] & (lobes[j, :, 0] > 0)
+        usable = seen[view] & illuminated[light] & (lobes[j, :, 0] > 0)
         around, share = pixels_around(olat.valid.shape[1:3], pixels)
         four, noise = (image[j][around].astype(float) for image in (olat.linear, olat.sigma))
         valid[j] = (usable & share.any(0))[:, None] & olat.valid[j][around].all(0)

@@ -41,9 +41,9 @@ def checked_surface(
         raise ReflectanceError("the mesh has no triangles")
     if normals is None:
         return xyz, index, vertex_normals(xyz, index)
-    given = np.ascontiguousarray(checked_array(normals, xyz.shape, "normals"))
-    unit_vectors(np.where(given.any(1, keepdims=True), given, (0.0, 0.0, 1.0)), "normals")
-    return xyz, index, given
+    vectors = np.ascontiguousarray(checked_array(normals, xyz.shape, "normals"))
+    unit_vectors(np.where(vectors.any(1, keepdims=True), vectors, (0.0, 0.0, 1.0)), "normals")
+    return xyz, index, vectors
 
 
 class VertexVisibility:
@@ -91,14 +91,14 @@ class VertexVisibility:
             factors += sparse.csr_matrix((weight.ravel(), places), factors.shape)
         return factors
 
-    def lit(self, light: FloatArray) -> BoolArray:
+    def illuminated(self, light: FloatArray) -> BoolArray:
         """Return (V,) vertices that the light at (3,) reaches, none of them beside a cast shadow."""
         reached = self.reached(light)
         hidden = (dots(self._normals, light - self._vertices) > 0) & ~reached
-        beside = hidden.copy()
-        beside[self._edges[hidden[self._edges[:, 1]], 0]] = True
-        beside[self._edges[hidden[self._edges[:, 0]], 1]] = True
-        return reached & ~beside
+        near_shadow = hidden.copy()
+        near_shadow[self._edges[hidden[self._edges[:, 1]], 0]] = True
+        near_shadow[self._edges[hidden[self._edges[:, 0]], 1]] = True
+        return reached & ~near_shadow
 
     def seen(self, camera: FloatArray, cosine: float, margin_px: float = 1.5) -> BoolArray:
         """Return (V,) vertices that a camera (3, 4) sees, normals at least `cosine` to the line of sight.

@@ -56,15 +56,15 @@ def coarse_poses(
         order = np.argsort(-np.concatenate(scores), kind="stable")[: options.kept_starts]
         poses = Poses(rotations[order], translations[order])
     # Of every group of like poses, within 8 degrees and 10 mm, the first; at most 160.
-    same_trace, kept, alike = 1 + 2 * np.cos(np.deg2rad(8)), list[int](), np.zeros(len(poses), bool)
+    same_trace, kept, duplicate = 1 + 2 * np.cos(np.deg2rad(8)), list[int](), np.zeros(len(poses), bool)
     for i in range(len(poses)):
-        if alike[i] or len(kept) == 160:
+        if duplicate[i] or len(kept) == 160:
             continue
         kept.append(i)
         offset = poses.translations[i + 1 :] - poses.translations[i]
         trace = np.einsum("nij,ij->n", poses.rotations[i + 1 :], poses.rotations[i])
         near = dots(offset, offset) < 10**2
-        alike[i + 1 :] |= near & (trace > same_trace)
+        duplicate[i + 1 :] |= near & (trace > same_trace)
     return poses.subset(np.array(kept, int))
 
 

@@ -140,8 +140,10 @@ def icp(
         trust = measured.trust() * geman_mcclure_weights(measured.plane_mm, sigma_mm)
         return Pairs(-measured.offset, measured.normal, trust, noise=sigma_mm)
 
-    given, steps, known = (samples.points, weights, pairs, start), len(sigmas_mm), np.diag(precision)
-    return align(*given, steps=steps, modes=modes, precision=known, settled=settled)
+    steps, known = len(sigmas_mm), np.diag(precision)
+    return align(
+        samples.points, weights, pairs, start, steps=steps, modes=modes, precision=known, settled=settled
+    )
 
 
 def shaped_icp(scan: OrientedPoints, template: Template, start: Similarity, meter: Meter) -> Alignment:

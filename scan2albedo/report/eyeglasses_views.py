@@ -46,7 +46,7 @@ def glasses_panels(frames: Sequence[tuple[str, FloatArray, CanonicalEyeglasses]]
     from matplotlib import colormaps
 
     drawn = frames[:MOST_SHOWN]
-    before = [transform_points(c.canonical_from_frame, c.scale * given) for _, given, c in drawn]
+    before = [transform_points(c.canonical_from_frame, c.scale * original) for _, original, c in drawn]
     pairs = zip(drawn, before, strict=True)
     moved = [norms(canonical.vertices - placed) for (_, _, canonical), placed in pairs]
     most = max(float(m.max()) for m in moved)
@@ -107,13 +107,13 @@ def registration_panels(
 def _view_panel(frame: RegisteredEyeglasses, number: int, view: SeenView, head: RayCaster | None) -> Panel:
     from matplotlib.colors import to_rgb
 
-    given_camera, given_mask, given_labels = view
-    camera = normalized_cameras(given_camera.matrix[None])[0]
+    view_camera, view_mask, view_labels = view
+    camera = normalized_cameras(view_camera.matrix[None])[0]
     # The (3, 3) map from the picture's pixels to the panel's that shows frame, mask and labels.
-    height, width = given_camera.shape
-    outlined = [project(camera, frame.vertices)[0], given_labels]
-    if given_mask is not None:
-        outlined.append(np.argwhere(given_mask)[:, ::-1].astype(float))
+    height, width = view_camera.shape
+    outlined = [project(camera, frame.vertices)[0], view_labels]
+    if view_mask is not None:
+        outlined.append(np.argwhere(view_mask)[:, ::-1].astype(float))
     points, limit = np.concatenate(outlined), np.array([width, height]) - 0.5
     points = points[finite_rows(points)]
     if len(points) == 0:
@@ -126,7 +126,7 @@ def _view_panel(frame: RegisteredEyeglasses, number: int, view: SeenView, head: 
     zoom = np.diag([scale, scale, 1.0])
     zoom[:2, 2] = -scale * ((low + high) / 2 - half) - 0.5
     # The mask grey on black, the outside of the picture white.
-    mask = np.zeros(given_camera.shape, bool) if given_mask is None else given_mask
+    mask = np.zeros(view_camera.shape, bool) if view_mask is None else view_mask
     shift, size = zoom[[1, 0], 2], (_SIZE, _SIZE)
     map_back = [1 / scale] * 2, -shift / scale, size
     gray = affine_transform(mask / 2, *map_back, order=1, mode="grid-constant", cval=1.0)
@@ -141,16 +141,16 @@ def _view_panel(frame: RegisteredEyeglasses, number: int, view: SeenView, head: 
     for part, rest, color in ((hidden, ~(seen | hidden), "cornflowerblue"), (seen, ~seen, "darkorange")):
         picture[part & binary_dilation(rest, iterations=2)] = np.round(255 * np.array(to_rgb(color)))
     errors, close = frame.label_errors_px[number], frame.inliers[number]
-    given = ~np.isnan(errors)
-    count, wrong = int(given.sum()), int((given & ~close).sum())
+    labelled = ~np.isnan(errors)
+    count, wrong = int(labelled.sum()), int((labelled & ~close).sum())
     labels = f"{count} labels" + (f", {wrong} outliers" if wrong else "")
     if close.any():
         labels += f", {rms(errors[close]):.1f} px rms"
     off = frame.outline_rms_px[number]
     outline = "outline not compared" if np.isnan(off) else f"outline {off:.1f} px rms"
-    title = f"{given_camera.name}: {labels}\n{'no mask' if given_mask is None else outline}"
-    dots = given_labels[given] @ zoom[:2, :2].T + zoom[:2, 2]
-    colors = np.where(close[given, None], to_rgb("lime"), to_rgb(_OUTLIER_COLOR))
+    title = f"{view_camera.name}: {labels}\n{'no mask' if view_mask is None else outline}"
+    dots = view_labels[labelled] @ zoom[:2, :2].T + zoom[:2, 2]
+    colors = np.where(close[labelled, None], to_rgb("lime"), to_rgb(_OUTLIER_COLOR))
     return Panel(title, picture, dots, colors)
 
 
@@ -197,9 +197,9 @@ def key_point_chart(
         upper = [name for name in ordered if places[name][1] < middle]
         for row, level in ((upper, -270), ([name for name in ordered if name not in upper], 270)):
             for number, name in enumerate(row):
-                at, beside = tuple(places[name]), ((number + 0.5) * size / len(row), middle + level)
+                at, label_at = tuple(places[name]), ((number + 0.5) * size / len(row), middle + level)
                 said = f"{name}\n+- {deviations_mm[name]:.1f} mm" if name in deviations_mm else name
-                axes.annotate(said, at, beside, arrowprops=line, fontsize=10, ha="center", va="center")
+                axes.annotate(said, at, label_at, arrowprops=line, fontsize=10, ha="center", va="center")
                 axes.plot(*places[name], "o", color="crimson", markersize=5)
         axes.set_ylim(middle + 320, middle - 320)
     return figure

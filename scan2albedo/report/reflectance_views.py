@@ -152,8 +152,8 @@ def relit_picture(
     middle = (vertices.min(0) + vertices.max(0)) / 2
     curved, distance = seen.raised(vertices, normals, outward=True), float(np.linalg.norm(light - middle))
     shadows = ShadowMap(RayCaster(vertices - middle, faces), curved - middle, normal, RAY_OFFSET_MM)
-    lit = (lobes[:, 0] > 0) & (shadows.visible((light - middle) / distance, distance) > 0)
+    reached = (lobes[:, 0] > 0) & (shadows.visible((light - middle) / distance, distance) > 0)
     radiance = lobes[:, :1] * albedo + (lobes[:, 1:] * gloss).sum(1)[:, None]
     certain = seen.interpolated(reflectance.known.astype(float)) > 1 - 1e-9
-    made = seen.picture(np.column_stack([radiance * lit[:, None], certain]))
+    made = seen.picture(np.column_stack([radiance * reached[:, None], certain]))
     return made[..., :3], made[..., 3] == 1

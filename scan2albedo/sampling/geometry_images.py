@@ -212,9 +212,9 @@ def texture_doubt(fitted: FittedSurface, scan: RawScan, image: GeometryImage) ->
     points = transform_points(scan_from_model, position[seen])
     normals = transform_directions(scan_from_model, normal[seen])
     colors = moved_colors(without_covers(fitted, scan), seen, points, normals)
-    given = colors["as it is"]
-    colors["with red and blue exchanged"] = np.ascontiguousarray(given[..., ::-1])
-    colors["as a negative of itself"] = srgb_to_linear(1 - linear_to_srgb(given)).astype(np.float32)
+    unchanged = colors["as it is"]
+    colors["with red and blue exchanged"] = np.ascontiguousarray(unchanged[..., ::-1])
+    colors["as a negative of itself"] = srgb_to_linear(1 - linear_to_srgb(unchanged)).astype(np.float32)
     fits = {
         name: fit_to_places(position, normal, seen, place[part], texture) for name, texture in colors.items()
     }

@@ -310,10 +310,10 @@ def mean_over_footprints(photograph, centre, footprint, taps):  # type: ignore[n
                 y = min(y, height - 1.0) if y > 0 else 0.0
                 left, top = int(x), int(y)
                 u, v = x - left, y - top
-                beside, below = min(left + 1, width - 1), min(top + 1, height - 1)
+                next_column, below = min(left + 1, width - 1), min(top + 1, height - 1)
                 for c in range(channels):
-                    upper = (1 - u) * photograph[top, left, c] + u * photograph[top, beside, c]
-                    lower = (1 - u) * photograph[below, left, c] + u * photograph[below, beside, c]
+                    upper = (1 - u) * photograph[top, left, c] + u * photograph[top, next_column, c]
+                    lower = (1 - u) * photograph[below, left, c] + u * photograph[below, next_column, c]
                     total[c] += (1 - v) * upper + v * lower
         for c in range(channels):
             mean[n, c] = total[c] / (taps * taps)

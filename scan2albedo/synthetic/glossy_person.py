@@ -82,7 +82,7 @@ class GlossyPerson:
         surface = *self.sitter.points_at(face, barycentric), -rays[seen], diffuse, weights, on_face
         return SeenSurface(seen.reshape(size, size), *surface)
 
-    def lit(
+    def radiance_under(
         self, seen: SeenSurface, light: FloatArray, *, reference_distance_mm: float | None = None
     ) -> FloatArray:
         """Return the radiance (N, 3) under a light of unit strength at `light` (3,), with cast shadows.

@@ -106,22 +106,22 @@ def flash_capture(
     rng = np.random.default_rng([seed, 21])
     gain = np.maximum(1 + gain_deviation * rng.standard_normal(flashes), _LEAST_GAIN)
     gain /= gain.mean()
-    lit, rooms, skin, brightest = [], [], [], []
+    pictures, rooms, skin, brightest = [], [], [], []
     for c in range(views):
         seen = person.seen(cameras[c], centers[c], portrait.picture_size)
         ambient = room * _in_room(person, seen)
         rooms.append(on_grid(seen.mask, ambient.astype(np.float32)))
         skin.append(on_grid(seen.mask, seen.on_face))
         for strength, position in zip(gain, centers[:flashes], strict=True):
-            flash = person.lit(seen, position, reference_distance_mm=portrait.distance_mm)
+            flash = person.radiance_under(seen, position, reference_distance_mm=portrait.distance_mm)
             radiance = ambient + strength * flash
-            lit.append(on_grid(seen.mask, radiance.astype(np.float32)))
+            pictures.append(on_grid(seen.mask, radiance.astype(np.float32)))
             brightest.append(radiance[seen.on_face].max(1))
     exposure = portrait.exposure(np.concatenate(brightest))
     view = np.repeat(np.arange(views), flashes)
     return FlashCapture(
         **vars(GlossyFace.from_person(person, levels)),
-        flash=np.stack([portrait.stored(exposure * picture, rng) for picture in lit]),
+        flash=np.stack([portrait.stored(exposure * picture, rng) for picture in pictures]),
         room=np.stack([portrait.stored(exposure * picture, rng) for picture in rooms])[view],
         skin=np.stack(skin)[view],
         view=view,
@@ -138,7 +138,7 @@ def flash_capture(
 def _in_room(person: GlossyPerson, seen: SeenSurface) -> FloatArray:
     """Return the radiance (N, 3) under three lamps 3 m away and light from everywhere, half each."""
     places = (-35.0, 50.0), (40.0, 35.0), (5.0, 70.0)
-    lamps = [person.lit(seen, TARGET_MM + 3000 * toward(*place)) / 3 for place in places]
+    lamps = [person.radiance_under(seen, TARGET_MM + 3000 * toward(*place)) / 3 for place in places]
     return LOOKS["room"] * (sum(lamps) / 2 + seen.diffuse_linear / 2 / np.pi)
 
 

@@ -347,12 +347,12 @@ def assembled(
     number[: kept.sum()] = measured.face_pod[kept]
     uv = np.stack([pinhole.project(camera, vertices)[0] for camera in pods])[number[:, None], faces]
     pictured = (np.abs(uv - 0.5) < 0.5).all((1, 2))
-    faces, uv = faces[pictured], beside(uv, number[:, None], len(pods))[pictured]
+    faces, uv = faces[pictured], atlas_uv(uv, number[:, None], len(pods))[pictured]
     used, renumbered = np.unique(faces, return_inverse=True)
     posed = rigid.transform_points(scan_from_model, vertices[used])
     return RawScan(posed, renumbered.reshape(-1, 3), uv=uv, texture_linear=texture, name=name)
 
 
-def beside(uv: FloatArray, number: IntArray, pods: int) -> FloatArray:
+def atlas_uv(uv: FloatArray, number: IntArray, pods: int) -> FloatArray:
     """Return texture coordinates (..., 2) of the pictures with a `number` (...) when all lie in a row."""
     return np.stack([(uv[..., 0] + number) / pods, uv[..., 1]], -1)

@@ -123,12 +123,14 @@ def render(
     visible = np.zeros((len(xyz), len(lights)), bool)
     for column, light in enumerate(lights):
         toward, reach, irradiance = incident_light(xyz, light)
-        lit = dots(n, toward) > 0
+        reached = dots(n, toward) > 0
         if occluder is not None:
-            start = xyz[lit] + SHADOW_OFFSET_MM * n[lit]
-            lit[lit] = ~occluder.occluded(start, toward[lit], reach[lit] if np.isfinite(reach[0]) else np.inf)
-        visible[:, column] = lit
-        arriving = irradiance * lit
+            start = xyz[reached] + SHADOW_OFFSET_MM * n[reached]
+            reached[reached] = ~occluder.occluded(
+                start, toward[reached], reach[reached] if np.isfinite(reach[0]) else np.inf
+            )
+        visible[:, column] = reached
+        arriving = irradiance * reached
         shading += arriving * oren_nayar(n, toward, v, material.sigma_rad)
         specular += arriving * material.specular_strength * phong(n, toward, v, material.specular_exponent)
     specular = specular * np.asarray(specular_scale, float)

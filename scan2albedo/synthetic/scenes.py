@@ -200,11 +200,11 @@ def _photographed(
     gain = exposure * auto_exposure(rendered.radiance_linear)
     rng = np.random.default_rng([seed, 1])
     picture = photograph(rendered.radiance_linear, exposure=gain, noise=noise, bits=bits, rng=rng)
-    lit = replace(image, texture_linear=on_grid(mask, picture))
+    observed = replace(image, texture_linear=on_grid(mask, picture))
     albedo = on_grid(mask, albedo_linear.astype(np.float32))
     light = (
         on_grid(mask, ~rendered.visible),
         on_grid(mask, rendered.shading),
         on_grid(mask, rendered.specular),
     )
-    return SyntheticScene(lit, albedo, lights, *light, gain, material, texture)
+    return SyntheticScene(observed, albedo, lights, *light, gain, material, texture)

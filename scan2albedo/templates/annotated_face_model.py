@@ -92,9 +92,9 @@ class AnnotatedFaceModel(AnnotatedSurface):
         name : str
             Used in messages and results.
         """
-        given = DenseTemplate(vertices, faces, uv, regions, landmarks, name)
+        template = DenseTemplate(vertices, faces, uv, regions, landmarks, name)
         make = _annotated_model if annotate else model_from_surface
-        return cls._with_fields_of(make(template_surface(vertices, faces, name), given, control_size))
+        return cls._with_fields_of(make(template_surface(vertices, faces, name), template, control_size))
 
     @classmethod
     def from_file(cls, path: str | Path, *, control_size: int = 1000) -> Self:
@@ -188,16 +188,18 @@ _on_default = lru_cache(maxsize=1)(lambda linear: _places(linear, AnnotatedFaceM
 """Kept for the next scan."""
 
 
-def _annotated_model(surface: TemplateSurface, given: DenseTemplate, control_size: int) -> AnnotatedSurface:
+def _annotated_model(
+    surface: TemplateSurface, template: DenseTemplate, control_size: int
+) -> AnnotatedSurface:
     """Make a model in the convention's axes, with the default model's annotation where none is given.
 
-    `surface` is that of `given`, in any pose; the model gets about `control_size` control vertices.
+    `surface` is that of `template`, in any pose; the model gets about `control_size` control vertices.
     """
     default = default_model()
     try:
-        fitted = fitted_to_template(surface, given.name, default)
+        fitted = fitted_to_template(surface, template.name, default)
     except RegistrationError as error:
-        model = model_from_surface(surface, given, control_size)
+        model = model_from_surface(surface, template, control_size)
         return replace(model, notes=(*model.notes, f"axes taken as they are, nothing annotated: {error}"))
     rotation, axes = fitted.model_from_scan[:3, :3], "axes as they came"
     degrees = np.degrees(rotation_angle_rad(rotation))
@@ -205,7 +207,7 @@ def _annotated_model(surface: TemplateSurface, given: DenseTemplate, control_siz
         rotation = np.eye(3)
     else:
         axes = f"turned by {degrees:.0f} degrees to x left, y up, z out of the face"
-    model = model_from_surface(surface.turned(rotation), given, control_size)
+    model = model_from_surface(surface.turned(rotation), template, control_size)
     # The skin of the fitted default model in the new model's frame.
     model_from_default = compose(rotation, np.zeros(3)) @ invert_rigid(fitted.model_from_scan)
     is_skin = fitted.region != default.regions[MOUTH_REGION].index
@@ -216,7 +218,7 @@ def _annotated_model(surface: TemplateSurface, given: DenseTemplate, control_siz
     hits = nearest.query_facing(model.control_vertices, normals)
     model = replace(model, face_uv=hits.interpolated(fitted.uv, skin_faces))
     notes = [*model.notes, axes]
-    if given.regions is None:
+    if template.regions is None:
         # Each control face gets the region that lies on it.
         first = 1 + max(region.index for region in model.regions.values())
         added = {name: replace(own, index=first + own.index) for name, own in default.regions.items()}
@@ -231,7 +233,7 @@ def _annotated_model(surface: TemplateSurface, given: DenseTemplate, control_siz
         notes.append("regions carried over from the default model")
         if not model.in_region(MOUTH_REGION).any():
             notes.append("no opening between the lips: a mouth that opens stretches what is there")
-    if given.landmarks is None:
+    if template.landmarks is None:
         assert fitted.landmarks is not None  # the default model has them
         landmarks = transform_points(model_from_default, fitted.landmarks)
         normals = face_normals(skin, skin_faces)[nearest.query(landmarks).face]

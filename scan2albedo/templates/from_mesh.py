@@ -44,12 +44,14 @@ class DenseTemplate:
     name: str
 
 
-def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_size: int) -> AnnotatedSurface:
+def model_from_surface(
+    surface: TemplateSurface, template: DenseTemplate, control_size: int
+) -> AnnotatedSurface:
     """Make a surface of about `control_size` control vertices from a template in the model's axes.
 
     Raises `ModelError` when the template, the regions or the landmarks cannot be used.
     """
-    name = given.name
+    name = template.name
     if not control_size >= MIN_CONTROL_SIZE:
         raise ModelError(
             f"{name}: control_size is {control_size}, but fewer than {MIN_CONTROL_SIZE} control vertices "
@@ -58,7 +60,7 @@ def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_s
     disc, filled = clean_template(surface, name)
     # The template vertices that it uses, and its faces among them.
     source, clean_faces = without_unreferenced(disc.vertices, disc.faces)
-    clean, faces = disc.vertices[source], np.array(given.faces, int)
+    clean, faces = disc.vertices[source], np.array(template.faces, int)
     control, control_faces = fit_limit_surface(clean, clean_faces, control_size)
     subdivision = LoopSubdivision.of(len(control), control_faces, LANDMARK_LEVELS)
     # The cleaned vertices are placed on the limit surface, loose ones where the nearest of these is.
@@ -76,7 +78,7 @@ def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_s
     matrix, frames = subdivision.points_matrix(placed), surface_frames(control[control_faces[face]])
     offset = np.einsum("nij,ni->nj", frames, disc.vertices - matrix @ control)
     # Each control face gets the region of the template vertex nearest to its centre.
-    label, table = _regions(given, faces)
+    label, table = _regions(template, faces)
     region = label[source][tree.query(control[control_faces].mean(1))[1]]
     if filled.any():
         index = len(table)
@@ -84,8 +86,8 @@ def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_s
         region[project(subdivision, control, corners.mean(1), np.zeros((1, 3))).face] = index
         # These faces are softer, so that a mouth may open.
         table[FILLED_REGION] = Region(FILLED_REGION, index, 0.5, 0.0, False)
-    chart, chart_note = _chart(vertex_uv(given), source, (control, control_faces), matrix, name)
-    corners_uv, uv_note = corner_uv(given)
+    chart, chart_note = _chart(vertex_uv(template), source, (control, control_faces), matrix, name)
+    corners_uv, uv_note = corner_uv(template)
     off = norms(offset[source])
     away = f"the surface keeps {off.mean():.1f} mm (mean) and {off.max():.0f} mm (most) from the template"
     coarse = f"{away}; a greater control_size follows it better" if off.mean() > 1 else ""
@@ -96,7 +98,7 @@ def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_s
         uv=chart,
         region=region,
         regions=table,
-        landmark_points=_landmarks(given, disc, source, placed),
+        landmark_points=_landmarks(template, disc, source, placed),
         template_points=placed,
         template_offset=offset,
         template_faces=faces,
@@ -107,24 +109,24 @@ def model_from_surface(surface: TemplateSurface, given: DenseTemplate, control_s
     )
 
 
-def vertex_uv(given: DenseTemplate) -> FloatArray | None:
+def vertex_uv(template: DenseTemplate) -> FloatArray | None:
     """Return (T, 2) where all corners of a vertex agree, (0, 0) without a face; None at seams and gaps."""
-    if given.uv is None or np.ndim(given.uv) != 3:
-        return given.uv
-    faces, corners = np.array(given.faces, int), np.asarray(given.uv, float)
+    if template.uv is None or np.ndim(template.uv) != 3:
+        return template.uv
+    faces, corners = np.array(template.faces, int), np.asarray(template.uv, float)
     if corners.shape != (len(faces), 3, 2):
-        raise ModelError(f"{given.name}: uv has shape {corners.shape}, expected ({len(faces)}, 3, 2)")
-    uv = np.zeros((len(given.vertices), 2))
+        raise ModelError(f"{template.name}: uv has shape {corners.shape}, expected ({len(faces)}, 3, 2)")
+    uv = np.zeros((len(template.vertices), 2))
     uv[faces.ravel()] = corners.reshape(-1, 2)
     return uv if (np.abs(uv[faces] - corners) < SAME_UV).all() else None
 
 
-def corner_uv(given: DenseTemplate) -> tuple[FloatArray | None, str]:
+def corner_uv(template: DenseTemplate) -> tuple[FloatArray | None, str]:
     """Return (F, 3, 2) the coordinates of the faces' corners, and a note where they can carry no texture."""
-    if given.uv is None:
+    if template.uv is None:
         return None, ""
-    uv = np.asarray(given.uv, float)
-    corners = uv if uv.ndim == 3 else uv[np.array(given.faces, int)]
+    uv = np.asarray(template.uv, float)
+    corners = uv if uv.ndim == 3 else uv[np.array(template.faces, int)]
     why = ""
     if not all_finite(corners):
         why = f"{int((~np.isfinite(corners)).any((1, 2)).sum())} faces have no texture coordinates"
@@ -147,11 +149,11 @@ def _chart(
 
     note = ""
     if uv is not None:
-        given = np.asarray(uv, float)
-        if given.shape != (matrix.shape[0], 2):
-            said = f"{name}: uv has shape {given.shape}, expected ({matrix.shape[0]}, 2)"
+        values = np.asarray(uv, float)
+        if values.shape != (matrix.shape[0], 2):
+            said = f"{name}: uv has shape {values.shape}, expected ({matrix.shape[0]}, 2)"
             raise ModelError(f"{said}: one coordinate a vertex; split vertices at seams or leave uv out")
-        known = given[source]
+        known = values[source]
         note = "a new chart was drawn: the uv given holds NaN"
         if all_finite(known):
             rows = matrix[source]
@@ -164,15 +166,15 @@ def _chart(
     return parametrize_disc(*mesh), note
 
 
-def _regions(given: DenseTemplate, faces: IntArray) -> tuple[ByteArray, dict[str, Region]]:
+def _regions(template: DenseTemplate, faces: IntArray) -> tuple[ByteArray, dict[str, Region]]:
     """Return the region (T,) of each template vertex, and the regions by name."""
-    name, named, count = given.name, dict(given.regions or {}), len(given.vertices)
-    if taken := sorted({REST_REGION, FILLED_REGION} & set(named)):
+    name, regions, count = template.name, dict(template.regions or {}), len(template.vertices)
+    if taken := sorted({REST_REGION, FILLED_REGION} & set(regions)):
         raise ModelError(f"{name}: region {taken[0]!r} is taken: faces in none or over holes; rename it")
-    if len(named) > MAX_REGIONS:
-        raise ModelError(f"{name}: {len(named)} regions given, at most {MAX_REGIONS} fit the region map")
+    if len(regions) > MAX_REGIONS:
+        raise ModelError(f"{name}: {len(regions)} regions given, at most {MAX_REGIONS} fit the region map")
     label, table = np.zeros(count, np.uint8), {REST_REGION: Region(REST_REGION, 0)}
-    for index, (title, values) in enumerate(named.items(), start=1):
+    for index, (title, values) in enumerate(regions.items(), start=1):
         members = np.asarray(values)
         is_index = members.dtype.kind in "iu" and members.ndim == 1
         if members.dtype == bool and members.shape == (count,):
@@ -192,11 +194,12 @@ def _regions(given: DenseTemplate, faces: IntArray) -> tuple[ByteArray, dict[str
 
 
 def _landmarks(
-    given: DenseTemplate, disc: TemplateSurface, source: IntArray, placed: SurfacePoints
+    template: DenseTemplate, disc: TemplateSurface, source: IntArray, placed: SurfacePoints
 ) -> SurfacePoints | None:
-    if given.landmarks is None:
+    if template.landmarks is None:
         return None
-    name, landmarks, vertices = given.name, np.asarray(given.landmarks), np.asarray(given.vertices, float)
+    name, landmarks = template.name, np.asarray(template.landmarks)
+    vertices = np.asarray(template.vertices, float)
     if landmarks.shape == (68,) and landmarks.dtype.kind in "iu":
         if landmarks.min() < 0 or landmarks.max() >= len(vertices):
             wrong = landmarks.min() if landmarks.min() < 0 else landmarks.max()

@@ -48,13 +48,13 @@ def template_surface(vertices: FloatArray, faces: IntArray, name: str) -> Templa
     Raises `ModelError` for vertices (T, 3) that are no head in any unit, are not finite or too few, bad
     indices, or a surface that is not manifold even when a few faces are dropped, or cannot be oriented.
     """
-    given, index = checked_mesh(vertices, faces, name, ModelError)
+    points, index = checked_mesh(vertices, faces, name, ModelError)
     if len(index) == 0:
         raise ModelError(f"{name}: a template needs faces, a point cloud is not enough; mesh its points")
     used = np.unique(index)
     if len(used) < MIN_VERTICES:
         raise ModelError(f"{name}: only {len(used)} vertices in faces, at least {MIN_VERTICES} needed")
-    low, high = np.percentile(given[used], [0.5, 99.5], axis=0)
+    low, high = np.percentile(points[used], [0.5, 99.5], axis=0)
     size = float(np.max(high - low))
     least, most = HEAD_SIZE_MM
     unit = next((unit for unit, factor in UNITS_MM.items() if least <= size * factor <= most), None)
@@ -63,8 +63,8 @@ def template_surface(vertices: FloatArray, faces: IntArray, name: str) -> Templa
             f"{name}: the template is {size:.4g} units large, which is not a head in mm, cm, m or um "
             f"({least:.0f} to {most:.0f} mm); scale it to millimetres"
         )
-    origin = given[used].mean(0)
-    xyz = (given - origin) * UNITS_MM[unit]
+    origin = points[used].mean(0)
+    xyz = (points - origin) * UNITS_MM[unit]
     # Vertices at equal positions (UV seams) are joined, unless that makes an edge with three faces.
     step = 1e-7 * float(np.max(np.ptp(xyz, axis=0)))
     welded = _proper(xyz, first_equal_row(np.round(xyz / step))[index])

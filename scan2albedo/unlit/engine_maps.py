@@ -11,14 +11,14 @@ from scan2albedo.core.arrays import FloatArray, IntArray, dots
 from scan2albedo.errors import ApplicationError
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.closest_points import surface_query
-from scan2albedo.geometry.mesh import face_areas, neighbour_mean, thinned, usual_edge, vertex_normals
+from scan2albedo.geometry.mesh import face_areas, median_edge, neighbour_mean, thinned, vertex_normals
 from scan2albedo.geometry.rasterization import bilinear, filled_from_nearest, pixels_from_uv
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import transform_points
 from scan2albedo.io.texture_atlas import in_first_period
 from scan2albedo.lighting.environment_light import shadowed_transfer
 from scan2albedo.lighting.shadow_map import ShadowMap
-from scan2albedo.unlit.light_removal import usual_light
+from scan2albedo.unlit.light_removal import median_light
 from scan2albedo.unlit.template_baking import REACH_MM, Appearance, Fields, TemplateTexture, painted
 
 CARRIERS = ("chart", "scan", "template")
@@ -145,7 +145,7 @@ def _specular(estimate: AlbedoEstimate, exponent: float) -> FloatArray:
     """Return (H, W, 1) glTF's factor of the reflectance at normal incidence, on the chart."""
     image, gloss = estimate.image, estimate.reflectance
     relative = np.ones(image.shape) if image.specular_scale is None else image.specular_scale
-    f0 = float(4 * usual_light(estimate) * gloss.specular_strength / (2 * exponent + 1)) or SKIN_F0
+    f0 = float(4 * median_light(estimate) * gloss.specular_strength / (2 * exponent + 1)) or SKIN_F0
     return filled_from_nearest(relative, image.mask)[..., None] * (f0 / PLASTIC_F0)
 
 
@@ -162,7 +162,7 @@ def _relief_mm(vertices: FloatArray, faces: IntArray) -> FloatArray:
     neighbours has a variance of half a squared edge.
     """
     mean = neighbour_mean(len(vertices), faces)
-    step_mm2 = (usual_edge(vertices, faces) or _AROUND_MM) ** 2 / 2
+    step_mm2 = (median_edge(vertices, faces) or _AROUND_MM) ** 2 / 2
     passes = int(np.clip(round(_AROUND_MM**2 / step_mm2), 1, 100))
     fine = smooth = mean @ (mean @ vertices)
     for _ in range(passes):

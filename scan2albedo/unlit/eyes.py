@@ -170,10 +170,10 @@ class EyeOpening:
         # Skin is what lies beside the eye.
         wide = start + [-3, 0, 3, 0, 3, 0, 3, 0, 0, 0, 0]
         outside = _inside(wide, place[:, :2])[:2].min(0) < 0
-        usual = [[math.log(floor / FLOOR), 0, 0]]  # also where no skin is seen
-        beside = np.concatenate([color[seen & outside], usual])
-        middle_color = np.median(beside, axis=0)
-        skin = np.stack([middle_color, 1.4826 * np.median(np.abs(beside - middle_color), axis=0)])
+        fallback = [[math.log(floor / FLOOR), 0, 0]]  # also where no skin is seen
+        skin_colors = np.concatenate([color[seen & outside], fallback])
+        middle_color = np.median(skin_colors, axis=0)
+        skin = np.stack([middle_color, 1.4826 * np.median(np.abs(skin_colors - middle_color), axis=0)])
         skin[1] = np.maximum(skin[1], (0.12, 0.05, 0.05))
         # As much of the skin is unseen between the lids as beside them: a part not scanned is no hole.
         lacking = max(_UNSEEN, 1 - ((seen & outside).sum() + 1) / (outside.sum() + 1))
@@ -224,16 +224,16 @@ class EyeOpening:
         """Return (K, 3) the eyeball's albedo away from the middle of its iris, as far as it is known."""
         away = RING_MM * np.arange(math.ceil((iris_mm + 1) / RING_MM) + 1)
         # Lids shade the eye, and no light that was found does: what the white lacks all of the eye lacks.
-        usual = self.skin[0] * (1, 0, 0) + _WHITE[0] + (_SHADE, 0, 0)
-        brighter = not hole and self.white[0] > usual[0]
-        white = np.exp(log_rgb(self.white if brighter else usual))
+        mean_white = self.skin[0] * (1, 0, 0) + _WHITE[0] + (_SHADE, 0, 0)
+        brighter = not hole and self.white[0] > mean_white[0]
+        white = np.exp(log_rgb(self.white if brighter else mean_white))
         outline = self.outlines[hole]
         off = np.hypot(*(self.place[:, :2] - outline[8:10]).T)
         within = _inside(outline, self.place)
         colored = (off > PUPIL_MM) & (off < iris_mm - 1) & (within[:2].min(0) > 1)
         iris = white * _BROWN
         if not hole and colored.any():
-            shade = max(usual[0] - self.white[0], 0.0)
+            shade = max(mean_white[0] - self.white[0], 0.0)
             iris = np.exp(log_rgb(np.median(self.color[colored], axis=0)) + shade)
         made = _PUPIL * white + np.zeros((len(away), 1))
         changes = (PUPIL_MM, iris), (iris_mm - 3 * RING_MM, iris * _LIMBUS), (iris_mm, white)
@@ -246,7 +246,7 @@ class EyeOpening:
         return _inside(self.outlines[hole], self.place)
 
 
-def usual_white(skin_level: float) -> FloatArray:
+def mean_eye_white(skin_level: float) -> FloatArray:
     """Return the usual albedo (3,) of the white of an eye beside skin of a mean log albedo."""
     return math.exp(skin_level) * np.exp(log_rgb(np.array(_WHITE[0])))
 
@@ -273,10 +273,10 @@ def _likeliest(
     texels: _Texels,
     bare: FloatArray,
     of_eye: list[FloatArray],
-    usual: FloatArray,
+    prior_mean: FloatArray,
     before: _Explanation,
 ) -> _Explanation:
-    """Return the likeliest outline near the `usual` one, sought from around the one `before`.
+    """Return the likeliest outline near the `prior_mean` one, sought from around the one `before`.
 
     `bare` and `of_eye` are log likelihoods (N,) of texels as skin, and as white and iris.
     """
@@ -286,7 +286,7 @@ def _likeliest(
     def cost(outlines: FloatArray) -> FloatArray:
         mixed = (_members(outlines, texels.xy) * likelihood).sum(-2)
         fits = texels.weight * (np.log(mixed + 1e-12) + top).sum(-1)
-        return (((outlines - usual) / _OUTLINE_SD_MM) ** 2).sum(-1) / 2 - fits
+        return (((outlines - prior_mean) / _OUTLINE_SD_MM) ** 2).sum(-1) / 2 - fits
 
     def with_slope(outline: FloatArray) -> tuple[float, FloatArray]:
         values = cost(np.vstack([outline, outline + 1e-4 * np.eye(len(outline))]))

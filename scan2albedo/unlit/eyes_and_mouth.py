@@ -20,9 +20,9 @@ from scan2albedo.unlit.eyes import (
     LID_SD_MM,
     EyeOpening,
     eyeball_mesh,
-    usual_white,
+    mean_eye_white,
 )
-from scan2albedo.unlit.face_features import named_texels
+from scan2albedo.unlit.face_features import texels_of_parts
 from scan2albedo.unlit.mouth import mouth_parts
 from scan2albedo.unlit.processed_face import Eyeball, EyesAndMouth, ProcessedFace
 from scan2albedo.unlit.template_baking import REACH_MM, TemplateTexture
@@ -76,9 +76,9 @@ def eyes_and_mouth(face: ProcessedFace) -> EyesAndMouth:
         f"{'both eyes' if len(eyes) == 2 else 'one eye'}, {seen}" if eyes else "the eyes are shut or unseen"
     )
     skin_level = np.mean([one.skin[0, 0] for one in openings.values()])
-    white = eyes[0].rings_linear[-1] if eyes else usual_white(skin_level)
+    white = eyes[0].rings_linear[-1] if eyes else mean_eye_white(skin_level)
     parts = [eyeball_mesh(eye) for eye in eyes] + mouth_parts(face, landmarks, white)
-    cut_mm[named_texels(face, ["between_lips"]) & ~face.image.seen] = 1
+    cut_mm[texels_of_parts(face, ["between_lips"]) & ~face.image.seen] = 1
     return EyesAndMouth(tuple(eyes), tuple(parts), np.where(face.mask, cut_mm, _SKIN_MM), odds, reason)
 
 

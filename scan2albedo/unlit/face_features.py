@@ -36,11 +36,11 @@ FLOOR = 1e-3
 
 def feature_texels(face: ProcessedFace) -> dict[str, BoolArray]:
     """Return the (H, W) texels of each of `FEATURES` that labels or annotation know."""
-    found = {name: named_texels(face, parts) for name, parts in FEATURES.items()}
+    found = {name: texels_of_parts(face, parts) for name, parts in FEATURES.items()}
     return {name: texels for name, texels in found.items() if texels.any()}
 
 
-def named_texels(face: ProcessedFace, names: Sequence[str]) -> BoolArray:
+def texels_of_parts(face: ProcessedFace, names: Sequence[str]) -> BoolArray:
     """Return (H, W) the texels in the named classes of `face_model.materials` or regions of the model.
 
     A face without labels has no classes, a face of another model no regions.
@@ -61,7 +61,7 @@ def open_features(face: ProcessedFace) -> dict[str, bool]:
     Gaussian in log albedo), a mouth where more of its surface lies between the lips, than `_OPEN`.
     """
     found: dict[str, bool] = {}
-    eyes = named_texels(face, FEATURES["eyes"][1:])
+    eyes = texels_of_parts(face, FEATURES["eyes"][1:])
     inside, around = eyes & face.image.seen, grown(eyes, 2 * AROUND) & ~grown(eyes, 0) & face.bare
     if inside.any() and around.sum() > len(CLASSES):
         floor = FLOOR * face.level()
@@ -71,10 +71,10 @@ def open_features(face: ProcessedFace) -> dict[str, bool]:
             away = np.linalg.solve(np.linalg.cholesky(spread), (shown - np.median(lids, axis=0)).T)
             odds -= sign * ((away**2).sum(0) + np.linalg.slogdet(spread)[1])
         found["eyes"] = bool(np.mean(odds > 0) > _OPEN)
-    mouth = named_texels(face, FEATURES["mouth"][1:])
+    mouth = texels_of_parts(face, FEATURES["mouth"][1:])
     if mouth.any():
         area = norms(np.cross(*np.gradient(face.image.position, axis=(0, 1))))
-        between = grown(named_texels(face, ["between_lips"]), 0)
+        between = grown(texels_of_parts(face, ["between_lips"]), 0)
         found["mouth"] = bool(area[between].sum() > _OPEN * area[mouth].sum())
     return found
 
@@ -113,7 +113,7 @@ def mirrored(face: ProcessedFace) -> bool:
 
 def without_catchlights(face: ProcessedFace) -> FloatArray:
     """Return (H, W, 3) the albedo without reflections of lamps on the eyes: V lowered to its opening."""
-    albedo, eyes = face.albedo_linear.astype(float), named_texels(face, FEATURES["eyes"])
+    albedo, eyes = face.albedo_linear.astype(float), texels_of_parts(face, FEATURES["eyes"])
     if not eyes.any():
         return albedo
     side, around = max(eyes.shape), face.mask & grown(eyes, AROUND)
@@ -127,7 +127,7 @@ def without_catchlights(face: ProcessedFace) -> FloatArray:
 
 def without_gaps(face: ProcessedFace) -> ProcessedFace:
     """Return the face with Laplace's smooth log albedo where none was seen, and on `dark_sides`."""
-    kept = np.logical_or.reduce([named_texels(face, FEATURES[n]) for n in ("eyes", "brows", "mouth")])
+    kept = np.logical_or.reduce([texels_of_parts(face, FEATURES[n]) for n in ("eyes", "brows", "mouth")])
     gaps = (face.mask & ~face.image.seen & ~kept) | dark_sides(face)
     if not gaps.any() or not (known := face.mask & ~gaps).any():
         return face
@@ -140,8 +140,8 @@ def dark_sides(face: ProcessedFace) -> BoolArray:
     Each connected part is one thing: a beard, which stays, where it covers more of the jaws than of temples
     and cheeks. Faces without labels have no such texels.
     """
-    sides, jaws = (named_texels(face, names) for names in (SIDES, JAWS))
-    part, count = label(named_texels(face, ["hair", "cloth", "beard"]), np.ones((3, 3)))
+    sides, jaws = (texels_of_parts(face, names) for names in (SIDES, JAWS))
+    part, count = label(texels_of_parts(face, ["hair", "cloth", "beard"]), np.ones((3, 3)))
     covered = [np.bincount(part[t], minlength=count + 1) / max(t.sum(), 1) for t in (sides, jaws)]
     at_rim = np.setdiff1d(part[sides & face.image.border], [0])
     hair = np.isin(part, at_rim[covered[0][at_rim] > covered[1][at_rim]])
@@ -182,7 +182,7 @@ def without_light_left(albedo: FloatArray, face: ProcessedFace, other: Processed
     the expected errors and t^2 = mean d^2 - s_1^2 - s_2^2, by which people differ, the mean moves by
     d s_1^2 / (s_1^2 + s_2^2 + t^2). Nothing moves where errors are not known.
     """
-    errors = [given.expected_error for given in (face, other) if given.expected_error is not None]
+    errors = [each.expected_error for each in (face, other) if each.expected_error is not None]
     both = face.bare & other.bare & (albedo.min(-1) > 0) & (other.albedo_linear.min(-1) > 0)
     if len(errors) < 2 or both.sum() < _LEAST_TEXELS:
         return albedo

@@ -23,7 +23,7 @@ def write_unlit(folder: Path, unlit: UnlitScan, samples: type = np.uint8, *, exr
     vertices. `exr`: the pictures as linear EXR, too.
     """
     scan, uv, texture = unlit.scan, unlit.scan.uv, unlit.scan.texture_linear
-    lit = None if unlit.lit is None or unlit.hair is None else unlit.lit.texture_linear
+    shaded = None if unlit.original is None or unlit.hair is None else unlit.original.texture_linear
     if uv is None or texture is None:
         mesh = TexturedMesh(scan.vertices, scan.faces, vertex_color_linear=scan.vertex_color_linear)
     else:
@@ -35,14 +35,14 @@ def write_unlit(folder: Path, unlit: UnlitScan, samples: type = np.uint8, *, exr
             own_uv[chosen] = tile.own_uv(uv[chosen], whole)
             place = np.s_[tile.top : tile.top + tile.height, tile.left : tile.left + tile.width]
             write_png(folder / f"unlit_confidence.{number}.png", confidence[place])
-            if lit is not None and unlit.hair is not None:
-                _write_hair(folder / f"unlit_hair.{number}.png", lit[place], unlit.hair[place], samples)
+            if shaded is not None and unlit.hair is not None:
+                _write_hair(folder / f"unlit_hair.{number}.png", shaded[place], unlit.hair[place], samples)
             picture = _encoded(folder / f"unlit.{number}.exr", texture[place], samples, exr)
             pictures.append(MeshPicture(f"unlit.{number}.png", picture, chosen))
         if not pictures:
             write_png(folder / "unlit_confidence.png", confidence)
-            if lit is not None and unlit.hair is not None:
-                _write_hair(folder / "unlit_hair.png", lit, unlit.hair, samples)
+            if shaded is not None and unlit.hair is not None:
+                _write_hair(folder / "unlit_hair.png", shaded, unlit.hair, samples)
             every = np.ones(len(scan.faces), bool)
             picture = _encoded(folder / "unlit.exr", texture, samples, exr)
             pictures.append(MeshPicture("unlit.png", picture, every))

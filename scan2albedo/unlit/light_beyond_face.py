@@ -17,7 +17,7 @@ from scan2albedo.face_model.materials import materials_beyond_chart
 from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.closest_points import surface_query
 from scan2albedo.geometry.fields import Field, filled_over_mesh
-from scan2albedo.geometry.mesh import edges_with_faces, neighbour_mean, thinned, usual_edge, vertex_normals
+from scan2albedo.geometry.mesh import edges_with_faces, median_edge, neighbour_mean, thinned, vertex_normals
 from scan2albedo.geometry.rasterization import bilinear, filled_from_nearest, pixels_from_uv, scan_colors
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.geometry.rigid import transform_points
@@ -96,12 +96,12 @@ class SurfaceLight:
         estimate: AlbedoEstimate,
         log_light: FloatArray,
         on_chart: tuple[FloatArray, FloatArray],
-        usual: float,
+        brightness: float,
     ) -> None:
         """Look at the scan.
 
         `log_light` (H, W, 3) is that of the chart, `on_chart` the places (V, 2) of the scan's vertices on it
-        and how much (V,) they belong to the face, `usual` the light of which brightness is kept.
+        and how much (V,) they belong to the face, `brightness` the light of which brightness is kept.
         """
         image = estimate.image
         self._vertices = transform_points(fitted.model_from_scan, scan.vertices)
@@ -110,17 +110,17 @@ class SurfaceLight:
             thin = thinned(self._vertices, scan.faces, 0.0)
         self._points, self._faces, count = thin.vertices, thin.faces, len(thin.vertices)
         normals = vertex_normals(self._points, self._faces)
-        self._edge_mm = usual_edge(self._points, self._faces) or 1.0
+        self._edge_mm = median_edge(self._points, self._faces) or 1.0
         self._mean = neighbour_mean(count, self._faces)
         nearest = cKDTree(self._vertices).query(self._points)[1]
         pixels = pixels_from_uv(on_chart[0][nearest], image.shape)
         inside = on_chart[1][nearest]
-        self._usual = usual
+        self._brightness = brightness
         self._chart = bilinear(log_light, pixels)
         self._on_face = inside >= 0.5
         self._log_color = self._mean_log_color(scan)
         caster = RayCaster(self._points, self._faces) if estimate.casts_shadows else None
-        lit = shade_image(
+        shading = shade_image(
             GeometryImage(self._points[None], normals[None], np.ones((1, count), bool)),
             estimate.lights,
             estimate.reflectance,
@@ -129,7 +129,7 @@ class SurfaceLight:
             estimate.shadow_offset_mm,
             estimate.environment,
         ).light_linear.reshape(-1, 3)
-        self._log_lit = np.log(np.maximum(lit, DARKEST * usual))
+        self._log_shading = np.log(np.maximum(shading, DARKEST * brightness))
         on_skin = image.seen * 1.0 if image.skin is None else image.skin
         self._skin = inside * bilinear(filled_from_nearest(on_skin[..., None], image.mask), pixels)[:, 0]
         covered = np.zeros(len(self._vertices), bool)
@@ -143,8 +143,8 @@ class SurfaceLight:
         # Links of the membrane, between points of one material.
         self._edges = edges_with_faces(self._faces)[0]
         i, j = self._edges.T
-        alike = (1 - self._other[i]) * (1 - self._other[j]) + self._other[i] * self._other[j]
-        self._links = alike * ~(apart[i] | apart[j])
+        same_material = (1 - self._other[i]) * (1 - self._other[j]) + self._other[i] * self._other[j]
+        self._links = same_material * ~(apart[i] | apart[j])
 
     def _mean_log_color(self, scan: RawScan) -> FloatArray:
         """Return (N, 3) the log of the scan's mean colour nearest to each point."""
@@ -170,7 +170,7 @@ class SurfaceLight:
             return np.zeros((2, len(self._points)))
         closest = cKDTree(image.position[few]).query(self._points)[1]
         shares = materials_beyond_chart(
-            self._log_color - self._log_lit,
+            self._log_color - self._log_shading,
             normals,
             self._skin,
             image.face_chart[few][closest],
@@ -187,16 +187,16 @@ class SurfaceLight:
         steepness = np.zeros(count)
         detail = 1.0
         if reach == "face":
-            base = np.full((count, 3), math.log(self._usual))
+            base = np.full((count, 3), math.log(self._brightness))
             offset, sure = self._membrane(base, self._per_edge(_FAR_MM), np.zeros((count, 4)))
             seen = sure > 2 / 255  # the least that a picture of the confidence shows
             offset, sure = offset * seen[:, None], sure * seen
         else:
             # Hair's and cloth's light is even.
-            smooth = self._log_lit
+            smooth = self._log_shading
             for _ in range(round(min(2 * (_EVEN_MM / self._edge_mm) ** 2, count))):
                 smooth = self._mean @ smooth
-            base = self._log_lit + other[:, None] * (smooth - self._log_lit)
+            base = self._log_shading + other[:, None] * (smooth - self._log_shading)
             skin, wrong = self._skin_albedo(base)
             trust, detail = self._trust(wrong)
             far = self._per_edge(_FAR_MM)
@@ -220,7 +220,7 @@ class SurfaceLight:
         """Return the weight of log brightness between hair and skin, of the means of both (Fisher's)."""
         if self._hair.max() <= SURE_HAIR:
             return 0.0
-        own = self._log_color.max(-1) - self._log_lit.max(-1)
+        own = self._log_color.max(-1) - self._log_shading.max(-1)
         parts = self._hair, np.maximum(1 - self._other, FLOOR)
         of_hair, of_skin = (np.average(own, weights=part) for part in parts)
         return (of_hair - of_skin) / (sum(np.cov(own, aweights=part) for part in parts) + _OWN**2)
@@ -247,17 +247,17 @@ class SurfaceLight:
     def _skin_albedo(self, base: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return skin's expected log albedo (N, 3), and what colours differ by from it under `base`."""
         other = self._other[:, None]
-        usual_skin = np.average(self._log_color - self._chart, axis=0, weights=self._skin + FLOOR)
-        left = self._log_color - base - usual_skin
+        mean_skin = np.average(self._log_color - self._chart, axis=0, weights=self._skin + FLOOR)
+        left = self._log_color - base - mean_skin
         # Skin's albedo goes on from the rim, then is half of what is left.
         own = self._continued(
-            self._log_color - self._chart - usual_skin,
+            self._log_color - self._chart - mean_skin,
             self._per_edge(_EVEN_MM),
             (1 - other) * left / (2 + (left / _OWN) ** 2),
         )
         wrong = (1 - other) * (left - own)
         wrong += other * np.maximum(left.mean(-1, keepdims=True) - _WHITE, 0)
-        return usual_skin + own, wrong
+        return mean_skin + own, wrong
 
     def _trust(self, wrong: FloatArray) -> tuple[FloatArray, float]:
         """Return the pull (N,) toward what is `wrong` with the light, and the usual detail of skin."""

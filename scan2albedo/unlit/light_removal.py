@@ -59,7 +59,7 @@ class UnlitScan:
     in, `OUTSIDE_CONFIDENCE` beyond the face."""
     hair: Float32Array | None = None
     """(H, W), or (V,): how surely hair, beard or brows; None where there are none."""
-    lit: RawScan | None = None
+    original: RawScan | None = None
     """The scan as it came: the colours of `hair` with its light."""
 
 
@@ -103,21 +103,21 @@ class LightRemoval:
                 f"{scan.name}: the albedo was estimated of another face than the fitted one"
             )
         self._scan, self._fitted, self._estimate = scan, fitted, estimate
-        self._usual = usual_light(estimate)
+        self._brightness = median_light(estimate)
 
     def unlit(self, reach: str) -> UnlitScan:
         """Return the scan without its light, on the "face" or on "all" of it."""
-        scan, usual = self._scan, self._usual
+        scan, brightness = self._scan, self._brightness
         light = _ScanLight(*self._on_chart, self._surface.found(reach), self._charts)
         shown = np.float32(1) if scan.color_seen is None else scan.color_seen
         notes = (*scan.notes, f"the light was taken off {'the face' if reach == 'face' else 'everything'}")
         if scan.uv is not None and scan.texture_linear is not None:
-            made = _unlit_texture(scan, light, usual)
+            made = _unlit_texture(scan, light, brightness)
             unlit = replace(scan, texture_linear=made.color_linear, notes=notes)
         else:
             assert scan.vertex_color_linear is not None
             divisor = light.divisor(scan.vertex_color_linear)
-            colors = (scan.vertex_color_linear * (usual / divisor.color_linear)).astype(np.float32)
+            colors = (scan.vertex_color_linear * (brightness / divisor.color_linear)).astype(np.float32)
             made = replace(divisor, color_linear=colors)
             unlit = replace(scan, vertex_color_linear=made.color_linear, notes=notes)
         hair = made.hair if (made.hair > SURE_HAIR).any() else None
@@ -143,14 +143,16 @@ class LightRemoval:
         black = FLOOR * max(float(np.median(albedo[mask])), 1e-12)
         light = (image.texture_linear + black * estimate.shading) / (albedo + black)
         light[~image.seen] = estimate.shading[~image.seen]
-        log_light = np.log(np.maximum(light, DARKEST * self._usual))
+        log_light = np.log(np.maximum(light, DARKEST * self._brightness))
         hair = np.isin(0 if image.labels is None else image.labels, _HAIRS) & mask
         return np.dstack([filled_from_nearest(log_light, mask), hair])
 
     @cached_property
     def _surface(self) -> SurfaceLight:
         log_light = self._charts[..., :3]
-        return SurfaceLight(self._scan, self._fitted, self._estimate, log_light, self._on_chart, self._usual)
+        return SurfaceLight(
+            self._scan, self._fitted, self._estimate, log_light, self._on_chart, self._brightness
+        )
 
 
 @dataclass(frozen=True)
@@ -195,7 +197,7 @@ class _ScanLight:
         return _Unlit(light, found[:, 4].astype(np.float32), found[:, 3].astype(np.float32))
 
 
-def usual_light(estimate: AlbedoEstimate) -> float:
+def median_light(estimate: AlbedoEstimate) -> float:
     """Return the light of which an unlit scan keeps the brightness: the colours' gain over the albedo."""
     image = estimate.image
     return float(np.median(estimate.shading.mean(-1)[image.seen if image.seen.any() else image.mask]))
@@ -238,7 +240,7 @@ def _unlit_texture(scan: RawScan, light: _ScanLight, brightness: float) -> _Unli
     first, last = np.floor(corners.min(1)), np.ceil(corners.max(1))
     made = _Unlit(np.array(texture), *np.zeros((2, *shape), np.float32))
     margin = 8 * GUTTER
-    usual: ChannelNoise | None = None
+    noise: ChannelNoise | None = None
     for top, left in _tiles(shape, corners.mean(1)[(light.share[scan.faces] > 0).any(1)]):
         low = np.maximum([left - margin, top - margin], 0)
         high = np.minimum([left + _TILE + margin, top + _TILE + margin], [shape[1], shape[0]])
@@ -262,19 +264,19 @@ def _unlit_texture(scan: RawScan, light: _ScanLight, brightness: float) -> _Unli
             rows, columns = (np.flatnonzero(usable.any(axis)) for axis in (1, 0))
             box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
             dark = np.zeros(there[box].shape)  # no highlight
-            filtered = divide_light(tile[box], divisor[box], dark, there[box], usable[box], usual=usual)
+            filtered = divide_light(tile[box], divisor[box], dark, there[box], usable[box], image_noise=noise)
             albedo[box] = np.where(usable[box][..., None], filtered.albedo, albedo[box])
-            usual = filtered.noise
+            noise = filtered.noise
             _take_off_outlines(albedo, there, of_texels)
         # Beside the scan's charts, where viewers interpolate across the rim, all goes on.
-        beside = maximum_filter(there, 2 * GUTTER + 1)
+        dilated = maximum_filter(there, 2 * GUTTER + 1)
         filled = filled_from_nearest(np.dstack([albedo, hair]), there)
-        unlit = np.where(beside[..., None], filled[..., :3], tile / brightness) * brightness
+        unlit = np.where(dilated[..., None], filled[..., :3], tile / brightness) * brightness
         target = np.s_[top : top + _TILE, left : left + _TILE]
         own = np.s_[top - low[1] : top - low[1] + _TILE, left - low[0] : left - low[0] + _TILE]
         made.color_linear[target] = unlit[own]
         made.confidence[target] = known[own]
-        made.hair[target] = np.where(beside, filled[..., 3], 0)[own]
+        made.hair[target] = np.where(dilated, filled[..., 3], 0)[own]
     return made
 
 

@@ -8,7 +8,7 @@ from scipy.interpolate import CubicSpline
 from scan2albedo.core.arrays import FloatArray, grid_faces, norms, smoothstep
 from scan2albedo.io.glb import GlbPart
 from scan2albedo.unlit.eyes import wet_part
-from scan2albedo.unlit.face_features import named_texels
+from scan2albedo.unlit.face_features import texels_of_parts
 from scan2albedo.unlit.processed_face import ProcessedFace
 
 RIM_LANDMARKS = slice(60, 68)
@@ -36,7 +36,7 @@ def mouth_parts(face: ProcessedFace, landmarks: FloatArray, white: FloatArray) -
 
     `landmarks` are (68, 3), `white` (3,) the albedo of an eye's white.
     """
-    lips = named_texels(face, ["lip", "upper_lip", "lower_lip"]) & face.image.seen
+    lips = texels_of_parts(face, ["lip", "upper_lip", "lower_lip"]) & face.image.seen
     red: FloatArray = np.median(face.albedo_linear[lips], axis=0) if lips.any() else white * RED
     gums = 0.7 * red
     rim = landmarks[RIM_LANDMARKS]

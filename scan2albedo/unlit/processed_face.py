@@ -154,14 +154,14 @@ class ProcessedFace:
     def __post_init__(self) -> None:
         albedo, shape = np.asarray(self.albedo_linear, np.float32), self.image.shape
         everywhere = np.ones(shape, bool)
-        for what, given, expected, where in (
+        for what, values, expected, where in (
             ("the albedo", albedo, (*shape, 3), self.mask),
             ("expected_error", self.expected_error, shape, everywhere),
             ("landmarks", self.landmarks, (68, 3), slice(None)),
         ):
-            if given is not None and (given.shape != expected or not all_finite(given[where])):
+            if values is not None and (values.shape != expected or not all_finite(values[where])):
                 raise ApplicationError(
-                    f"{self.name}: {what} is {given.shape} or holds NaN, expected finite numbers {expected} "
+                    f"{self.name}: {what} is {values.shape} or holds NaN, expected finite numbers {expected} "
                     "like the geometry image; process the scan again"
                 )
         if (lowest := float(albedo[self.image.mask].min(initial=0.0))) < 0:
@@ -237,8 +237,8 @@ class ProcessedFace:
     def level(self) -> float:
         """Return the albedo's level: the geometric mean of V over the texels whose texture was seen."""
         value = self.albedo_linear.max(-1)[self.image.seen]
-        lit = value[value > 0]
-        return float(np.exp(np.mean(np.log(lit, dtype=np.float64)))) if len(lit) else 0.0
+        positive = value[value > 0]
+        return float(np.exp(np.mean(np.log(positive, dtype=np.float64)))) if len(positive) else 0.0
 
     def reshaped(self, mesh: FaceMesh, position: FloatArray, name: str) -> Self:
         """Return this face with other geometry: vertices of `mesh`, `position` (N, 3) of the masked texels.
@@ -284,8 +284,8 @@ def on_common_chart(
             )
         # The same triangles at the same places of the chart, to 24 bits.
         one, two = a.mesh, b.mesh
-        alike = len(one.uv) == len(two.uv) and np.array_equal(one.faces, two.faces)
-        if alike and np.allclose(one.uv, two.uv, rtol=0, atol=1e-5):
+        same_triangles = len(one.uv) == len(two.uv) and np.array_equal(one.faces, two.faces)
+        if same_triangles and np.allclose(one.uv, two.uv, rtol=0, atol=1e-5):
             continue
         if a.model_name == NO_MODEL:
             raise ApplicationError(

@@ -125,8 +125,8 @@ class Appearance:
 
     def __init__(self, fitted: FittedFace, scan: RawScan, unlit: UnlitScan | None = None) -> None:
         self._shown, self._hair = without_covers(fitted, scan), None
-        if unlit is not None and unlit.hair is not None and unlit.lit is not None:
-            self._hair = without_covers(fitted, unlit.lit), unlit.hair[..., None]
+        if unlit is not None and unlit.hair is not None and unlit.original is not None:
+            self._hair = without_covers(fitted, unlit.original), unlit.hair[..., None]
         self._scan_from_model = invert_rigid(fitted.model_from_scan)
         self._shape = FineShape(fitted, self._shown)
 
@@ -146,11 +146,11 @@ class Appearance:
             "normal": fine,
         }
         if self._hair is not None and found.pixel is not None:
-            lit, share = self._hair
+            original, share = self._hair
             hair = np.column_stack([found.color_linear, rasterization.bilinear(share, found.pixel)])
             hair[:, 3] *= found.seen
             if (some := hair[:, 3] > 1 / 512).any():  # of 8 bits
-                hair[some, :3] = sample_colors(lit, *(each[some] for each in there)).color_linear
+                hair[some, :3] = sample_colors(original, *(each[some] for each in there)).color_linear
             fields["hair"] = (hair, np.ones(len(hair), bool))
         return fields
 
@@ -244,11 +244,11 @@ def painted(blank: TemplateTexture, size: int, look: Callable[..., Fields]) -> T
             rasterization.fill_smoothly(texels, known[name])
             for band in bands:
                 wide = slice(max(band.start - 2 * GUTTER, 0), band.stop + 2 * GUTTER)
-                beside = maximum_filter(inside[wide], 2 * GUTTER + 1) & ~inside[wide]
-                beside[: band.start - wide.start] = beside[band.stop - wide.start :] = False
-                if beside.any():
+                gutter = maximum_filter(inside[wide], 2 * GUTTER + 1) & ~inside[wide]
+                gutter[: band.start - wide.start] = gutter[band.stop - wide.start :] = False
+                if gutter.any():
                     filled = rasterization.filled_from_nearest(texels[wide], inside[wide])
-                    texels[wide][beside] = filled[beside]
+                    texels[wide][gutter] = filled[gutter]
         if not fields:
             continue  # its faces hold no texel's middle
         color, normal, hair = fields.pop("color"), fields.pop("normal"), fields.pop("hair", None)
@@ -296,7 +296,7 @@ class FineShape:
         used, faces = without_unreferenced(vertices, kept)
         vertices, base, differs = vertices[used], base[used], (own - base)[used]
         noise_rad = SurfaceNoise.of(vertices, faces).among(np.ones(len(vertices), bool))[0]
-        noise_rad /= mesh.usual_edge(vertices, faces) or 1.0
+        noise_rad /= mesh.median_edge(vertices, faces) or 1.0
         passes = int(np.clip(round((noise_rad / NOISE_RAD) ** 2), 2, 40))
         mean = mesh.neighbour_mean(len(vertices), faces)
         for _ in range(passes):

@@ -165,7 +165,7 @@ def test_a_part_of_an_image_joins_the_whole_without_a_seam():
     texture = SKIN * np.maximum(light + noise, 0.01)
     whole = _divided(texture, light)
     alike, alone = (
-        np.abs(_divided(texture[:, 130:], light[:, 130:], usual=usual).albedo - whole.albedo[:, 130:])
+        np.abs(_divided(texture[:, 130:], light[:, 130:], image_noise=usual).albedo - whole.albedo[:, 130:])
         for usual in (whole.noise, None)
     )
     assert alike[:, 40:].max() < 1e-6

@@ -137,7 +137,7 @@ def test_relighting_with_its_own_lights_gives_the_texture_back(make, most, monke
     def none(*arguments):
         noise = channel_noise(*arguments)
         nothing = np.zeros_like(noise.leading)
-        return replace(noise, leading=nothing, beside=np.zeros_like(noise.beside), rounding=nothing)
+        return replace(noise, leading=nothing, chroma=np.zeros_like(noise.chroma), rounding=nothing)
 
     monkeypatch.setattr("scan2albedo.albedo.division.channel_noise", none)
     image = make().image

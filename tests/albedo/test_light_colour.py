@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.lit_scenes import lamps_and_waves, lit_image, lit_scene
+from helpers.lit_scenes import lamps_and_waves, lit_scene, shaded_image
 
 from scan2albedo.albedo.light_colour import light_colours
 from scan2albedo.albedo.node_field import Scales
@@ -50,7 +50,7 @@ def lit(ball):
         by_lamp = (shown.radiance_linear - albedo[mask]) * color
         texture = np.float32(0.3 * tint * (albedo[mask] + by_lamp))
         image = replace(ball.image, texture_linear=on_grid(mask, texture))
-        scene = lit_image(image, brdf="lambert", prior=prior)
+        scene = shaded_image(image, brdf="lambert", prior=prior)
         model, problem = scene.model(1), scene.posterior(40)
         x, known = lamps_and_waves(model, (LAMP,), (INTENSITY,)), problem.started(Scales())
         if gloss is None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.lit_scenes import farthest_deg, lamps_and_waves, lit_image, lit_scene, percent_off, plan_row
+from helpers.lit_scenes import farthest_deg, lamps_and_waves, lit_scene, percent_off, plan_row, shaded_image
 
 from scan2albedo.albedo import EstimateOptions, estimate_albedo
 from scan2albedo.albedo.light_search import LightSearch
@@ -133,7 +133,7 @@ def _explained(image, **options):
     The last is like the first.
     """
     tinted = image.texture_linear * np.exp(image.normal[..., :1] * [0.2, 0.0, -0.2])
-    scene = lit_image(replace(image, texture_linear=tinted.astype(np.float32)), **options)
+    scene = shaded_image(replace(image, texture_linear=tinted.astype(np.float32)), **options)
     problem, model = scene.posterior(32), scene.model(1)
     known = problem.started(Scales())
     points = (

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers.lit_scenes import direction, lit_image, lit_scene
+from helpers.lit_scenes import direction, lit_scene, shaded_image
 from scipy.linalg import cho_factor
 
 from scan2albedo.albedo.node_field import Scales, cell_variances, inverse, posterior_factor, solved
@@ -12,7 +12,7 @@ from scan2albedo.albedo.prior import AlbedoPrior
 @pytest.fixture(scope="module", params=["stationary", "faces"])
 def posterior(request):
     image = lit_scene((60, 0, 8.0)).image
-    return lit_image(image, prior=getattr(AlbedoPrior, request.param)()).posterior(24)
+    return shaded_image(image, prior=getattr(AlbedoPrior, request.param)()).posterior(24)
 
 
 @pytest.fixture(scope="module")

@@ -106,8 +106,8 @@ def test_noise_of_each_channel_and_noise_that_they_nearly_share_is_found(shared,
     noise = _channels(1 + shared * _white_noise(rng, 1) + own * _white_noise(rng, 3))
     assert noise.lead == 0
     assert np.median(noise.leading) == pytest.approx(shared**2 + own**2, rel=0.25)
-    assert np.median(noise.beside[..., 1]) == pytest.approx(2 * own**2, rel=0.15)
-    assert np.all(noise.beside[..., 0] == 0)
+    assert np.median(noise.chroma[..., 1]) == pytest.approx(2 * own**2, rel=0.15)
+    assert np.all(noise.chroma[..., 0] == 0)
 
 
 def test_white_texture_moves_all_channels_and_is_no_noise(rng):
@@ -115,7 +115,7 @@ def test_white_texture_moves_all_channels_and_is_no_noise(rng):
     pores = 1 + 0.03 * _white_noise(rng, 1) * np.array([1.0, 1.0, 1.6])
     noise = _channels(pores)
     assert np.median(noise.leading) < 0.05 * 0.03**2
-    assert np.median(noise.beside[..., 2]) < 0.05 * 0.03**2
+    assert np.median(noise.chroma[..., 2]) < 0.05 * 0.03**2
 
 
 def test_stubble_is_no_noise_where_the_rest_of_the_picture_has_little(rng):
@@ -133,4 +133,4 @@ def test_grey_noise_is_told_by_the_light_alone(lit, rng):
     lights, around = light[..., None] * np.ones(3), np.full(grey.shape, 0.5)
     noise = channel_noise(grey / lights / around, grey, around, lights, EVERYWHERE)
     assert noise.leading == pytest.approx((0.06 / light / 0.5) ** 2, rel=0.35)
-    assert not noise.beside.any()
+    assert not noise.chroma.any()

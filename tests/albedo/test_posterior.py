@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.lit_scenes import angle_deg, direction, lamps_and_waves, lit_image, lit_scene
+from helpers.lit_scenes import angle_deg, direction, lamps_and_waves, lit_scene, shaded_image
 
 from scan2albedo.albedo.node_field import Scales
 from scan2albedo.albedo.posterior import descend, robust_weights
@@ -27,7 +27,7 @@ def ball():
 
 def _start(image, lights=1, parts=(), angles=(LAMP, (-40, 20)), budget=Budget()):
     """Return where a descent begins: lamps, and parts of the light, in a posterior of 24 cells a side."""
-    scene = lit_image(image, budget=budget, force=("albedo.shadows",))
+    scene = shaded_image(image, budget=budget, force=("albedo.shadows",))
     model = replace(scene.model(lights), parts=frozenset(parts))
     x, problem = lamps_and_waves(model, angles, (2.0, 0.7)), scene.posterior(24)
     return problem.start(model, x, problem.started(Scales()))

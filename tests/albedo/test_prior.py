@@ -132,11 +132,11 @@ def test_a_file_that_is_none_is_refused_by_name(tmp_path):
 
 
 def test_an_option_names_the_prior(tmp_path):
-    assert AlbedoPrior.named("auto", face=True) is AlbedoPrior.faces()
-    assert not AlbedoPrior.named("auto", face=False).face
-    assert not AlbedoPrior.named("stationary", face=True).face
+    assert AlbedoPrior.by_name("auto", face=True) is AlbedoPrior.faces()
+    assert not AlbedoPrior.by_name("auto", face=False).face
+    assert not AlbedoPrior.by_name("stationary", face=True).face
     spread = np.full((3, NODES, NODES), 0.5)
     replace(AlbedoPrior.stationary(), spread=spread).save(tmp_path / "mine.npz")
-    assert AlbedoPrior.named(str(tmp_path / "mine.npz"), face=True).spread[0, 0, 0] == 0.5
+    assert AlbedoPrior.by_name(str(tmp_path / "mine.npz"), face=True).spread[0, 0, 0] == 0.5
     with pytest.raises(LightingError, match="nowhere"):
-        AlbedoPrior.named(str(tmp_path / "nowhere.npz"), face=True)
+        AlbedoPrior.by_name(str(tmp_path / "nowhere.npz"), face=True)

@@ -12,7 +12,7 @@ from helpers.meshes import grid
 from scan2albedo.albedo import EstimateOptions, shadows
 from scan2albedo.albedo.levels import build_level
 from scan2albedo.albedo.light_parameters import LightModel
-from scan2albedo.albedo.lit_image import CONE_RAD
+from scan2albedo.albedo.shaded_image import CONE_RAD
 from scan2albedo.albedo.shadows import LEAST_SHADOW, Horizon, ShadowLattice, shadow_caster
 from scan2albedo.core import Meter
 from scan2albedo.core.geometry_image import GeometryImage

@@ -5,14 +5,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from helpers.lit_scenes import lit_image
+from helpers.lit_scenes import shaded_image
 
 from scan2albedo.albedo.light_colour import LightColours, light_colours
 from scan2albedo.albedo.light_parameters import Solution
-from scan2albedo.albedo.lit_image import Explanation, LightFound
 from scan2albedo.albedo.node_field import Scales
 from scan2albedo.albedo.prior import AlbedoPrior
 from scan2albedo.albedo.result import shade_image
+from scan2albedo.albedo.shaded_image import Explanation, LightFound
 from scan2albedo.albedo.shadows import OUTLINE_BLURS
 from scan2albedo.albedo.texel_light import _Expected, _seen_shadows, _soft_light, _surface, light_on_texels
 from scan2albedo.synthetic import face, light_at
@@ -29,7 +29,7 @@ def truth():
 
 @pytest.fixture(scope="module")
 def lit_face(truth):
-    return lit_image(truth.image, prior=AlbedoPrior.faces(), force=("albedo.shadows",))
+    return shaded_image(truth.image, prior=AlbedoPrior.faces(), force=("albedo.shadows",))
 
 
 def _solution(scene, lamps=(WEAK, STRONG), tail=(), parts=()):
@@ -103,7 +103,7 @@ def test_shadows_that_the_picture_shows_stay_and_others_go(lit_face, truth):
     texture = truth.image.texture_linear.copy()
     texture[mask] = texture[mask] / shaded * open_light
     image = replace(truth.image, texture_linear=texture)
-    other = lit_image(image, prior=AlbedoPrior.faces(), force=("albedo.shadows",))
+    other = shaded_image(image, prior=AlbedoPrior.faces(), force=("albedo.shadows",))
     traced = light_on_texels(lit_face, LightFound(solution, []))
     normal = truth.image.normal[mask]
     shadow = (traced.visible < 0.1) & (normal @ WEAK.direction > 0.1) & (normal @ STRONG.direction > 0.1)

@@ -11,10 +11,10 @@ from helpers.lit_scenes import (
     direction,
     hemisphere_geometry,
     lamps_and_waves,
-    lit_image,
     lit_scene,
     percent_off,
     render,
+    shaded_image,
     texture,
 )
 
@@ -164,7 +164,7 @@ def test_figures_are_json_and_alternatives_make_it_ambiguous(contrasts):
 
 
 def test_the_order_in_which_the_search_holds_the_lights_does_not_matter():
-    scene = lit_image(lit_scene((-50, 0, 0.6), (50, 0, 3.0)).image, brdf="lambert")
+    scene = shaded_image(lit_scene((-50, 0, 0.6), (50, 0, 3.0)).image, brdf="lambert")
     model, problem = scene.model(2), scene.posterior(32)
     known = problem.started(Scales())
     x = lamps_and_waves(model, ((-50, 0), (50, 0)), (0.6, 3.0))

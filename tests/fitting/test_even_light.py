@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scan2albedo.fitting.painted_features import evenly_lit
+from scan2albedo.fitting.painted_features import without_shading
 from scan2albedo.geometry.rasterization import FrontPicture
 
 STEP_MM = 0.8
@@ -24,7 +24,7 @@ def ball(toward, paint):
 @pytest.mark.parametrize("toward", [(0, 0, 1), (0, 0.9, 0.4), (0.8, -0.3, 0.5)], ids=str)
 def test_a_ball_of_one_colour_is_even(toward):
     picture, brightness = ball(toward, np.ones((SIDE, SIDE)))
-    lit = brightness, evenly_lit(picture, brightness)
+    lit = brightness, without_shading(picture, brightness)
     before, after = (np.log(light[picture.seen]).std() for light in lit)
     assert after < max(0.35 * before, 0.02)
 
@@ -33,7 +33,7 @@ def test_a_dark_stripe_stays():
     paint = np.ones((SIDE, SIDE))
     paint[70:76] = 0.5
     picture, brightness = ball((0, 0.9, 0.4), paint)
-    even = evenly_lit(picture, brightness)
+    even = without_shading(picture, brightness)
     stripe = even[72, 40:80].mean() / even[[60, 86], 40:80].mean()
     assert 0.4 < stripe < 0.6
 
@@ -42,7 +42,7 @@ def test_hot_squares_and_unseen_ones_do_no_harm():
     picture, brightness = ball((0, 0.9, 0.4), np.ones((SIDE, SIDE)))
     hot = brightness.copy()
     hot[::16, ::16] = 1e6
-    clean = evenly_lit(picture, brightness)
-    change = np.abs(evenly_lit(picture, hot) - clean)
+    clean = without_shading(picture, brightness)
+    change = np.abs(without_shading(picture, hot) - clean)
     assert change[picture.seen & (hot < 1e5)].max() < 0.05
     assert (clean[~picture.seen] == 0).all()

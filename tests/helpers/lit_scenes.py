@@ -10,8 +10,8 @@ from scipy.ndimage import gaussian_filter, uniform_filter
 
 from scan2albedo.albedo import EstimateOptions, albedo_error
 from scan2albedo.albedo.levels import usable_texels
-from scan2albedo.albedo.lit_image import LitImage
 from scan2albedo.albedo.prior import AlbedoPrior
+from scan2albedo.albedo.shaded_image import ShadedImage
 from scan2albedo.core import Budget, Meter
 from scan2albedo.core.arrays import on_grid
 from scan2albedo.core.geometry_image import GeometryImage
@@ -147,8 +147,8 @@ def lit_scene(*lights, shape="hemisphere", kind="skin", size=64, seed=0, **setti
     return Scene(replace(image, texture_linear=color), albedo, toward)
 
 
-def lit_image(image, *, brdf="oren-nayar", prior=None, budget=Budget(), **options):
-    """Return an image as a search holds it; `LitImage.posterior` makes its posteriors."""
+def shaded_image(image, *, brdf="oren-nayar", prior=None, budget=Budget(), **options):
+    """Return an image as a search holds it; `ShadedImage.posterior` makes its posteriors."""
     prior = AlbedoPrior.stationary() if prior is None else prior
     chosen, meter = EstimateOptions(**options), Meter("albedo", "", budget)
-    return LitImage(image, usable_texels(image), brdf, (0.0, 0.0, 1.0), chosen, meter, prior)
+    return ShadedImage(image, usable_texels(image), brdf, (0.0, 0.0, 1.0), chosen, meter, prior)

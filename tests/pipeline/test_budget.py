@@ -52,7 +52,7 @@ class Run:
             "template_texture": lambda *given: self.takes(self.costs["template_texture"].make_s, baked),
             "engine_maps": lambda *given: self.takes(self.costs["maps"].make_s, baked),
             "ProcessedFace": SimpleNamespace(of_stages=lambda *given: None),
-            "usual_light": lambda *given: 1.0,
+            "median_light": lambda *given: 1.0,
             "eyes_and_mouth": lambda *given: self.takes(outputs.EYES_S, eyes),
             "on_template": lambda inside, fitted, gain, made: made,
         }.items():

@@ -76,7 +76,7 @@ def test_details_change_the_diffuse_part_and_highlights_tell_nothing_about_them(
         ImageObservation(whole, normals, view, matt.known), model, face, light
     )
     assert (found.usable == [True, True, False]).all()
-    assert found.lit.all()
+    assert found.illuminated.all()
     assert_allclose(found.log_ratio, 0.0, atol=1e-9)
     assert_allclose(found.left_over(), 0.0, atol=1e-9)
     field = np.log([0.7, 1.0, 1.2]) * np.ones((3, 1))

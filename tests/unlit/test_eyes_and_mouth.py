@@ -20,7 +20,7 @@ from scan2albedo.synthetic.textures import landmark_uv
 from scan2albedo.templates import AnnotatedFaceModel
 from scan2albedo.unlit.eyes import GLOBE_MM, LID_LANDMARKS, eyeball_mesh
 from scan2albedo.unlit.eyes_and_mouth import eyes_and_mouth, on_template
-from scan2albedo.unlit.face_features import grown, named_texels
+from scan2albedo.unlit.face_features import grown, texels_of_parts
 from scan2albedo.unlit.template_baking import TemplateTexture
 from tests.unlit.test_face_features import with_shut_eyes
 
@@ -62,7 +62,7 @@ def test_irises_are_found_where_they_are_painted(seen, seed):
     # Dark pupil, bright white, and the openings in the face lie over the eyes.
     rings = right.rings_linear.max(1)
     assert rings[0] < 0.1 * rings[-1]
-    eyes = named_texels(face, ["left_eye", "right_eye"])
+    eyes = texels_of_parts(face, ["left_eye", "right_eye"])
     assert (found.cut_mm[grown(~eyes & face.mask, 0) & ~grown(eyes, 0)] <= 0).all()
     assert (found.cut_mm > 0).sum() > 0.1 * eyes.sum()
 

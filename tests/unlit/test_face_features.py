@@ -11,9 +11,9 @@ from scan2albedo.face_model.materials import CLASSES
 from scan2albedo.unlit.face_features import (
     feature_texels,
     grown,
-    named_texels,
     open_features,
     taken_features,
+    texels_of_parts,
     without_catchlights,
 )
 
@@ -90,7 +90,7 @@ def test_catchlights_go_and_bright_skin_stays(person):
 
 def test_a_hole_in_a_brow_is_filled_from_the_other_side_of_the_same_face(person):
     a, b = person(0, size=128), person(1, size=128)
-    brow = named_texels(b, ["left_brow"])
+    brow = texels_of_parts(b, ["left_brow"])
     hole = brow & (np.arange(128) > np.median(np.nonzero(brow)[1]))
     torn = unseen(painted(b, hole, 0.001), hole)
     dark = painted(a, feature_texels(a)["brows"], 0.2 * a.albedo_linear)
@@ -103,7 +103,7 @@ def test_a_hole_in_a_brow_is_filled_from_the_other_side_of_the_same_face(person)
 
 def with_shut_eyes(face, names=("left_eye", "right_eye")):
     """Return a face whose eyes are painted over with the skin around, as shut lids are."""
-    eyes = grown(named_texels(face, names), 0)
+    eyes = grown(texels_of_parts(face, names), 0)
     skin = np.median(face.albedo_linear[grown(eyes, 0.02) & ~eyes], axis=0)
     return painted(face, eyes, skin)
 
@@ -112,7 +112,7 @@ def test_open_eyes_stay_whole_beside_shut_ones_and_the_face_says_so(person):
     a, b = person(0, size=128), with_shut_eyes(person(1, size=128))
     assert open_features(a)["eyes"]
     assert not open_features(b)["eyes"]
-    eyes = named_texels(a, ["left_eye", "right_eye"])
+    eyes = texels_of_parts(a, ["left_eye", "right_eye"])
     assert gradient_correlation(swap_texture(a, b), a, eyes) > 0.99
     for weight, nearer in ((0.4, a), (0.6, b)):
         made = blend_faces(a, b, weight)
@@ -129,7 +129,7 @@ def test_open_eyes_stay_whole_beside_shut_ones_and_the_face_says_so(person):
 
 def test_a_wide_open_mouth_is_open(person):
     face = person(0, size=256)
-    between = named_texels(face, ["between_lips"])
+    between = texels_of_parts(face, ["between_lips"])
     assert not open_features(face)["mouth"]
     stretched = face.image.position.copy()
     rows = np.cumsum(between, axis=0)

@@ -14,7 +14,7 @@ from scan2albedo.unlit.face_features import (
     dark_sides,
     feature_texels,
     grown,
-    named_texels,
+    texels_of_parts,
     without_gaps,
 )
 
@@ -56,8 +56,8 @@ def test_a_dark_place_away_from_the_rim_stays(person):
 
 def test_a_beard_stays_and_a_sideburn_alone_does_not(person):
     face, sideburns = with_sideburns(person(0))
-    jaws = named_texels(face, JAWS)
-    beard = jaws | (sideburns & face.mask) | named_texels(face, ("left_cheek", "right_cheek"))
+    jaws = texels_of_parts(face, JAWS)
+    beard = jaws | (sideburns & face.mask) | texels_of_parts(face, ("left_cheek", "right_cheek"))
     # Hair that goes on as beard down to the edge of the jaw.
     mixed = sideburns | square(face, (34, None), (0, 12)) & face.mask & ~jaws
     mixed |= grown(mixed, 0) & jaws & square(face, (0, None), (0, 12))

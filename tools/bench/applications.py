@@ -65,7 +65,7 @@ from scan2albedo.synthetic import Material, SyntheticScene, face, light_at
 from scan2albedo.synthetic.face_shape import person
 from scan2albedo.synthetic.renderer import RayScene, render
 from scan2albedo.unlit.face_features import FEATURES as LABELS
-from scan2albedo.unlit.face_features import local_contrast, named_texels, warped
+from scan2albedo.unlit.face_features import local_contrast, texels_of_parts, warped
 
 LIGHTS = [
     light_at(0, 0),
@@ -396,7 +396,7 @@ def features(scene: tuple[ProcessedFace, ProcessedFace], made: ProcessedFace) ->
     shown = [local_contrast(skin, a.mask & b.mask) for skin in (*skins, *moved_skins)]
     row: dict[str, float] = {}
     for name, (label, *_) in LABELS.items():
-        own = [named_texels(face, [label]) for face in (a, b)]
+        own = [texels_of_parts(face, [label]) for face in (a, b)]
         moved = [warped(t.astype(float), flow) > 0.5 for t, flow in zip(own, flows, strict=True)]
         around = np.logical_or.reduce([*own, *moved])
         if own[0].any() and own[1].any():

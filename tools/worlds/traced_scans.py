@@ -14,7 +14,7 @@ from scan2albedo.geometry.mesh import face_normals, normalized
 from scan2albedo.geometry.pinhole import camera_centers, project
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.io.color import encode_srgb_bytes
-from scan2albedo.synthetic.raw_scan import Scanner, assembled, beside, random_pose
+from scan2albedo.synthetic.raw_scan import Scanner, assembled, atlas_uv, random_pose
 from scan2albedo.synthetic.sitter import BodyPart, Sitter, nose_tip
 from worlds.files import write_obj
 from worlds.lamps import rig_named
@@ -161,7 +161,7 @@ def truth_uv(sitter: Sitter, pods: FloatArray) -> FloatArray:
         hidden = caster.occluded(points + BEFORE_MM * view, view).reshape(-1, 4).any(1)
         better[better] = ~hidden
         best[better] = cosine[better]
-        uv[better] = beside(shown[better], np.full((int(better.sum()), 3), k), len(pods))
+        uv[better] = atlas_uv(shown[better], np.full((int(better.sum()), 3), k), len(pods))
     return uv
 
 

@@ -149,10 +149,10 @@ def insert_lenses(
     middles: list[FloatArray | None] = [None, None]
     if lens_centers is not None:
         middles = list(checked_array(lens_centers, (2, 3), "lens_centers", finite=EyeglassesError))
-    given = np.asarray(frame.vertices), np.asarray(frame.faces), marks
+    frame_parts = np.asarray(frame.vertices), np.asarray(frame.faces), marks
     sides = [(side, material) for side, material in enumerate(materials) if material is not None]
     seat: Values = {"seat_mm": _SEAT_MM, "rim_masks": rim_masks}
-    placed = tuple(inserted.insert_lens(*given, k, own, center=middles[k], **seat) for k, own in sides)
+    placed = tuple(inserted.insert_lens(*frame_parts, k, own, center=middles[k], **seat) for k, own in sides)
     bare, glass_notes = inserted.without_glass(frame, placed, marks)
     scene, notes = LensScene(bare, surfaces), list(glass_notes)
     region = _lens_region(matrix, placed, (height, width))

@@ -87,15 +87,15 @@ class _PixelShadows(ShadowMap):
 
     def visible(self, direction: ArrayLike, distance_mm: float = math.inf) -> ByteArray:
         """Return (N,) uint8, 1 where a light reaches the point."""
-        lit = np.zeros(len(self.position), np.uint8)
-        lit[self._stages[0][0]] = self._alone.visible(direction, distance_mm)
+        reached = np.zeros(len(self.position), np.uint8)
+        reached[self._stages[0][0]] = self._alone.visible(direction, distance_mm)
         for at, around in self._stages[1:]:
-            those = lit[around].sum(0)
-            lit[at] = those == len(around)
+            those = reached[around].sum(0)
+            reached[at] = those == len(around)
             unsure = at[(those > 0) & (those < len(around))]
             if len(unsure):
-                lit[unsure] = self._some(unsure).visible(direction, distance_mm)
-        return lit
+                reached[unsure] = self._some(unsure).visible(direction, distance_mm)
+        return reached
 
 
 class LitScene:
@@ -136,15 +136,15 @@ class LitScene:
             if on.pixels is not None:
                 shadows = _PixelShadows(caster, shadows.position, shadows.normal, pixels=on.pixels)
             albedo = self._scene.albedo(on)
-            bare[own], shaded[own] = self._lit(shadows, -on.directions, albedo, skin, self._dimming)
+            bare[own], shaded[own] = self._shade(shadows, -on.directions, albedo, skin, self._dimming)
         return RayColors(bare, shaded, np.zeros(len(surface), bool))
 
     def matte(self, position: FloatArray, normal: FloatArray, albedo: FloatArray) -> FloatArray:
         """Return (N, 3) colours of a matte plate, whose own lens casts no shadow."""
         shadows = ShadowMap(self._scene.caster, position, normal)
-        return self._lit(shadows, normal, albedo, Reflectance("lambert"), ())[0]
+        return self._shade(shadows, normal, albedo, Reflectance("lambert"), ())[0]
 
-    def _lit(
+    def _shade(
         self,
         shadows: ShadowMap,
         view: FloatArray,
@@ -154,7 +154,7 @@ class LitScene:
     ) -> FloatArray:
         """Return (2, N, 3) radiance without lenses, and with what those that dim light take of it."""
         position, strength, near = shadows.position, reflectance.specular_strength, []
-        lit, lost = np.zeros((2, len(position), 3))
+        unfiltered, lost = np.zeros((2, len(position), 3))
         for lens in dimming:
             # Only rays that pass a ball around the lens are shot; float32 may reach a little farther.
             center = (lens.vertices.min(0) + lens.vertices.max(0)) / 2
@@ -166,7 +166,7 @@ class LitScene:
             if strength > 0:
                 radiance += strength * mirrored[:, None]
             radiance *= intensity
-            lit += radiance
+            unfiltered += radiance
             for lens, local, way, outside, reach in near:
                 along = way @ toward
                 ray = np.flatnonzero((facing > 0) & (along >= -reach) & (along**2 >= outside))
@@ -174,7 +174,7 @@ class LitScene:
                 taken = radiance[ray] * (1 - lens.material.transmission)
                 lost[ray] += taken
                 radiance[ray] -= taken
-        return np.stack([lit, np.maximum(lit - lost, 0.0)])
+        return np.stack([unfiltered, np.maximum(unfiltered - lost, 0.0)])
 
 
 class PhotographedScene:

@@ -21,7 +21,7 @@ from scan2albedo.core.arrays import (
 )
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, checked_keypoints, checked_mesh, checked_weights
-from scan2albedo.eyeglasses.mean_keypoints import require_posable, usual_size_factor
+from scan2albedo.eyeglasses.mean_keypoints import require_posable, typical_size_factor
 from scan2albedo.eyeglasses.on_face.outline import MaskDistance, ObservedView
 from scan2albedo.geometry.pinhole import normalized_cameras
 from scan2albedo.geometry.rigid import is_rigid
@@ -170,14 +170,14 @@ def checked_inputs(
     if count == 0:
         raise ValueError("there is no camera; give one or more")
     labels = checked_array(keypoints_2d, (count, len(KEY_POINT_NAMES), 2), "keypoints_2d")
-    given_masks: list[Any] = [None] * count if masks is None else list(masks)  # type: ignore[arg-type]
-    for name, listed in (("masks", given_masks), ("shapes", shapes), ("pictures", pictures)):
+    view_masks: list[Any] = [None] * count if masks is None else list(masks)  # type: ignore[arg-type]
+    for name, listed in (("masks", view_masks), ("shapes", shapes), ("pictures", pictures)):
         if listed is not None and len(listed) != count:
             raise ValueError(f"{name} must have one entry for each of {count} cameras, got {len(listed)}")
-    unit = 1 / usual_size_factor(keypoints)
+    unit = 1 / typical_size_factor(keypoints)
     matrices = normalized_cameras(matrices * np.array([unit, unit, unit, 1.0]))
     views, checked, shown, plan = [], [], [], []
-    for number, (camera, marks, mask) in enumerate(zip(matrices, labels, given_masks, strict=True)):
+    for number, (camera, marks, mask) in enumerate(zip(matrices, labels, view_masks, strict=True)):
         shape = None if shapes is None else (int(shapes[number][0]), int(shapes[number][1]))
         picture = None if pictures is None else pictures[number]
         view = _checked_view(number, camera, marks, mask, shape, picture)

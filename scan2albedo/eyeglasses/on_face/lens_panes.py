@@ -89,9 +89,10 @@ def fit_lenses_to_masks(
             steps.append(PlanStep.doubt("glasses.lenses", reason, evidence))
         elif shown.any() and not sealed and not len(panes):
             reason = f"{_views(shown)} a {name} that the mesh does not have"
-            given = mesh.points.rest, mesh.faces, motion.keypoints, side
             try:
-                lens = insert_lens(*given, LensMaterial(), seat_mm=0.5)
+                lens = insert_lens(
+                    mesh.points.rest, mesh.faces, motion.keypoints, side, LensMaterial(), seat_mm=0.5
+                )
             except EyeglassesError:
                 reason += ", and none fits into the rim: label the mesh's key points anew, or leave out masks"
                 steps.append(PlanStep.doubt("glasses.lenses", reason, evidence))

@@ -298,7 +298,7 @@ class OutlineSampler:
             way, noise, chance = self._search_picture(view, shown, owner, place, outward, limit)
             kept = np.flatnonzero(chance > 0.5)
         edges = place + way[:, None] * outward
-        hidden = self._beside_head(camera, seen.interpolated(vertices), place)
+        hidden = self._hidden_near_head(camera, seen.interpolated(vertices), place)
         kept = kept[~hidden[kept]]
         found, visible = (np.bincount(which, minlength=count) for which in (owner[kept], owner[~hidden]))
         with np.errstate(invalid="ignore"):
@@ -335,7 +335,7 @@ class OutlineSampler:
                 found[:, mine] = search_colors(odds, frame, pixels[mine], outward[mine], reach_px[mine])
         return found
 
-    def _beside_head(self, camera: FloatArray, points: FloatArray, pixels: FloatArray) -> BoolArray:
+    def _hidden_near_head(self, camera: FloatArray, points: FloatArray, pixels: FloatArray) -> BoolArray:
         """Return (N,) True for points that the head hides, or a ray four pixels beside them."""
         hidden = hidden_by(self.head, camera, points)
         if self.head is not None and len(points):

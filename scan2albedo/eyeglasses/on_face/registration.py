@@ -92,63 +92,65 @@ def register_on_face(
     a rendered segmentation with Adam in some thousand renderings; this takes about a hundred evaluations.
     """
     meter = Meter("glasses", "px", budget, on_progress)
-    given = inputs.checked_inputs(glasses, keypoints_2d, masks, cameras, head, start, shapes, pictures)
+    checked = inputs.checked_inputs(glasses, keypoints_2d, masks, cameras, head, start, shapes, pictures)
     with threadpool_limits(1, "blas"):
         # Matrices of 66 rows: more threads only wait for each other.
-        return _Registration(given, options, meter).run()
+        return _Registration(checked, options, meter).run()
 
 
 class _Registration:
     """One registration: what its stages share."""
 
     def __init__(
-        self, given: inputs.RegistrationInputs, options: FaceRegistrationOptions, meter: Meter
+        self, checked: inputs.RegistrationInputs, options: FaceRegistrationOptions, meter: Meter
     ) -> None:
-        self.given, self.options, self.meter = given, options, meter
-        self.steps: list[PlanStep] = list(given.plan)
+        self.inputs, self.options, self.meter = checked, options, meter
+        self.steps: list[PlanStep] = list(checked.plan)
         self.bend_found = True
         self.unseen: FrameEstimate | None = None
-        self.objective = RegistrationObjective(given.keypoints, given.views, options)
-        if given.weights is not None:
+        self.objective = RegistrationObjective(checked.keypoints, checked.views, options)
+        if checked.weights is not None:
             self._note("weights", False, "the glasses bring their own")
-            weights = given.weights
+            weights = checked.weights
         elif not options.bend:
             self._note("weights", False, "the frame stays as it is")
-            weights = np.eye(1, len(given.keypoints), int(np.argmax(given.known)))
-            weights = weights.repeat(len(given.vertices), 0)
+            weights = np.eye(1, len(checked.keypoints), int(np.argmax(checked.known)))
+            weights = weights.repeat(len(checked.vertices), 0)
         else:
             seconds = meter.budget.seconds
             left = None if seconds is None else Budget(seconds=max(seconds - meter.elapsed_s, 1e-3))
             with errors_of("the glasses' weights", EyeglassesError):
-                solved = solve_weights(given.vertices, given.faces, given.keypoints[given.known], budget=left)
+                solved = solve_weights(
+                    checked.vertices, checked.faces, checked.keypoints[checked.known], budget=left
+                )
             evidence = f"{solved.node_count} nodes, {meter.elapsed_s:.2f} s"
             self._note("weights", True, "the glasses bring none", evidence)
-            weights = np.zeros((len(given.vertices), len(given.keypoints)))
-            weights[:, given.known] = solved.weights
-        mesh = outline.FrameMesh(SkinnedPoints(given.vertices, weights), given.faces)
+            weights = np.zeros((len(checked.vertices), len(checked.keypoints)))
+            weights[:, checked.known] = solved.weights
+        mesh = outline.FrameMesh(SkinnedPoints(checked.vertices, weights), checked.faces)
         occluder = None
-        if given.head is not None:
-            coarse = thinned(*given.head, _RESOLUTION_MM)
-            occluder = RayCaster(*((coarse.vertices, coarse.faces) if len(coarse.faces) else given.head))
-        self.sampler = outline.OutlineSampler(mesh, given.views, occluder)
+        if checked.head is not None:
+            coarse = thinned(*checked.head, _RESOLUTION_MM)
+            occluder = RayCaster(*((coarse.vertices, coarse.faces) if len(coarse.faces) else checked.head))
+        self.sampler = outline.OutlineSampler(mesh, checked.views, occluder)
 
     def run(self) -> RegisteredEyeglasses:
         found = self._match_outlines(self._rest_on_nose(self._bend(self._find_pose())))
         found = replace(found, converged=found.converged and not self.meter.out_of_time)
         rest: Any = {"bend_found": self.bend_found, "meter": self.meter, "plan": Plan(tuple(self.steps))}
-        return report(self.given, self.sampler, self.objective, found, **rest)
+        return report(self.inputs, self.sampler, self.objective, found, **rest)
 
     def _note(self, step: str, ran: bool, reason: str, evidence: str = "") -> None:
         self.steps.append(PlanStep(f"{self.meter.stage}.{step}", ran, reason, evidence))
 
     def _find_pose(self) -> FrameEstimate:
-        given, options = self.given, self.options
+        checked, options = self.inputs, self.options
         rigid = partial(self.objective.linearize, samples=None, rigid=True)
-        if not given.labelled:
-            if given.start is None:
-                starts, where = start_poses.poses_on_face(given), "the head puts it on its nose"
+        if not checked.labelled:
+            if checked.start is None:
+                starts, where = start_poses.poses_on_face(checked), "the head puts it on its nose"
             else:
-                starts = start_poses.states_of([given.start], given.keypoints)
+                starts = start_poses.states_of([checked.start], checked.keypoints)
                 where = "the start is taken as given"
             self._note("pose", False, f"no key point is labelled: {where}")
             unseen = FrameEstimate(starts[len(starts) // 2], rigid(starts[len(starts) // 2]), True)
@@ -156,26 +158,28 @@ class _Registration:
             if not any(view.colors is not None for view in self.objective.views):
                 return unseen
             self.unseen = unseen
-            seen = given.keypoints, self.objective.views, self.sampler.head
+            seen = checked.keypoints, self.objective.views, self.sampler.head
             state, spread_mm, gain = start_poses.place_in_pictures(starts, self.sampler.mesh, *seen)
             evidence = f"{gain:.0f} nats a view; known to {', '.join(f'{s:.1f}' for s in spread_mm)} mm"
             self._note("pictures", True, "placed where its projection parts the colours best", evidence)
             return FrameEstimate(state, rigid(state), True)
-        starts = start_poses.starting_poses(given.keypoints, given.views, options.label_noise_px, given.start)
+        starts = start_poses.starting_poses(
+            checked.keypoints, checked.views, options.label_noise_px, checked.start
+        )
         self.meter.count(len(starts))
         found = self._fit_labels("pose", rigid, min(starts, key=lambda state: rigid(state).cost))
         error_px = found.at.median_label_px
         self._note("pose", True, f"the best of {len(starts)} starts, refined", f"{error_px:.2f} px")
         # A descent that the budget cut short fits badly without being mirrored.
         if error_px > options.label_noise_px and not self.meter.exhausted:
-            start_poses.require_unmirrored(given, options, error_px)
+            start_poses.require_unmirrored(checked, options, error_px)
         return found
 
     def _look_at_pictures(self, state: FrameState) -> None:
         """Let pictures stand in for masks, their colours grouped around where the frame is about."""
         motion, views = self.objective.motion(state), []
         place = motion.positions(self.sampler.mesh.points)
-        for view, picture in zip(self.given.views, self.given.pictures, strict=True):
+        for view, picture in zip(self.inputs.views, self.inputs.pictures, strict=True):
             colors = None
             if view.distance is None and picture is not None:
                 colors = outline.grouped_colors(picture, project(view.camera, place)[0])
@@ -186,18 +190,18 @@ class _Registration:
         """Leave pictures aside that do not show the frame; return where it was before they were looked at."""
         reason = "the frame is not found in the pictures: nothing is proposed; label key points"
         self.steps.append(PlanStep.doubt("glasses.pictures", reason, evidence))
-        self._watch(tuple(replace(view, colors=None) for view in self.given.views))
+        self._watch(tuple(replace(view, colors=None) for view in self.inputs.views))
         return self.unseen
 
     def _watch(self, views: tuple[outline.ObservedView, ...]) -> None:
         """Take other views from here on."""
-        given, sampler = self.given.keypoints, self.sampler
-        self.given = replace(self.given, views=views)
-        self.objective = RegistrationObjective(given, views, self.options, self.objective.contact)
+        keypoints, sampler = self.inputs.keypoints, self.sampler
+        self.inputs = replace(self.inputs, views=views)
+        self.objective = RegistrationObjective(keypoints, views, self.options, self.objective.contact)
         self.sampler = outline.OutlineSampler(sampler.mesh, views, sampler.head, sampler.shown)
 
     def _bend(self, before: FrameEstimate) -> FrameEstimate:
-        if not (self.options.bend and self.given.labelled):
+        if not (self.options.bend and self.inputs.labelled):
             why = "no key point is labelled" if self.options.bend else "the frame stays as it is"
             self._note("key_points", False, why)
             return before
@@ -213,17 +217,17 @@ class _Registration:
 
     def _rest_on_nose(self, before: FrameEstimate) -> FrameEstimate:
         motion = self.objective.motion(before.state)
-        depth = depth_open(self.given, motion, before.at)
+        depth = depth_open(self.inputs, motion, before.at)
         evidence = f"depth known to {depth:.1f} mm"
-        if depth <= _RESOLUTION_MM or self.given.head is None:
+        if depth <= _RESOLUTION_MM or self.inputs.head is None:
             reason = "the views see depth" if depth <= _RESOLUTION_MM else "there is no head to rest on"
             self._note("contact", False, reason, evidence)
             return before
-        contact = objective.HeadContact(self.sampler.mesh.points, *self.given.head)
+        contact = objective.HeadContact(self.sampler.mesh.points, *self.inputs.head)
         if not contact or self.meter.exhausted:
             self._note("contact", False, "the frame has no front, or the budget has ended", evidence)
             return before
-        contact.orient(motion, camera_centers(np.stack([view.camera for view in self.given.views])))
+        contact.orient(motion, camera_centers(np.stack([view.camera for view in self.inputs.views])))
         contact.select_candidates(motion)
         gap = abs(contact.nearest_point(motion)[2])
         if gap > WORN_MM:
@@ -247,8 +251,8 @@ class _Registration:
 
     def _show_lenses(self, state: FrameState) -> None:
         """Take lenses out of the outline, or put them in, as each view's mask shows them."""
-        motion, views = self.objective.motion(state), self.given.views
-        masks = [m if v.distance is not None else None for v, m in zip(views, self.given.masks, strict=True)]
+        motion, views = self.objective.motion(state), self.inputs.views
+        masks = [m if v.distance is not None else None for v, m in zip(views, self.inputs.masks, strict=True)]
         for number, view in enumerate(views):
             if view.colors is not None:
                 masks[number] = outline.color_odds(view.colors, self.sampler.mask(motion, number)[0]) > 0
@@ -259,24 +263,24 @@ class _Registration:
         self.sampler = outline.OutlineSampler(mesh, views, sampler.head, shown)
 
     def _match_outlines(self, before: FrameEstimate) -> FrameEstimate:
-        if self.given.labelled and any(picture is not None for picture in self.given.pictures):
+        if self.inputs.labelled and any(picture is not None for picture in self.inputs.pictures):
             self._look_at_pictures(before.state)
-        if not any(view.outlined for view in self.given.views):
+        if not any(view.outlined for view in self.inputs.views):
             self._note("outlines", False, "no view has a mask or a picture")
             return before
         if self.meter.exhausted:
             self._note("outlines", False, "the budget has ended")
             return replace(before, converged=False)
         self._show_lenses(before.state)
-        views = self.given.views
+        views = self.inputs.views
         found, first, settled = before, np.nan, False
         moves: list[float] = []
-        known = self.given.known
+        known = self.inputs.known
         motion = self.objective.motion(before.state)
         # What labels leave open: outlines that have found a wrong place would call it certain.
-        deviation_mm = mark_deviations(self.given, motion, before.at)
-        if not self.given.labelled and any(view.colors is not None for view in views):
-            lever = norms(np.nan_to_num(self.given.keypoints - motion.center))
+        deviation_mm = mark_deviations(self.inputs, motion, before.at)
+        if not self.inputs.labelled and any(view.colors is not None for view in views):
+            lever = norms(np.nan_to_num(self.inputs.keypoints - motion.center))
             # Half the step between the slopes that were tried.
             deviation_mm = float(np.diff(start_poses.LEANS_RAD).max()) / 2 * lever
         # One clock for all tracings: the rows of a stage count from its start.
@@ -291,21 +295,21 @@ class _Registration:
                 return lost or found
             start = found.state
             # Without labels the first outlines may be beside the true ones: bends would follow them.
-            rigid = not (self.options.bend and (self.given.labelled or len(moves) > 2))
+            rigid = not (self.options.bend and (self.inputs.labelled or len(moves) > 2))
             linearize = partial(self.objective.linearize, samples=samples, rigid=rigid)
             found = descend(linearize, start, meter, steps=6, tolerance=1e-3, error="mean_outline_px")
             first = found.at.mean_outline_px if not moves else first
-            if not self.given.labelled and self.options.bend:
+            if not self.inputs.labelled and self.options.bend:
                 # What is open to bends so far is looked for farther away.
                 at = self.objective.linearize(found.state, samples)
-                deviation_mm = mark_deviations(self.given, self.objective.motion(found.state), at)
+                deviation_mm = mark_deviations(self.inputs, self.objective.motion(found.state), at)
             # The longest way of a key point, in its standard deviations: half of one has settled. It may
             # grow once, for tracing jumps from pixel to pixel.
             places = []
             for state in (start, found.state):
                 world = self.objective.motion(state).world_from_frame
-                places.append(transform_points(world, self.given.keypoints[known] + state.shifts[known]))
-            deviation = mark_deviations(self.given, self.objective.motion(found.state), found.at)[known]
+                places.append(transform_points(world, self.inputs.keypoints[known] + state.shifts[known]))
+            deviation = mark_deviations(self.inputs, self.objective.motion(found.state), found.at)[known]
             moves.append(float((norms(places[1] - places[0]) / deviation).max()))
             increases = sum(move > min(moves[:i]) for i, move in enumerate(moves) if i)
             settled = (moves[-1] < 0.5 or increases > 1) and rigid != self.options.bend

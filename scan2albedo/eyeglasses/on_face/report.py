@@ -48,7 +48,7 @@ _LEAST_NOISE_PX = 0.3
 
 
 def report(
-    given: RegistrationInputs,
+    inputs: RegistrationInputs,
     sampler: OutlineSampler,
     objective: RegistrationObjective,
     found: FrameEstimate,
@@ -58,30 +58,32 @@ def report(
     plan: Plan,
 ) -> RegisteredEyeglasses:
     """Return the result of a registration that ended in `found`."""
-    options, state, unit = objective.options, found.state, given.unit
+    options, state, unit = objective.options, found.state, inputs.unit
     motion = objective.motion(state)
     # Behind the frame's own points there may be those of lenses that only masks show.
-    points = sampler.mesh.points[: len(given.vertices)]
+    points = sampler.mesh.points[: len(inputs.vertices)]
     vertices, keypoints = motion.positions(points), motion.positions(motion.marks)
-    samples = sampler.sample(motion, mark_deviations(given, motion, found.at))
+    samples = sampler.sample(motion, mark_deviations(inputs, motion, found.at))
     at = objective.linearize(state, samples, rigid=not options.bend)
     shown = _noise_shown(options, at)
-    known_to = _certainty(given, objective, shown, motion, points, samples)
-    visible = np.stack([_visible(sampler, view, vertices) for view in given.views])
-    marks_visible = np.stack([_visible(sampler, view, keypoints) for view in given.views]) & given.known
-    depth = known_to.inflation * _depth_deviation(given.views, keypoints, known_to.covariances, marks_visible)
+    known_to = _certainty(inputs, objective, shown, motion, points, samples)
+    visible = np.stack([_visible(sampler, view, vertices) for view in inputs.views])
+    marks_visible = np.stack([_visible(sampler, view, keypoints) for view in inputs.views]) & inputs.known
+    depth = known_to.inflation * _depth_deviation(
+        inputs.views, keypoints, known_to.covariances, marks_visible
+    )
     # With more than a third of the labels off, which are the right ones is a guess.
     errors = at.labels_px[~np.isnan(at.labels_px)]
     misfit = float((errors > 3 * options.label_noise_px).mean()) if len(errors) else 0.0
     trusted = bend_found and misfit <= 1 / 3
-    fit = _fit_to_masks(given, sampler, motion, samples, at, shown.outline_noise_px)
+    fit = _fit_to_masks(inputs, sampler, motion, samples, at, shown.outline_noise_px)
     # More pixels than 25 are a patch as wide as a temple.
-    wrong = (fit.differing > 25) & given.known
+    wrong = (fit.differing > 25) & inputs.known
     sought = marks_visible & (known_to.keypoints <= OBSERVED_MM)
-    proposed = _propose(given, sampler, motion, samples, known_to, sought, shown.outline_noise_px)
+    proposed = _propose(inputs, sampler, motion, samples, known_to, sought, shown.outline_noise_px)
     apart = 0.0
-    if given.head is not None:
-        apart = float(ClosestPointQuery(*given.head).query(keypoints[given.known]).distance.min())
+    if inputs.head is not None:
+        apart = float(ClosestPointQuery(*inputs.head).query(keypoints[inputs.known]).distance.min())
     names = ", ".join(name for name, bad in zip(KEY_POINT_NAMES, wrong, strict=True) if bad)
     nothing = "nothing counts as observed"
     doubts = (
@@ -106,7 +108,7 @@ def report(
             "",
         ),
         (
-            given.head is not None and not marks_visible.any(),
+            inputs.head is not None and not marks_visible.any(),
             "head",
             "the head hides all of the frame: is it in the cameras' frame and unit?",
             "",
@@ -116,8 +118,8 @@ def report(
     rows = proposed.steps + [
         PlanStep.doubt(f"glasses.{name}", *said) for holds, name, *said in doubts if holds
     ]
-    hidden = given.known & ~marks_visible.any(0)
-    uncertain = given.known & ~hidden & (known_to.keypoints > OBSERVED_MM)
+    hidden = inputs.known & ~marks_visible.any(0)
+    uncertain = inputs.known & ~hidden & (known_to.keypoints > OBSERVED_MM)
     for lost, why in ((hidden, "hidden in all views"), (uncertain, "seen, but not well enough")):
         if lost.any():
             worst = f"up to {known_to.keypoints[lost].max():.1f} mm standard deviation"
@@ -126,11 +128,11 @@ def report(
     world, transforms = motion.world_from_frame.copy(), motion.transforms.copy()
     world[:3, 3] *= unit
     transforms[:, :3, 3] *= unit
-    known = np.where(given.known, 1.0, np.nan)
+    known = np.where(inputs.known, 1.0, np.nan)
     near = known_to.vertices <= OBSERVED_MM
     return RegisteredEyeglasses(
         vertices=unit * vertices,
-        faces=given.faces,
+        faces=inputs.faces,
         weights=points.weights,
         keypoints=unit * keypoints * known[:, None],
         world_from_glasses=world,
@@ -186,7 +188,7 @@ class _Certainty:
 
 
 def _certainty(
-    given: RegistrationInputs,
+    inputs: RegistrationInputs,
     objective: RegistrationObjective,
     shown: FaceRegistrationOptions,
     motion: FrameMotion,
@@ -198,10 +200,10 @@ def _certainty(
     root = _root(weighted.linearize(motion.state, samples, rigid=not shown.bend).matrix)
     # Pictures from one place leave more open than the matrix says.
     inflation = 1.0
-    used = [view for view in given.views if view.outlined or finite_rows(view.labels).any()]
+    used = [view for view in inputs.views if view.outlined or finite_rows(view.labels).any()]
     if used:
         centers = camera_centers(np.stack([view.camera for view in used]))
-        away = np.linalg.norm(motion.positions(motion.marks)[given.known].mean(0) - centers[0])
+        away = np.linalg.norm(motion.positions(motion.marks)[inputs.known].mean(0) - centers[0])
         if norms(centers - centers[0]).max() <= _APART * away:
             inflation = _ONE_VIEW if objective.contact is None else _ONE_VIEW_RESTED
 
@@ -231,20 +233,20 @@ class _MaskFit:
 
 
 def _fit_to_masks(
-    given: RegistrationInputs,
+    inputs: RegistrationInputs,
     sampler: OutlineSampler,
     motion: FrameMotion,
     samples: OutlineSamples,
     at: Linearization,
     noise_px: float,
 ) -> _MaskFit:
-    count = len(given.views)
+    count = len(inputs.views)
     outline_rms, iou, differing = (
         np.full(count, np.nan),
         np.full(count, np.nan),
-        np.zeros(len(given.keypoints)),
+        np.zeros(len(inputs.keypoints)),
     )
-    for number, (view, mask) in enumerate(zip(given.views, given.masks, strict=True)):
+    for number, (view, mask) in enumerate(zip(inputs.views, inputs.masks, strict=True)):
         seen = at.outline_px[samples.view == number]
         if len(seen):
             outline_rms[number] = rms(seen)
@@ -265,7 +267,7 @@ class _Proposals:
 
 
 def _propose(
-    given: RegistrationInputs,
+    inputs: RegistrationInputs,
     sampler: OutlineSampler,
     motion: FrameMotion,
     samples: OutlineSamples,
@@ -279,7 +281,7 @@ def _propose(
         np.full((*sought.shape, 2), np.nan), np.full(sought.shape, np.nan), [None] * len(sought), []
     )
     scale = known_to.keypoints**2 / np.maximum(np.trace(covariances, axis1=1, axis2=2), 1e-12)
-    for number, view in enumerate(given.views):
+    for number, view in enumerate(inputs.views):
         if view.colors is None:
             continue
         pixels, slopes, _ = projected(view.camera[None], keypoints)
@@ -311,19 +313,19 @@ def _root(matrix: FloatArray) -> FloatArray:
     return vectors / np.sqrt(values) / scale[:, None]
 
 
-def depth_open(given: RegistrationInputs, motion: FrameMotion, at: Linearization) -> float:
+def depth_open(inputs: RegistrationInputs, motion: FrameMotion, at: Linearization) -> float:
     """Return the standard deviation of the key points along the line of sight, mm, the head left aside."""
-    if not given.labelled:
+    if not inputs.labelled:
         return _ANYWHERE_MM
     covariances = motion.covariances(motion.marks, _root(at.matrix))
-    seen = np.tile(given.known, (len(given.views), 1))
-    return _depth_deviation(given.views, motion.positions(motion.marks), covariances, seen)
+    seen = np.tile(inputs.known, (len(inputs.views), 1))
+    return _depth_deviation(inputs.views, motion.positions(motion.marks), covariances, seen)
 
 
-def mark_deviations(given: RegistrationInputs, motion: FrameMotion, at: Linearization) -> FloatArray:
+def mark_deviations(inputs: RegistrationInputs, motion: FrameMotion, at: Linearization) -> FloatArray:
     """Return (20,) standard deviations in mm of the key points, each in its worst direction."""
-    if not given.labelled and len(at.outline_px) == 0:
-        return np.full(len(given.keypoints), _ANYWHERE_MM)
+    if not inputs.labelled and len(at.outline_px) == 0:
+        return np.full(len(inputs.keypoints), _ANYWHERE_MM)
     covariances = motion.covariances(motion.marks, _root(at.matrix))
     return np.sqrt(np.maximum(np.linalg.eigvalsh(covariances)[:, -1], 0.0))
 

@@ -45,37 +45,37 @@ LEANS_RAD = (-0.1, 0.04, 0.18)
 """How far a frame's temples may slope: turns about the way to the left that are tried in pictures."""
 
 
-def poses_on_face(given: RegistrationInputs) -> list[FrameState]:
+def poses_on_face(inputs: RegistrationInputs) -> list[FrameState]:
     """Return states of a frame worn by a head in the face model's frame, one for each slope of its temples.
 
     It looks ahead as the face does, its rims' middle before that of the model's eyes, and is moved back until
     its front touches. Raises EyeglassesError without a head, or where the head does not lie in that frame.
     """
     advice = "label 4 or more key points in one view, 3 or more in two, or give a start"
-    if given.head is None:
+    if inputs.head is None:
         raise EyeglassesError(f"no key point is labelled, and there is no head to put the frame on: {advice}")
     # The model is in mm, the head in the caller's unit, which glasses tell to a power of ten.
-    mm = 10.0 ** -np.round(np.log10(given.unit)) * given.unit
+    mm = 10.0 ** -np.round(np.log10(inputs.unit)) * inputs.unit
     landmarks = default_model().landmarks
     assert landmarks is not None
-    away = ClosestPointQuery(*given.head).query(landmarks / mm).distance
+    away = ClosestPointQuery(*inputs.head).query(landmarks / mm).distance
     if not float(np.median(away)) * mm <= WORN_MM / 2:
         where = "is not in the face model's frame, mm, looking along +z"
         raise EyeglassesError(f"no key point is labelled, and the head to put the frame on {where}: {advice}")
     eyes = landmarks[36:48].mean(0) / mm
     rims = np.array(["rim_top" in name or "rim_bottom" in name for name in KEY_POINT_NAMES])
-    middle = np.nanmean(given.keypoints[rims if given.known[rims].any() else given.known], axis=0)
-    nearest = cKDTree(given.keypoints[given.known]).query(given.vertices)[1]
-    front = given.vertices[~BEHIND[np.flatnonzero(given.known)[nearest]]]
-    caster, found = RayCaster(*given.head), []
-    far = 2 * float(np.ptp(given.vertices, axis=0).max())
+    middle = np.nanmean(inputs.keypoints[rims if inputs.known[rims].any() else inputs.known], axis=0)
+    nearest = cKDTree(inputs.keypoints[inputs.known]).query(inputs.vertices)[1]
+    front = inputs.vertices[~BEHIND[np.flatnonzero(inputs.known)[nearest]]]
+    caster, found = RayCaster(*inputs.head), []
+    far = 2 * float(np.ptp(inputs.vertices, axis=0).max())
     for lean in LEANS_RAD:
-        turn = rotation_from_vector(np.array([lean, 0, 0])) @ own_axes(given.keypoints)
+        turn = rotation_from_vector(np.array([lean, 0, 0])) @ own_axes(inputs.keypoints)
         start = compose(turn, eyes + [0.0, 0.0, far] - turn @ middle)
         hits = caster.first_hit(transform_points(start, front), np.tile([0.0, 0.0, -1.0], (len(front), 1)))
         start[2, 3] -= hits.distance.min() if np.isfinite(hits.distance).any() else far
         found.append(start)
-    return states_of(found, given.keypoints)
+    return states_of(found, inputs.keypoints)
 
 
 def place_in_pictures(
@@ -163,13 +163,13 @@ def _color_gain(
 
 
 def starting_poses(
-    keypoints: FloatArray, views: Views, noise_px: float, given: FloatArray | None
+    keypoints: FloatArray, views: Views, noise_px: float, start: FloatArray | None
 ) -> list[FrameState]:
     """Return at least one unbent state to start from, of a frame with key points (K, 3) at rest.
 
     Raises EyeglassesError when there is none, or the units of frame and cameras differ.
     """
-    poses = [] if given is None else [given]
+    poses = [] if start is None else [start]
     labels, cameras = np.stack([v.labels for v in views]), np.stack([v.camera for v in views])
     placed = triangulate(labels, cameras, noise_px=noise_px)
     good = finite_rows(placed.points) & finite_rows(keypoints) & (placed.inliers.sum(0) >= 2)
@@ -232,13 +232,13 @@ def _from_one_view(keypoints: FloatArray, view: ObservedView, noise_px: float) -
     return world_from_camera @ camera_from_frame
 
 
-def require_unmirrored(given: RegistrationInputs, options: FaceRegistrationOptions, error_px: float) -> None:
+def require_unmirrored(inputs: RegistrationInputs, options: FaceRegistrationOptions, error_px: float) -> None:
     """Raise EyeglassesError where exchanging left and right explains labels far better than `error_px`."""
-    views = tuple(replace(view, labels=view.labels[MIRROR]) for view in given.views)
-    objective = RegistrationObjective(given.keypoints, views, options)
+    views = tuple(replace(view, labels=view.labels[MIRROR]) for view in inputs.views)
+    objective = RegistrationObjective(inputs.keypoints, views, options)
     rigid = partial(objective.linearize, samples=None, rigid=True)
     try:
-        starts = starting_poses(given.keypoints, views, options.label_noise_px, None)
+        starts = starting_poses(inputs.keypoints, views, options.label_noise_px, None)
     except EyeglassesError:
         return
     first = min(starts, key=lambda state: rigid(state).cost)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import binary_erosion, label
 
-from scan2albedo.applications.relighting import RelightOptions, as_lit
+from scan2albedo.applications.relighting import RelightOptions, prepared_for_light
 from scan2albedo.core import EnvironmentLight, GeometryImage, PointLight
 from scan2albedo.core.arrays import (
     BoolArray,
@@ -177,8 +177,8 @@ def viewer_entry(
     """
     image = face.image
     mesh = thinned_chart(image) if face.mesh.from_chart else face.mesh
-    lit, assumed = as_lit(face, RelightOptions()) if face.has_albedo else (face, ())
-    skin = lit.reflectance
+    prepared, assumed = prepared_for_light(face, RelightOptions()) if face.has_albedo else (face, ())
+    skin = prepared.reflectance
     # The portrait's camera, as `applications.default_camera` has it.
     middle, radius, depth = portrait_frame(face.mesh.vertices)
     frame = {"middle": middle.tolist(), "radius": radius, "margin": PORTRAIT_MARGIN, "depth": depth}
@@ -202,11 +202,11 @@ def viewer_entry(
     }
     if image.texture_linear is not None:
         entry["texture"] = texture_entry(image.texture_linear, image.mask, size, quality=quality, factor=1.0)
-    if (lit.albedo_linear != face.albedo_linear).any():
-        both = lit.albedo_linear, face.albedo_linear
+    if (prepared.albedo_linear != face.albedo_linear).any():
+        both = prepared.albedo_linear, face.albedo_linear
         entry["filled"] = patch_entry(*both, image.mask, size, entry["albedo"]["factor"])
-    if lit.image.specular_scale is not None and skin.specular_strength > 0:
-        entry["gloss"] = gray_entry(lit.image.specular_scale.astype(float), image.mask, size)
+    if prepared.image.specular_scale is not None and skin.specular_strength > 0:
+        entry["gloss"] = gray_entry(prepared.image.specular_scale.astype(float), image.mask, size)
     if soft_shadows and face.environment is not None and face.environment.occluded:
         entry["soft"] = _soft_light(face, face.environment, mesh)
     return entry

@@ -119,10 +119,10 @@ def canonicalize_frames(
     """
     begun, spend, mean_mm = time.perf_counter(), Budget.of(budget), None
     if mean is not None:
-        given, unit = read_keypoints_with_unit(mean)
+        points, unit = read_keypoints_with_unit(mean)
         if unit == "unknown":
             raise EyeglassesError(f"key points {mean} do not say their unit; a mean needs one: mm, cm or m")
-        mean_mm = given * MM_PER_UNIT[unit]
+        mean_mm = points * MM_PER_UNIT[unit]
     result = eyeglasses.canonicalize(
         [frame.scan for frame in frames],
         [frame.keypoints for frame in frames],
@@ -131,8 +131,8 @@ def canonicalize_frames(
         options=replace(options, skip_failed=True),
         on_progress=on_progress,
     )
-    named = ((frames[i].files["mesh"].file, reason) for i, reason in result.failures.items())
-    lost = (FailedFrameRecord(file=file, reason=reason) for file, reason in named)
+    failed = ((frames[i].files["mesh"].file, reason) for i, reason in result.failures.items())
+    lost = (FailedFrameRecord(file=file, reason=reason) for file, reason in failed)
     called = {name: value for name, value in asdict(options).items() if name != "skip_failed"}
     called |= {"mean": mean, "budget_s": spend.seconds, "budget_evaluations": spend.evaluations}
     done = tuple(frames[i] for i in result.numbers)

@@ -25,7 +25,7 @@ from scan2albedo.io.publication import result_folder
 from scan2albedo.io.run_folder import RunFolder
 from scan2albedo.registration import register
 from scan2albedo.runs.eyeglasses import inputs, lenses_run, register_run
-from scan2albedo.runs.eyeglasses.inputs import GlassesInput, keypoints_beside
+from scan2albedo.runs.eyeglasses.inputs import GlassesInput, keypoints_path
 from scan2albedo.runs.eyeglasses.lenses_run import run_lenses
 from scan2albedo.runs.eyeglasses.register_run import PlacedFrame, register_frame, write_registration_files
 from scan2albedo.synthetic import Scanner, Wearer, raw_scan, wearer
@@ -79,7 +79,7 @@ def compare_with_wearer(placed: PlacedFrame, person: Wearer, head: Head = "fitte
     """Return the errors of a registered synthetic frame."""
     result, glasses = placed.result, person.glasses
     # Reading a mesh may drop and renumber vertices.
-    same = cKDTree(glasses.rest_vertices).query(placed.given.frame.scan.vertices)[1]
+    same = cKDTree(glasses.rest_vertices).query(placed.inputs.frame.scan.vertices)[1]
     error = norms(result.vertices - person.vertices[same])
     seen, observed = person.seen[same], result.observed
     off = result.keypoints - person.keypoints
@@ -128,13 +128,13 @@ def run_glasses_demo(
     RunFolder(folder, register_run.FILES).check()
     RunFolder(folder / LENSES, lenses_run.FILES).check()
     person = person or wearer(seed)
-    given = write_wearer(person, fitted_face(seed, on_progress) if head == "fitted" else None, folder)
-    placed = register_frame(given, on_progress=on_progress)
+    glasses_input = write_wearer(person, fitted_face(seed, on_progress) if head == "fitted" else None, folder)
+    placed = register_frame(glasses_input, on_progress=on_progress)
     write_registration_files(placed, folder)
     if head == "fitted":
         # From the files that `glasses lenses` would read.
-        middle = given.cameras[len(given.cameras) // 2].name
-        head_file, cameras_file = (Path(given.files[what].file) for what in ("head", "cameras"))
+        middle = glasses_input.cameras[len(glasses_input.cameras) // 2].name
+        head_file, cameras_file = (Path(glasses_input.files[what].file) for what in ("head", "cameras"))
         source = inputs.read_lens_scene(folder / "registered.glb", head_file, cameras_file, views=[middle])
         lens = LensMaterial(dioptres=-6.0, beta=0.04)
         run_lenses(source, (lens, lens), eyeglasses.LensPictureOptions(), folder / LENSES, say)
@@ -165,7 +165,7 @@ def write_wearer(person: Wearer, head: Mesh | None, out: Path) -> GlassesInput:
         known = {file.sha256 for file in RunFolder(out, register_run.FILES).read().inputs.values()}
     with result_folder(folder, staged_in=out) as staging:
         write_obj(staging / "frame.obj", glasses.rest_vertices, glasses.faces)
-        write_keypoints(keypoints_beside(staging / "frame.obj"), glasses.rest_keypoints, unit="mm")
+        write_keypoints(keypoints_path(staging / "frame.obj"), glasses.rest_keypoints, unit="mm")
         eyeglasses.write_cameras(staging / "cameras.json", cameras)
         write_labels(staging / "labels.json", person.labels, [camera.name for camera in cameras])
         eyeglasses.write_masks(staging / "masks", list(person.masks), cameras)

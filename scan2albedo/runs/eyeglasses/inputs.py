@@ -90,7 +90,7 @@ class GlassesInput:
     rim_masks: tuple[tuple[FloatArray, BoolArray], ...] = ()
 
 
-def keypoints_beside(mesh: Path) -> Path:
+def keypoints_path(mesh: Path) -> Path:
     """Return where a mesh's key points are looked for: ``<stem>.keypoints.json`` beside it."""
     return mesh.with_name(f"{mesh.stem}.keypoints.json")
 
@@ -116,16 +116,16 @@ def read_frame(
     cannot be read or has another size; ValueError for an unknown unit.
     """
     check_unit(unit)
-    marks_file = keypoints_beside(mesh) if keypoints is None else keypoints
+    marks_file = keypoints_path(mesh) if keypoints is None else keypoints
     marks, marks_unit = np.full((len(KEY_POINT_NAMES), 3), np.nan), "unknown"
     placed = keypoints is not None or (marks_file.is_file() and not fill)
     if placed:
         marks, marks_unit = read_keypoints_with_unit(marks_file)
     own = finite_rows(marks)
     deviations: dict[str, float] = {}
-    told: list[str] = []
-    usual = WIDTHS_MM if widths_mm is None else widths_mm
-    low, high = (np.array(PLAUSIBLE_GLASSES_MM) * usual / WIDTHS_MM).tolist()
+    messages: list[str] = []
+    width_range = WIDTHS_MM if widths_mm is None else widths_mm
+    low, high = (np.array(PLAUSIBLE_GLASSES_MM) * width_range / WIDTHS_MM).tolist()
     marks_mm = MM_PER_UNIT.get(marks_unit, 0.0)
     scale = 0.0
     ratio = 1.0
@@ -154,7 +154,7 @@ def read_frame(
             marks = np.where(own[:, None], marks, proposed.points / ratio)
             stated = zip(KEY_POINT_NAMES, proposed.deviation, own, strict=True)
             deviations.update({n: float(sd) for n, sd, by_hand in stated if np.isfinite(sd) and not by_hand})
-            told.append(proposed_note(deviations, int(own.sum()), proposed.log_odds))
+            messages.append(proposed_note(deviations, int(own.sum()), proposed.log_odds))
         width = front_width(ratio * marks, parsed.vertices)
         if mm_per_unit is not None or frame_width_mm is not None:
             scale = mm_per_unit or (frame_width_mm or 0.0) / width
@@ -167,7 +167,7 @@ def read_frame(
         elif proposed is not None and proposed.unit != "unknown":
             scale, how = proposed.mm_per_unit, f"{proposed.unit}, in which a mean face wears it"
         else:
-            fits = [u for u, mm in MM_PER_UNIT.items() if usual[0] <= width * mm <= usual[1]]
+            fits = [u for u, mm in MM_PER_UNIT.items() if width_range[0] <= width * mm <= width_range[1]]
             if len(fits) == 1:
                 scale, how = MM_PER_UNIT[fits[0]], f"{fits[0]}, decided from its front's width"
             elif fits or widths_mm is None or not width > 0:
@@ -175,16 +175,16 @@ def read_frame(
                 how = how.removeprefix("unit: ")
             how += " (assumed: `canonicalize` and `register` take the true one, such as --frame-width 140)"
         size = f"front {width:.4g} units wide" + f", {width * scale:.4g} mm" * (scale > 0)
-        if widths_mm is not None and width > 0 and not usual[0] <= width * scale <= usual[1]:
+        if widths_mm is not None and width > 0 and not width_range[0] <= width * scale <= width_range[1]:
             raise EyeglassesError(
                 f"{mesh.name}: {size}{f' (unit: {how})' if scale else ' in the file'}, but spectacles are "
-                f"{usual[0]:g} to {usual[1]:g} mm wide: give what the front measures by --frame-width, "
-                "or admit other --widths"
+                f"{width_range[0]:g} to {width_range[1]:g} mm wide: give what the front measures by "
+                "--frame-width, or admit other --widths"
             )
         return scale, f"unit: {how}; {size}" if width > 0 else f"unit: {how}"
 
     scan = load_scan_with(mesh, decide)
-    scan = replace(scan, notes=(*scan.notes, *told))
+    scan = replace(scan, notes=(*scan.notes, *messages))
     files = {"mesh": _hashed(mesh, mesh=True)} | ({"keypoints": _hashed(marks_file)} if placed else {})
     return GlassesFrame(scan.name, scan, marks * ratio * scale, scale, files, deviations_mm=deviations)
 
@@ -232,15 +232,15 @@ def read_registration(
         with errors_of(f"labels {labels}", EyeglassesError):
             pixels = listed.of_cameras([camera.name for camera in views])
     for camera, marks in zip(views, pixels, strict=True):
-        given, limit = marks[finite_rows(marks)], np.array(camera.shape[::-1]) - 0.5
-        outside = int(((given < -0.5) | (given > limit)).any(1).sum())
-        if len(given) == 0:
+        labelled, limit = marks[finite_rows(marks)], np.array(camera.shape[::-1]) - 0.5
+        outside = int(((labelled < -0.5) | (labelled > limit)).any(1).sum())
+        if len(labelled) == 0:
             notes.append(f"no label in the view of {camera.name!r}")
         elif outside:
             size, whose = f"{camera.shape[1]} x {camera.shape[0]} pixels", f"labels of {camera.name!r}"
-            notes.append(f"{outside} of {len(given)} {whose} lie outside its picture of {size}")
-    found = _read_named("mask", masks, views, files, notes)
-    photographs = _read_named("picture", pictures, views, files, notes)
+            notes.append(f"{outside} of {len(labelled)} {whose} lie outside its picture of {size}")
+    found = _read_per_camera("mask", masks, views, files, notes)
+    photographs = _read_per_camera("picture", pictures, views, files, notes)
     pose = None
     if start is not None:
         npz = start.suffix.lower() == CANONICAL
@@ -296,7 +296,7 @@ def read_lens_scene(
             f"cameras {cameras}: there is no view {strange[0]!r}, only {', '.join(by_name)}"
         )
     chosen = tuple(by_name[name] for name in dict.fromkeys(views)) or every
-    if keypoints is None and not keypoints_beside(frame).is_file():
+    if keypoints is None and not keypoints_path(frame).is_file():
         shared = frame.with_name("keypoints.json")
         keypoints = shared if shared.is_file() else None
     if pictures and len(pictures) != len(chosen):
@@ -313,14 +313,15 @@ def read_lens_scene(
         images.append(_read_picture(file, camera))
         files[f"picture {camera.name}"] = _hashed(file)
     notes = [f"frame: {note}" for note in glasses.scan.notes] + [f"head: {note}" for note in skull.notes]
-    seen = zip(every, _read_named("mask", masks, every, files, notes), strict=True)
+    seen = zip(every, _read_per_camera("mask", masks, every, files, notes), strict=True)
     rims = tuple((camera.matrix, mask) for camera, mask in seen if mask is not None)
     light = None
     if environment is not None:
         light, files["environment"] = np.asarray(read_image_linear(environment), float), _hashed(environment)
     shown = tuple(images) or None
-    given = glasses, chosen, skull, files, tuple(notes)
-    return GlassesInput(*given, pictures=shown, environment=light, rim_masks=rims)
+    return GlassesInput(
+        glasses, chosen, skull, files, tuple(notes), pictures=shown, environment=light, rim_masks=rims
+    )
 
 
 def numbers(name: str, text: str, *counts: int) -> tuple[float, ...]:
@@ -352,16 +353,16 @@ def material_pair(
     glass = _SUNGLASSES
     if not sunglasses:
         glass = LensMaterial(beta=_SUNGLASSES.beta if fresnel else 0.0, fresnel=fresnel)
-    given: Values = {"alpha": alpha, "beta": beta}
+    changes: Values = {"alpha": alpha, "beta": beta}
     if tint is not None:
-        given["tint_linear"] = numbers("--tint", tint, 3)
+        changes["tint_linear"] = numbers("--tint", tint, 3)
         if alpha is None and not sunglasses:
-            given["alpha"] = 0.5
-    given = {name: value for name, value in given.items() if value is not None}
-    return replace(glass, dioptres=powers[0], **given), replace(glass, dioptres=powers[-1], **given)
+            changes["alpha"] = 0.5
+    changes = {name: value for name, value in changes.items() if value is not None}
+    return replace(glass, dioptres=powers[0], **changes), replace(glass, dioptres=powers[-1], **changes)
 
 
-def _read_named(
+def _read_per_camera(
     kind: str, folder: Path | None, cameras: Sequence[Camera], files: dict[str, FileRecord], notes: list[str]
 ) -> tuple[Any, ...]:
     """Return the masks or pictures of a folder, None where it has none, and add files and notes."""
@@ -370,8 +371,8 @@ def _read_named(
         return tuple(found)
     endings = MASK_ENDINGS if kind == "mask" else (".png", ".jpg", ".jpeg", ".tif")
     for number, camera in enumerate(cameras):
-        named = [folder / f"{camera.name}{ending}" for ending in endings]
-        path = next((path for path in named if path.is_file()), None)
+        candidates = [folder / f"{camera.name}{ending}" for ending in endings]
+        path = next((path for path in candidates if path.is_file()), None)
         if path is None:
             notes.append(f"no {kind} of {camera.name!r}: {folder} has no {camera.name}{' or '.join(endings)}")
             continue
@@ -414,7 +415,7 @@ def write_proposed(
     Placed ones, in a file of their own, stay. Raises EyeglassesError or ScanError, naming the file, when one
     cannot be read, shows no frame or is there already; OutputError when writing fails.
     """
-    target = keypoints_beside(mesh) if out is None else out
+    target = keypoints_path(mesh) if out is None else out
     if target.is_file():
         raise EyeglassesError(f"{target} is there already: move it, or give -o another name")
     check_writable(target.parent)

@@ -190,8 +190,8 @@ def render_lenses(
         corners = np.asarray(head.faces)
         edges = corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
         out = ((known - hits.points) * face_normals(np.asarray(head.vertices), corners)[hits.face]).sum(1)
-        alike = pictures_linear is None and len(np.unique(edges, axis=0)) == len(edges)
-        head = replace(head, one_sided=bool(alike and np.median(out) > 0))
+        oriented = pictures_linear is None and len(np.unique(edges, axis=0)) == len(edges)
+        head = replace(head, one_sided=bool(oriented and np.median(out) > 0))
     kind: Literal["given", "built-in", "none"] = "none" if environment_linear is None else "given"
     exposure = 1.0
     if pictures_linear is None:

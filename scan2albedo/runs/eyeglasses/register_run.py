@@ -94,7 +94,7 @@ def _rms(values: FloatArray) -> float | None:
 class PlacedFrame:
     """What became of the files of a registration."""
 
-    given: GlassesInput
+    inputs: GlassesInput
     result: eyeglasses.RegisteredEyeglasses
     options: Mapping[str, Any]
     seconds: float
@@ -105,36 +105,36 @@ class PlacedFrame:
         plan, doubts = self.result.plan, set(self.result.plan.doubts())
         found = ("glasses.lenses", "glasses.proposed")
         rows = (step for step in plan if step in doubts or (step.ran and step.stage in found))
-        return (*self.given.notes, *(step.text for step in rows))
+        return (*self.inputs.notes, *(step.text for step in rows))
 
     @property
     def views(self) -> tuple[RegisteredViewRecord, ...]:
         """Figures of each view."""
-        result, given = self.result, ~np.isnan(self.result.label_errors_px)
+        result, labelled = self.result, ~np.isnan(self.result.label_errors_px)
         proposed = result.proposed_deviation_px
         return tuple(
             RegisteredViewRecord(
                 camera=camera.name,
-                labels=int(given[number].sum()),
-                outliers=int((given[number] & ~result.inliers[number]).sum()),
+                labels=int(labelled[number].sum()),
+                outliers=int((labelled[number] & ~result.inliers[number]).sum()),
                 label_rms_px=_rms(result.label_errors_px[number][result.inliers[number]]),
-                mask=self.given.masks[number] is not None,
+                mask=self.inputs.masks[number] is not None,
                 proposed=int(np.isfinite(px).sum()),
                 proposed_deviation_px=float(np.nanmedian(px)) if np.isfinite(px).any() else None,
                 outline_rms_px=float(result.outline_rms_px[number]),
                 iou=float(result.iou[number]),
                 visible_share=float(result.visible[number].mean()),
             )
-            for number, (camera, px) in enumerate(zip(self.given.cameras, proposed, strict=True))
+            for number, (camera, px) in enumerate(zip(self.inputs.cameras, proposed, strict=True))
         )
 
     def figures(self) -> Values:
         """Return the figures of the whole, as in `result.json`."""
-        result, given = self.result, ~np.isnan(self.result.label_errors_px)
+        result, labelled = self.result, ~np.isnan(self.result.label_errors_px)
         return {
             "label_rms_px": _rms(result.label_errors_px[result.inliers]),
-            "labels": int(given.sum()),
-            "label_outliers": int((given & ~result.inliers).sum()),
+            "labels": int(labelled.sum()),
+            "label_outliers": int((labelled & ~result.inliers).sum()),
             "depth_deviation_mm": result.depth_deviation,
             "observed_share": float(result.observed.mean()),
             "observed_deviation_rms_mm": _rms(result.deviation[result.observed]),
@@ -149,13 +149,13 @@ class PlacedFrame:
         known = figures["observed_deviation_rms_mm"]
         sure = "nothing is observed" if known is None else f"known to {known:.2f} mm rms"
         lost = ", ".join(self.result.unobserved)
-        placed = f"{self.given.frame.name}: placed in {self.seconds:.1f} s"
+        placed = f"{self.inputs.frame.name}: placed in {self.seconds:.1f} s"
         seen = f"{figures['observed_share']:.0%} of the vertices observed, {sure}"
         return f"{placed}; {seen}" + (f"; not observed: {lost}" if lost else "")
 
 
 def register_frame(
-    given: GlassesInput,
+    inputs: GlassesInput,
     *,
     bend: bool = True,
     budget: BudgetLike = None,
@@ -165,31 +165,31 @@ def register_frame(
 
     Raises EyeglassesError, naming mesh and labels, when the files fix no pose or do not belong together.
     """
-    begun, spend, frame = time.perf_counter(), Budget.of(budget), given.frame
-    assert given.labels is not None
-    names = " with ".join(given.files[part].file for part in ("mesh", "labels") if part in given.files)
+    begun, spend, frame = time.perf_counter(), Budget.of(budget), inputs.frame
+    assert inputs.labels is not None
+    names = " with ".join(inputs.files[part].file for part in ("mesh", "labels") if part in inputs.files)
     with errors_of(names, EyeglassesError):
         result = eyeglasses.register_on_face(
             (frame.scan.vertices, frame.scan.faces, frame.keypoints, frame.weights),
-            given.labels,
-            given.masks,
-            np.stack([camera.matrix for camera in given.cameras]),
+            inputs.labels,
+            inputs.masks,
+            np.stack([camera.matrix for camera in inputs.cameras]),
             spend,
-            head=given.head,
-            start=given.start,
-            shapes=[camera.shape for camera in given.cameras],
-            pictures=given.pictures,
+            head=inputs.head,
+            start=inputs.start,
+            shapes=[camera.shape for camera in inputs.cameras],
+            pictures=inputs.pictures,
             options=eyeglasses.FaceRegistrationOptions(bend=bend),
             on_progress=on_progress,
         )
     options = {"bend": bend, "budget_s": spend.seconds, "budget_evaluations": spend.evaluations}
-    return PlacedFrame(given, result, options, time.perf_counter() - begun)
+    return PlacedFrame(inputs, result, options, time.perf_counter() - begun)
 
 
 def write_registration_files(done: PlacedFrame, out: Path) -> Values:
     """Write a registered frame's files; return the figures of its `result.json`, or raise OutputError."""
-    result, given = done.result, done.given
-    assert given.labels is not None
+    result, inputs = done.result, done.inputs
+    assert inputs.labels is not None
     with RunFolder(out, FILES).publishing() as staging:
         folder = staging.folder
         _, weight_cut = write_frame_glb(folder / "registered.glb", result)
@@ -197,27 +197,27 @@ def write_registration_files(done: PlacedFrame, out: Path) -> Values:
         write_keypoints(folder / "keypoints.json", result.keypoints, unit="mm")
         # What was found in pictures, as files that a person may correct and give back.
         if any(mask is not None for mask in result.proposed_masks):
-            marks = np.where(np.isnan(given.labels), result.proposed_labels, given.labels)
-            write_labels(folder / "proposed_labels.json", marks, [camera.name for camera in given.cameras])
-            for camera, mask in zip(given.cameras, result.proposed_masks, strict=True):
+            marks = np.where(np.isnan(inputs.labels), result.proposed_labels, inputs.labels)
+            write_labels(folder / "proposed_labels.json", marks, [camera.name for camera in inputs.cameras])
+            for camera, mask in zip(inputs.cameras, result.proposed_masks, strict=True):
                 if mask is not None:
                     write_png(folder / f"{camera.name}_mask.png", mask)
         staging.trace(result.trace)
-        pairs = zip(given.masks, result.proposed_masks, strict=True)
+        pairs = zip(inputs.masks, result.proposed_masks, strict=True)
         masks = [proposed if mask is None else mask for mask, proposed in pairs]
-        views = list(zip(given.cameras, masks, given.labels, strict=True))
+        views = list(zip(inputs.cameras, masks, inputs.labels, strict=True))
         title = f"{done.summary()}\norange: its outline, blue: behind the head; dots: labels, red: outliers"
         if len(views) > MOST_SHOWN:
             title += f"; {MOST_SHOWN} of {len(views)} views"
-        mesh = None if given.head is None else (given.head.vertices, given.head.faces)
+        mesh = None if inputs.head is None else (inputs.head.vertices, inputs.head.faces)
         panels = registration_panels(result, views, mesh)
         staging.figure("overview.png", overview_figure(title, panels, 3), dpi=150)
         figures = {**done.figures(), "glb_weight_cut": weight_cut}
         staging.write_record(
-            name=given.frame.name,
+            name=inputs.frame.name,
             options=dict(done.options),
-            inputs=dict(given.files),
-            mm_per_unit=given.frame.mm_per_unit,
+            inputs=dict(inputs.files),
+            mm_per_unit=inputs.frame.mm_per_unit,
             world_from_glasses=plain_json(result.world_from_glasses),
             **attributes(result, "converged", "iterations", "depth_observed", "unobserved"),
             **attributes(done, "seconds", "views", "notes"),

@@ -54,5 +54,5 @@ def publishing(
         raise ReflectanceError(f"{out} is where the command reads from; write to another folder")
     with RunFolder(out, FILES).publishing() as results:
         yield results
-        given, said = tuple(map(str, inputs)), tuple(notes)
-        results.write_record(command=command, inputs=given, options=options, metrics=figures, notes=said)
+        paths, said = tuple(map(str, inputs)), tuple(notes)
+        results.write_record(command=command, inputs=paths, options=options, metrics=figures, notes=said)

@@ -80,7 +80,7 @@ def fit_photograph(
     or nothing is seen.
     """
     faces = models.mean.faces
-    with _named(photograph):
+    with _photograph_errors(photograph):
         vertices, geometry, trace = shaped_vertices(photograph, models, budget, on_progress)
         observation = observe(photograph, vertices, faces)
         angle = 0.0 if geometry is None else LANDMARK_NORMALS
@@ -129,8 +129,8 @@ def corresponding(photograph: PhotographFiles, models: FaceModels) -> FloatArray
     """
     vertices, faces = photograph.vertices, photograph.faces
     assert vertices is not None
-    alike = len(vertices) == len(models.mean.vertices)
-    if alike and (faces is None or not len(faces) or np.array_equal(faces, models.mean.faces)):
+    same_count = len(vertices) == len(models.mean.vertices)
+    if same_count and (faces is None or not len(faces) or np.array_equal(faces, models.mean.faces)):
         return vertices
     template = AnnotatedFaceModel.default()
     surface = template.subdivision(SURFACE_LEVELS)
@@ -146,7 +146,7 @@ def corresponding(photograph: PhotographFiles, models: FaceModels) -> FloatArray
 
 
 @contextmanager
-def _named(photograph: PhotographFiles) -> Iterator[None]:
+def _photograph_errors(photograph: PhotographFiles) -> Iterator[None]:
     """Name a photograph in errors, and leave out warnings of fits that stopped early, which notes say."""
     owner = f"photograph {photograph.path}"
     with errors_of(owner, ReflectanceError), warnings.catch_warnings():
@@ -261,7 +261,7 @@ def tune_model(
         say(f"reading {path}")
         photograph = reflectance.read_photograph(path)
         notes.extend(gamma_notes(photograph))
-        with _named(photograph):
+        with _photograph_errors(photograph):
             vertices, _, _ = shaped_vertices(photograph, models)
             return observe(photograph, vertices, models.mean.faces)
 

@@ -23,7 +23,7 @@ from scan2albedo.eyeglasses import (
 from scan2albedo.eyeglasses.mean_keypoints import front_width
 from scan2albedo.io import load_scan
 from scan2albedo.runs.eyeglasses.canonicalize_run import canonicalize_frames
-from scan2albedo.runs.eyeglasses.inputs import keypoints_beside, read_frame
+from scan2albedo.runs.eyeglasses.inputs import keypoints_path, read_frame
 from scan2albedo.synthetic import GlassesBend, eyeglasses
 
 pytestmark = pytest.mark.slow
@@ -35,7 +35,7 @@ SET_FILES = {"mean_keypoints.json", "trace.csv", "error_vs_time.png", "overview.
 
 def remarked(path, points, unit="unknown"):
     """Replace the key points of a frame."""
-    write_keypoints(keypoints_beside(path), points, unit=unit)
+    write_keypoints(keypoints_path(path), points, unit=unit)
 
 
 def save(
@@ -171,7 +171,7 @@ def test_a_front_without_temples_has_a_size_too(tmp_path):
 @pytest.mark.parametrize("unit", MM)
 def test_the_width_of_a_front_decides_before_its_length(tmp_path, unit):
     path, _ = save(tmp_path, unit=unit, marks="unknown")
-    marks = read_keypoints(keypoints_beside(path))
+    marks = read_keypoints(keypoints_path(path))
     # The tips make a length that glasses have in no unit.
     marks[[10, 19]] += 3 * (marks[[10, 19]] - marks[[7, 16]])
     remarked(path, marks)
@@ -183,7 +183,7 @@ def test_the_width_of_a_front_decides_before_its_length(tmp_path, unit):
 
 def test_sizes_of_no_glasses_are_told(tmp_path):
     path, _ = save(tmp_path)
-    marks = read_keypoints(keypoints_beside(path))
+    marks = read_keypoints(keypoints_path(path))
     for points, of_marks, unit, error, words in (
         (marks / 5, "unknown", "auto", ScanError, r"the glasses are \d\d\.\d* units long, which .* --widths"),
         (marks / 5, "unknown", "m", ScanError, r"are \d\d\.\d* m long, but glasses measure 50 to 400 mm"),
@@ -198,7 +198,7 @@ def test_sizes_of_no_glasses_are_told(tmp_path):
 
 def test_other_widths_admit_small_frames(tmp_path):
     path, _ = save(tmp_path, size=0.2)
-    marks = read_keypoints(keypoints_beside(path))
+    marks = read_keypoints(keypoints_path(path))
     for unit in ("mm", "unknown"):
         remarked(path, marks, unit)
         with pytest.raises(ScanError, match=r"takes the front's --frame-width in mm, .* with --widths"):
@@ -227,7 +227,7 @@ def test_a_measured_front_sets_the_scale_of_its_set(tmp_path, marks, unit, size)
         found = read_canonical(tmp_path / "out" / name / "canonical.npz")
         assert found.scale == 1
         assert front_width(found.keypoints, found.vertices) == pytest.approx(width, rel=0.02)
-    points = read_keypoints(keypoints_beside(paths[0]))
+    points = read_keypoints(keypoints_path(paths[0]))
     remarked(paths[0], np.where(np.arange(20)[:, None] < 11, points, np.nan))
     with pytest.raises(EyeglassesError, match=r"a\.ply: place both hinges"):
         read_frame(paths[0], frame_width_mm=140)

@@ -58,7 +58,7 @@ class LightFound:
 
 
 @dataclass(frozen=True)
-class LitImage:
+class ShadedImage:
     """The input of a search for the light: `usable` is (H, W), `view` a unit vector toward the viewer."""
 
     image: GeometryImage
@@ -143,7 +143,7 @@ class LitImage:
 class SizedImage:
     """The N cells of an image at one size, and what a search needs to know of them, made when asked for."""
 
-    def __init__(self, scene: LitImage, size: int) -> None:
+    def __init__(self, scene: ShadedImage, size: int) -> None:
         self.scene, self.posteriors = scene, dict[float, Posterior]()
         self.level = build_level(scene.image, scene.usable, size, scene.value, scene.toward)
 

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.lit_scenes import lit_image, percent_off, plan_row
+from helpers.lit_scenes import percent_off, plan_row, shaded_image
 
 from scan2albedo.albedo import EstimateOptions, albedo_error, estimate_albedo
 from scan2albedo.albedo.levels import build_level, usable_texels
-from scan2albedo.albedo.lit_image import shading_direction
+from scan2albedo.albedo.shaded_image import shading_direction
 from scan2albedo.synthetic import face, hemisphere, light_at
 
 
@@ -31,7 +31,7 @@ def test_even_light_comes_from_the_front():
 
 def test_directions_are_all_kept_nearest_first():
     scene = hemisphere(size=64, texture="wood", lights=[light_at(45, 10)])
-    searched = lit_image(scene.image)
+    searched = shaded_image(scene.image)
     toward = shading_direction(searched.at(searched.options.sizes[0]).level)
     assert (np.diff(searched.directions @ toward) <= 0).all()
     assert len(np.unique(searched.directions, axis=0)) == 60
