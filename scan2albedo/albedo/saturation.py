@@ -12,6 +12,7 @@ from scan2albedo.albedo.options import MINIMAL_TEXELS, SATURATION_LINEAR, Estima
 from scan2albedo.albedo.texel_light import HALF_STEP
 from scan2albedo.core import GeometryImage, PlanStep
 from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray
+from scan2albedo.statistics.robust import normal_deviation
 
 _LARGEST_HIGHLIGHT = 0.25
 """More white texels than this part of the surface are not highlights but over-exposure."""
@@ -83,7 +84,7 @@ def _missed_highlight(
     red, green, blue = np.moveaxis(albedo, -1, 0)
     level = np.log(np.maximum(np.minimum(np.minimum(red, green), blue), FAINT))
     away = level - np.median(level[source])
-    excess = away / max(1.4826 * np.median(np.abs(away[source])), HALF_STEP / math.sqrt(3))
+    excess = away / max(normal_deviation(away[source]), HALF_STEP / math.sqrt(3))
     seeds = binary_opening(clipped & (excess > 4))
     return binary_propagation(seeds, mask=allowed & (excess > 2))
 

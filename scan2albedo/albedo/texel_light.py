@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 from scipy.ndimage import gaussian_filter
-from scipy.stats import norm
 
 from scan2albedo.albedo.levels import along_surface, cell_field, cell_means
 from scan2albedo.albedo.light_colour import CAST, LightColours
@@ -21,6 +20,7 @@ from scan2albedo.lighting.environment_light import open_shading, open_transfer
 from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.lighting.shading import Reflectance, lamp_factors
 from scan2albedo.lighting.shadow_map import ShadowMap
+from scan2albedo.statistics.robust import normal_deviation
 
 HALF_STEP = 2 / 255
 """Rounding of 8 bits, as a part of the median V where that is a quarter."""
@@ -200,7 +200,7 @@ def _left_over(known: _Expected, light: FloatArray, gloss: FloatArray) -> tuple[
     share = 2 * known.mean_part(rest, 0.0, np.stack(prior))[:, None]
     left, first, usable = known.left(light, share * gloss), known.first, known.usable
     # The texture of this surface is rougher than that of a prior's cells: most texels show how much.
-    measured = norm.ppf(0.75) ** -1 * np.median(np.abs(left[usable]), 0)
+    measured = normal_deviation(left[usable], 0)
     grain = np.where(first, np.maximum(known.deviation, measured), np.hypot(measured, SPREADS[1])) ** 2
     # A brow, a mole, hair: Student's t, whose variance grows with what is seen. Little is that bright.
     grain = (FREEDOM * grain + np.where(first, np.minimum(left, 0.0), left) ** 2) / FREEDOM

@@ -80,11 +80,12 @@ class Trace:
         from matplotlib.ticker import MaxNLocator
 
         stages = self.stages or ("nothing recorded",)
-        columns = min(len(stages), 6)
-        panel_rows = -(-len(stages) // columns)
-        figure = Figure(figsize=(4.2 * columns, 3.2 * panel_rows), layout="constrained")
-        for number, stage in enumerate(stages, start=1):
-            axis = figure.add_subplot(panel_rows, columns, number, title=stage)
+        width_in = 7 * len(stages) / 2
+        figure = Figure(figsize=(width_in, 3), dpi=110)
+        axes = figure.subplots(1, len(stages), squeeze=False)[0]
+        figure.subplots_adjust(0.8 / width_in, 0.2, 0.99, 0.9, 0.3)
+        for axis, stage in zip(axes, stages, strict=True):
+            axis.set_title(stage)
             found = self.of_stage(stage)
             errors = [row.error for row in found]
             runs = found.runs()

@@ -12,7 +12,7 @@ from scan2albedo.fitting.options import GATE_MM, FitOptions, between
 from scan2albedo.fitting.scan_surface import ScanSurface
 from scan2albedo.geometry.closest_points import mixed, nearest_around, walk_downhill
 from scan2albedo.geometry.rigid import dot
-from scan2albedo.statistics.robust import geman_mcclure_weights
+from scan2albedo.statistics.robust import geman_mcclure_weights, normal_deviation
 
 MIN_NORMAL_COSINE = 0.6
 """Least cosine between the normals of model and scan where a force acts."""
@@ -122,7 +122,7 @@ def robust_weights(
     """
     if not used.any():
         return np.zeros(len(residual))
-    spread = 1.4826 * float(np.median(np.abs(residual[used])))
+    spread = float(normal_deviation(residual[used]))
     weight = geman_mcclure_weights(residual, ROBUST_SCALE * max(spread, gates.min_robust_mm))
     if rim is None or gates.min_robust_mm <= RIM_ROBUST_MM:
         return weight

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, NDArray, dots, norms
 from scan2albedo.geometry import mesh
 from scan2albedo.geometry.mesh import neighbour_lists, normalized, vertex_normals
+from scan2albedo.statistics.robust import normal_deviation
 
 _MAX_RAW_SAMPLES = 400_000
 _LEAST_AGREEMENT = 0.3
@@ -104,10 +105,6 @@ def farthest_points(points: FloatArray, spacing: float, limit: int) -> IntArray:
     return np.array(chosen[: len(points)], int)
 
 
-_NORMAL_MAD = 1.4826
-"""Standard deviation of a normal distribution, relative to its median absolute deviation."""
-
-
 @dataclass(frozen=True)
 class SurfaceNoise:
     """What every vertex says of the noise.
@@ -138,7 +135,7 @@ class SurfaceNoise:
         if chosen.sum() < 20:
             return 0.0, 0.0
         gap = self.gap[chosen]
-        return float(_NORMAL_MAD * np.median(np.abs(gap - np.median(gap)))), float(self.area[chosen].mean())
+        return float(normal_deviation(gap - np.median(gap))), float(self.area[chosen].mean())
 
 
 def above_neighbours(vertices: FloatArray, begins: IntArray, neighbours: IntArray) -> FloatArray:

@@ -9,6 +9,7 @@ import numpy as np
 
 from scan2albedo.core import PointLight
 from scan2albedo.core.arrays import ArrayLike, FloatArray, NDArray, all_finite, checked_array, dots
+from scan2albedo.core.compiled import compiled
 
 COSINE_FLOOR = 1e-4
 """Cosines below this count as this where a model divides by them."""
@@ -297,29 +298,42 @@ class FreeLamps(NamedTuple):
     near: bool
 
 
-def _cosine_slopes(
-    points: LitPoints, lamps: FreeLamps, cosines: _Cosines
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return (L, 2 or 3, N) the derivatives of log distance, n.l and l.v by direction and nearness."""
-    distance = cosines.distance[:, None]
+@compiled
+def _chain(points, lamps, distance, n_l, l_v, reaching, lobe, part, slope):  # type: ignore[no-untyped-def]
+    """Fill `part` (L, N), each lamp's light, and its derivatives `slope` (N, P) by directions and distance.
 
-    def moved(part: FloatArray) -> FloatArray:
-        """Return the derivatives of the products of `part` (N, 3) and the vector to a lamp."""
-        by_direction = lamps.tangents @ part.T
-        if not lamps.near:
-            return by_direction
-        by_nearness = dots(points.position, part) / -lamps.radius_mm
-        return np.concatenate(
-            [by_direction, np.broadcast_to(by_nearness, (len(lamps.rows), 1, len(part)))], 1
-        )
-
-    nearness = lamps.rows[:, 3, None, None]
-    stretch = -nearness * moved(points.position)
-    if lamps.near:
-        stretch[:, 2] -= (lamps.rows[:, :3] @ points.position.T) / lamps.radius_mm
-    stretch /= distance**2
-    n_l_slope = moved(points.normal) / distance - cosines.n_l[:, None] * stretch
-    return stretch, n_l_slope, moved(points.view) / distance - cosines.l_v[:, None] * stretch
+    `distance`, `n_l` and `l_v` (L, N) are those of `_Cosines`; `reaching` (L, N) is what multiplies the
+    `lobe` (4, L, N).
+    """
+    position, normal, visible, visible_slope, view, _ = points
+    rows, tangents, radius, near = lamps
+    count = len(rows)
+    for k in range(count):
+        for i in range(len(position)):
+            if reaching[k, i] == 0.0:
+                part[k, i] = 0.0
+                continue
+            f, by_n_l, by_l_v = lobe[0, k, i], lobe[1, k, i], lobe[2, k, i]
+            length = distance[k, i]
+            part[k, i] = visible[k, i] * reaching[k, i] * f
+            slope[i, 3 * k + 2] = part[k, i]
+            for q in range(3 if near else 2):
+                along = 0.0
+                up = 0.0
+                toward = 0.0
+                for c in range(3):
+                    moved = tangents[k, q, c] if q < 2 else -position[i, c] / radius
+                    along += moved * (rows[k, c] - rows[k, 3] * position[i, c])
+                    up += moved * normal[i, c]
+                    toward += moved * view[i, c]
+                stretch = along / length**2
+                turned = by_n_l * (up / length - n_l[k, i] * stretch)
+                turned += by_l_v * (toward / length - l_v[k, i] * stretch)
+                by_light = visible[k, i] * (turned - 2 * f * stretch)
+                if q < 2:
+                    by_light += visible_slope[k, q, i] * f
+                column = 3 * k + q if q < 2 else 3 * count
+                slope[i, column] += reaching[k, i] * by_light
 
 
 def shade_with_derivatives(
@@ -331,35 +345,21 @@ def shade_with_derivatives(
     of its intensity; then, where free, radius / distance, that of `DiffuseModel` where `rough`, strength of
     the highlight and the logarithm of its exponent where `glossy`. The columns after them are 0.
     """
-    position, normal, visible, visible_slope, view, scale = points
-    count = len(lamps.rows)
-    cosines = _Cosines(position, normal, view, lamps.rows)
-    stretch, n_l_slope, l_v_slope = _cosine_slopes(points, lamps, cosines)
+    cosines = _Cosines(points.position, points.normal, points.view, lamps.rows)
     energy = lamps.rows[:, 4:] * cosines.falloff
     parts = np.empty((2, *energy.shape))
-    slopes = np.zeros((2, len(position), size))
-    at_own = 3 * count + int(lamps.near)
+    slopes = np.zeros((2, len(points.position), size))
     known = cosines.n_l, cosines.n_v, cosines.l_v
-    lobes = skin.model.lobe(*known, skin.roughness), _phong(*known, skin.exponent)
-    gains = 1.0, skin.specular_strength * scale
-    own = list[FloatArray]()
-    for part, slope, (f, by_n_l, by_l_v, by_own), gain in zip(parts, slopes, lobes, gains, strict=True):
-        reaching = energy * gain
-        seen = visible * reaching
-        part[:] = seen * f
-        turned = by_n_l[:, None] * n_l_slope + by_l_v[:, None] * l_v_slope - 2 * f[:, None] * stretch
-        turned *= seen[:, None]
-        turned[:, :2] += visible_slope * (reaching * f)[:, None]
-        of_lamps = slope[:, : 3 * count].reshape(len(position), count, 3)
-        of_lamps[..., :2] = turned[:, :2].transpose(2, 0, 1)
-        of_lamps[..., 2] = part.T
-        if lamps.near:
-            slope[:, 3 * count] = turned[:, 2].sum(0)
-        own.append((seen * by_own).sum(0))
+    lobes = np.array([skin.model.lobe(*known, skin.roughness), _phong(*known, skin.exponent)])
+    reaching = np.array([energy, energy * skin.specular_strength * points.specular_scale])
+    for part, slope, lobe, reached in zip(parts, slopes, lobes, reaching, strict=True):
+        _chain(points, lamps, cosines.distance, cosines.n_l, cosines.l_v, reached, lobe, part, slope)
+    by_own = (points.visible * reaching * lobes[:, 3]).sum(1)
+    column = 3 * len(lamps.rows) + int(lamps.near)
     if rough:
-        slopes[0][:, at_own] = own[0]
-        at_own += 1
+        slopes[0][:, column] = by_own[0]
+        column += 1
     if glossy:
-        slopes[1][:, at_own] = scale * (energy * visible * lobes[1][0]).sum(0)
-        slopes[1][:, at_own + 1] = own[1]
+        slopes[1][:, column] = points.specular_scale * (energy * points.visible * lobes[1, 0]).sum(0)
+        slopes[1][:, column + 1] = by_own[1]
     return parts, slopes

@@ -140,7 +140,7 @@ def write_result(
             )
             overview = figure_png(overview_figure(result.summary(), panels, columns=6))
             written.write("overview.png", Path.write_bytes, overview)
-            curves = figure_png(result.trace.plot(), dpi=110)
+            curves = figure_png(result.trace.plot())
             written.write("error_vs_time.png", Path.write_bytes, curves)
         albedo = result.albedo
         own = None if result.fitted is None else result.fitted.model.template_from_model

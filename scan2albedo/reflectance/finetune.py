@@ -19,6 +19,7 @@ from scan2albedo.reflectance.lighting_model import LightingModel
 from scan2albedo.reflectance.morphable_model import MorphableReflectanceModel
 from scan2albedo.reflectance.photograph import ImageObservation
 from scan2albedo.reflectance.vertex_reflectance import BLOCK, require_one_topology
+from scan2albedo.statistics.robust import normal_deviation
 
 ROUNDS = 10
 """Most rounds of fitting all images and changing the model."""
@@ -243,7 +244,7 @@ def _images_linearized(
         specular = np.einsum("vk,vkj->vj", share, response.specular @ fit.light)
         colors = observation.observed_linear[used]
         error = colors - albedo * diffuse - total * specular
-        spread = max(1.4826 * float(np.median(np.abs(error))), 1e-6 * float(np.abs(colors).mean()))
+        spread = max(float(normal_deviation(error)), 1e-6 * float(np.abs(colors).mean()))
         # Large differences count by their size rather than its square, as in the fit.
         noise = spread * np.maximum(np.abs(error), spread)
         found[:, used, i] = diffuse, specular, error, noise

@@ -47,10 +47,14 @@ def overview_figure(title: str, panels: list[Panel], columns: int = 5) -> Figure
 
     columns = min(columns, len(panels))
     rows = -(-len(panels) // columns)
-    figure = Figure(figsize=(3.6 * columns, 3.9 * rows + 0.4), dpi=100, layout="constrained")
     # A line that is wider than the figure would be cut off on both sides.
     lines = [line for part in title.split("\n") for line in textwrap.wrap(part, 36 * columns) or [""]]
-    figure.suptitle("\n".join(lines), fontsize=12)
+    below_in = 3.9 * rows
+    height_in = below_in + 0.25 * len(lines)
+    figure = Figure(figsize=(3.6 * columns, height_in))
+    figure.suptitle("\n".join(lines))
+    # Places in inches: matplotlib's own layout engines take as long as the drawing.
+    figure.subplots_adjust(0, 0, 1, (below_in - 0.25) / height_in, 0, 0.08)
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for axis in axes:
         axis.set_axis_off()
@@ -60,8 +64,7 @@ def overview_figure(title: str, panels: list[Panel], columns: int = 5) -> Figure
         if panel.dots is not None:
             colors, area = ("lime", 4) if panel.dot_colors is None else (panel.dot_colors, 12)
             axis.scatter(panel.dots[:, 0], panel.dots[:, 1], s=area, c=colors, linewidths=0)
-            axis.set_xlim(0, panel.picture.shape[1])
-            axis.set_ylim(panel.picture.shape[0], 0)
+            axis.axis((0, panel.picture.shape[1], panel.picture.shape[0], 0))
     return figure
 
 
@@ -159,14 +162,8 @@ def _scan_panel(title: str, scan: RawScan, fitted: FittedFace, view: View) -> Pa
     return Panel(title, render_mesh(placed, scan.faces[near], view=view, **colors))
 
 
-def figure_png(figure: Figure, dpi: float | None = None) -> bytes:
-    """Return a figure as a PNG file, its panels laid out once, where matplotlib would do so twice."""
-    if dpi is not None:
-        figure.set_dpi(dpi)
-    layout = figure.get_layout_engine()
-    if layout is not None:
-        layout.execute(figure)
-        figure.set_layout_engine("none")
+def figure_png(figure: Figure) -> bytes:
+    """Return a figure as a PNG file."""
     png = BytesIO()
-    figure.savefig(png, format="png", dpi="figure", pil_kwargs={"compress_level": 3})
+    figure.savefig(png, format="png", pil_kwargs={"compress_level": 3})
     return png.getvalue()

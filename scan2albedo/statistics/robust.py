@@ -7,8 +7,14 @@ Weights are 1 where the residual r is 0, but for Student's t. A scale or a thres
 """
 
 import numpy as np
+from scipy.special import ndtri
 
 from scan2albedo.core.arrays import FloatArray
+
+
+def normal_deviation(error: FloatArray, axis: int | None = None) -> FloatArray:
+    """Return the standard deviation of normal errors that have this median of |error| along an axis."""
+    return np.median(np.abs(error), axis) / ndtri(0.75)
 
 
 def student_t_weights(square: FloatArray, freedom: float, count: int = 1) -> FloatArray:

@@ -18,6 +18,7 @@ from scipy.special import expit
 from scan2albedo.core.arrays import ArrayLike, BoolArray, FloatArray, IntArray, grid_faces, norms, smoothstep
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.io.glb import GlbPart
+from scan2albedo.statistics.robust import normal_deviation
 from scan2albedo.unlit.face_features import FLOOR, without_catchlights
 from scan2albedo.unlit.processed_face import Eyeball, ProcessedFace
 
@@ -173,7 +174,7 @@ class EyeOpening:
         fallback = [[math.log(floor / FLOOR), 0, 0]]  # also where no skin is seen
         skin_colors = np.concatenate([color[seen & outside], fallback])
         middle_color = np.median(skin_colors, axis=0)
-        skin = np.stack([middle_color, 1.4826 * np.median(np.abs(skin_colors - middle_color), axis=0)])
+        skin = np.stack([middle_color, normal_deviation(skin_colors - middle_color, 0)])
         skin[1] = np.maximum(skin[1], (0.12, 0.05, 0.05))
         # As much of the skin is unseen between the lids as beside them: a part not scanned is no hole.
         lacking = max(_UNSEEN, 1 - ((seen & outside).sum() + 1) / (outside.sum() + 1))

@@ -85,7 +85,7 @@ def rows_of(stage, times_s, errors):
     )
 
 
-def test_many_stages_are_drawn_in_rows():
+def test_many_stages_are_drawn():
     figure = Trace(sum((rows_of(f"stage {i}", [1.0, 2.0], [0.2, 0.1]) for i in range(8)), ())).plot()
     assert sum(bool(axis.lines) for axis in figure.axes) == 8
     assert figure.get_figwidth() < 30
