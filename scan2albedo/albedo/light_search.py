@@ -65,8 +65,8 @@ class LightSearch:
                 break
             points = self._with_one_more(base)
             best_of[count], base = self._best([*points, *self._variants(points[0])])
-            # With log odds of 8 against one lamp more no further ones are tried.
-            if lights is None and best_of[count] < max(best_of.values()) - 8:
+            # With log odds of 2 against one lamp more, no search that was seen found a better one beyond it.
+            if lights is None and best_of[count] < max(best_of.values()) - 2:
                 break
         ranked = sorted(self.found, key=lambda pair: -pair[0])
         wanted = [pair for pair in ranked if lights is None or pair[1].model.lights == base.model.lights]
