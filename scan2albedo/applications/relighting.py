@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -68,18 +69,49 @@ class RelightOptions:
 
 @dataclass(frozen=True)
 class RelitFace:
-    """A face under light."""
+    """A face under light, which is computed where it is asked for: on the chart, or in a picture.
+
+    Both raise ApplicationError for what is brighter than single precision holds.
+    """
 
     face: ProcessedFace
     light: SceneLight
     """`face`, `light`: what is lit, with its gloss and without gaps, and by what."""
-    texture_linear: Float32Array
-    """(H, W, 3): albedo times `diffuse`, plus `specular`; 0 outside the mask, not clipped."""
-    diffuse: Float32Array
-    specular: Float32Array
-    """`diffuse`, `specular`: (H, W, 3)."""
     notes: Texts = ()
     """What was assumed or filled, for people."""
+
+    @cached_property
+    def _on_chart(self) -> list[Float32Array]:
+        """Texture, diffuse and specular light (H, W, 3)."""
+        face, image, mask = self.face, self.face.image, self.face.mask
+        caster = RayCaster(*image.occluder_mesh()) if face.casts_shadows and self.light.casts else None
+        shadows = ShadowMap(caster, image.position[mask], image.normal[mask], face.shadow_offset_mm)
+        scale = None if image.specular_scale is None else image.specular_scale[mask].astype(float)
+        view = normalized(np.asarray(face.view_direction, float))
+        diffuse, specular = shade(shadows, self.light, face.reflectance, view, scale)
+        texture = face.albedo_linear[mask].astype(float) * diffuse + specular
+        return [on_grid(mask, self._checked(values)) for values in (texture, diffuse, specular)]
+
+    def _checked(self, values: FloatArray) -> Float32Array:
+        """Return light in single precision; ApplicationError where it is too bright for that."""
+        if np.abs(values).max(initial=0.0) > np.finfo(np.float32).max:
+            raise ApplicationError(f"{self.face.name} is lit brighter than 3e38: lower the intensities")
+        return values.astype(np.float32)
+
+    @property
+    def texture_linear(self) -> Float32Array:
+        """(H, W, 3): albedo times `diffuse`, plus `specular`; 0 outside the mask, not clipped."""
+        return self._on_chart[0]
+
+    @property
+    def diffuse(self) -> Float32Array:
+        """(H, W, 3)."""
+        return self._on_chart[1]
+
+    @property
+    def specular(self) -> Float32Array:
+        """(H, W, 3)."""
+        return self._on_chart[2]
 
     def picture(
         self, camera: ArrayLike | None = None, *, shape: GridShape = (512, 512), samples: int = 2
@@ -136,8 +168,8 @@ class RelitFace:
             shown = self._parts_radiance(there, behind.interpolated(normal), normalized(eye - there), colors)
             seen = seen.chosen(kept).joined(behind)
             radiance = np.concatenate([radiance[kept], np.column_stack([shown, np.ones(len(shown))])])
-        made = seen.picture(radiance)
-        return Picture(made[..., :3].astype(np.float32), made[..., 3].astype(np.float32))
+        made = self._checked(seen.picture(radiance))
+        return Picture(made[..., :3], made[..., 3])
 
     def _parts_radiance(
         self, position: FloatArray, normal: FloatArray, toward: FloatArray, albedo: FloatArray
@@ -245,18 +277,7 @@ def relight(
     object.__setattr__(face, "inside", inside)
     if inside.eyes and not inside.eyes[0].painted:
         notes = (*notes, f"{inside.reason}; see docs/applications.md")
-    view = np.asarray(face.view_direction, float)
-    image, mask = face.image, face.mask
-    caster = RayCaster(*image.occluder_mesh()) if face.casts_shadows and light.casts else None
-    shadows = ShadowMap(caster, image.position[mask], image.normal[mask], face.shadow_offset_mm)
-    scale = None if image.specular_scale is None else image.specular_scale[mask].astype(float)
-    diffuse, specular = shade(shadows, light, face.reflectance, view / np.linalg.norm(view), scale)
-    images = []
-    for values in (face.albedo_linear[mask].astype(float) * diffuse + specular, diffuse, specular):
-        if np.abs(values).max() > np.finfo(np.float32).max:
-            raise ApplicationError(f"{face.name} is lit brighter than 3e38: lower the intensities")
-        images.append(on_grid(mask, values).astype(np.float32))
-    return RelitFace(face, light, images[0], images[1], images[2], notes)
+    return RelitFace(face, light, notes)
 
 
 def prepared_for_light(face: ProcessedFace, options: RelightOptions) -> tuple[ProcessedFace, Texts]:

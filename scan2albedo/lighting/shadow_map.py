@@ -12,6 +12,8 @@ from scan2albedo.geometry.rays import RayCaster
 
 _OFFSETS = (1.5e-4, 5e-3)
 """Least and largest offset of shadow rays as parts of the caster's size."""
+_RIM = 16
+"""Points of a rim that show whether a lamp is cut: beyond two of them lies at most a 200th of it."""
 
 
 @dataclass(frozen=True)
@@ -78,8 +80,8 @@ class ShadowMap:
         result = (cosine > self._above + spread).astype(np.float32)
         unsure = np.flatnonzero((result == 0) & (cosine > -spread))
         disc = cone_directions(points, direction, radius)
-        # Its outer third comes last; where that is hidden or seen as a whole, so is the rest.
-        inner, some = points - points // 3, self._some(unsure)
+        # Its rim comes last; where that is hidden or seen as a whole, so is the rest.
+        inner, some = points - min(points // 3, _RIM), self._some(unsure)
         seen, facing = some._seen(disc[inner:], distance_mm)
         partly = np.flatnonzero((seen > 0) & (seen < facing))
         more, most = some._some(partly)._seen(disc[:inner], distance_mm)
