@@ -62,12 +62,14 @@ def registered_outward(
         return turned, register(turned)
 
 
-def registered_at_any_scale(scan: RawScan, fits: bool, register: Register) -> tuple[RawScan, Registration]:
+def registered_at_any_scale(
+    scan: RawScan, fits: bool, register: Register, draft: Register | None = None
+) -> tuple[RawScan, Registration]:
     """Return the scan, at the scale at which it holds a face, and the face's pose.
 
     It is taken as it is where its size `fits` and it holds a face of a person's size. Where that is in doubt
     it is tried at the sizes of other heads, and brought to the scale at which a sure face has the model's
-    size. Raises RegistrationError, that of the scan as it is if its size fits, where there is no face.
+    size; `draft` is a cheaper `register` to try them with. Raises RegistrationError, that of the scan as it is if its size fits, where there is no face.
     """
     refusal = NoFaceError(f"{scan.name}: no face beyond doubt at any scale; give unit='mm', 'cm' or 'm'")
     known = None
@@ -85,7 +87,7 @@ def registered_at_any_scale(scan: RawScan, fits: bool, register: Register) -> tu
         if fits and known is None and tried_mm == nearest_mm and low < tried_mm / extent < high:
             continue  # a face of that size was looked for in the scan as it is
         with suppress(RegistrationError):
-            _, found = register(scan.scaled(tried_mm / extent))
+            _, found = (draft or register)(scan.scaled(tried_mm / extent))
             if found.confidence >= _SURE:
                 factor = tried_mm / extent / found.face_scale
                 note = (

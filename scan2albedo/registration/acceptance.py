@@ -70,12 +70,11 @@ def accepted(
         offset = samples.points - samples.areas @ samples.points / samples.areas.sum()
         outward = samples.areas @ dots(offset, samples.normals)
         clearly = outward >= _CLEARLY_OUTWARD * (samples.areas @ norms(offset))
-        if best.log_odds < CONVINCING and not (best.log_odds > 0 and clearly):
+        if best.log_odds < CONVINCING and not clearly:
             # The turned scan is another problem than the scan, so its rows stay out of the trace.
             turned, unseen = scan.inside_out(), meter.untraced()
             poses = coarse_poses(turned, template, options, unseen, 0)
-            search = CandidateSearch(turned, template, poses, options.candidates, unseen)
-            other = search.of_first_rounds()[0]
+            other = CandidateSearch(turned, template, poses, options.candidates, unseen).until_convinced()[0]
             meter.count(unseen.evaluations)
             if other.log_odds > max(best.log_odds, 0.0):
                 raise _inside_out_error(scan, other)

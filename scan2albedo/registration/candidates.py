@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
-from itertools import islice
 
 import numpy as np
 
 from scan2albedo.core import Meter
-from scan2albedo.core.arrays import FloatArray, IntArray
+from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.rigid import Similarity, invert_rigid
 from scan2albedo.registration.coarse_search import PlacedPose, Poses
-from scan2albedo.registration.evidence import ColourScorer, Evidence, evidence
+from scan2albedo.registration.evidence import HOPELESS, ColourScorer, Evidence, evidence
 from scan2albedo.registration.icp import FEW, icp, residuals, rigid_distance_mm
 from scan2albedo.registration.inputs import PreparedScan, Template
 from scan2albedo.registration.relief import ReliefAgreement
@@ -23,6 +21,8 @@ CONVINCING = 4.0
 _MOST_LOG_ODDS = 8.0
 """No pose is surer than 0.9997, or less sure than 0.0003: no calibration set is larger."""
 _ENOUGH_COVERAGE = 0.6
+_LEAST_RANKING = 0.2
+"""Of poses that are looked at, but for the first."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,8 @@ def rescored(
 
     `front` (3,) is the model's; the `scorer` is asked for only where the shape leaves doubts.
     """
-    if candidates[0].convinces or (colors := scorer()) is None:
+    best = candidates[0]
+    if best.convinces or best.log_odds < HOPELESS or (colors := scorer()) is None:
         return candidates
     scored = list(candidates)
     for place, candidate in enumerate(scored):
@@ -121,29 +122,16 @@ class CandidateSearch:
         self.meter = meter
         self.landmarks = landmarks
         self.scorer = scorer
-        self.relief = cache(self._relief)
 
     def until_convinced(self) -> Candidates:
-        """Return the candidates, best first, after as many rounds as it takes until one is a face.
-
-        Without landmarks the search ends after two rounds of which nothing resembles a face at all.
-        """
+        """Return the candidates, best first, after as many rounds as it takes until one is a face."""
         candidates = Candidates()
         for round_ in self.rounds():
             candidates = self._looked_at(self._refined(round_.poses, candidates))
             candidates = rescored(candidates, self.scan, self.template.front, self.scorer)
-            best = candidates[0]
-            hopeless = best.log_odds <= -_MOST_LOG_ODDS and self.landmarks is None
-            if self.meter.exhausted or best.convinces or (hopeless and round_.name == "relief nearby"):
+            if self.meter.exhausted or candidates[0].convinces:
                 break
         return candidates
-
-    def of_first_rounds(self) -> Candidates:
-        """Return the candidates of two rounds, best first, faces or not."""
-        candidates = list[Candidate]()
-        for round_ in islice(self.rounds(), 2):
-            candidates = self._refined(round_.poses, candidates)
-        return self._looked_at(candidates)
 
     def rounds(self) -> Iterator[Round]:
         """Yield the poses that landmarks show, those nearest to the scan, and those with most relief.
@@ -152,18 +140,11 @@ class CandidateSearch:
         """
         if self.landmarks is not None:
             yield Round("landmarks", self.landmarks.start())
-        every = np.arange(len(self.poses))
-        nearest = every[: (self.count + 1) // 2]
-        yield Round("nearest", self.poses.subset(nearest))
-        nearby = self._with_most_relief(every[: 5 * self.count], nearest)[: self.count - len(nearest)]
-        yield Round("relief nearby", self.poses.subset(nearby))
-        anywhere = self._with_most_relief(every, np.concatenate([nearest, nearby]))[: 3 * self.count]
-        yield Round("relief anywhere", self.poses.subset(anywhere))
-
-    def _with_most_relief(self, numbers: IntArray, known: IntArray) -> IntArray:
-        order = np.argsort([-self.relief(number) for number in numbers.tolist()], kind="stable")
-        ranked = numbers[order]
-        return ranked[~np.isin(ranked, known)]
+        nearest = (self.count + 1) // 2
+        yield Round("nearest", self.poses.subset(np.arange(min(nearest, len(self.poses)))))
+        others = np.arange(nearest, min(5 * self.count, len(self.poses)))
+        order = np.argsort([-self._relief(number) for number in others.tolist()], kind="stable")
+        yield Round("relief nearby", self.poses.subset(others[order[: self.count - nearest]]))
 
     def _relief(self, number: int) -> float:
         """Return what ranks a coarse pose by its relief."""
@@ -193,7 +174,7 @@ class CandidateSearch:
             meter.count()
             # The nearest pose so far.
             before = (row.error for row in meter.rows if row.stage == meter.stage)
-            meter.record(min([rigid_distance_mm(samples, self.template, pose), *before]))
+            meter.record(min([rigid_distance_mm(samples, self.few, pose), *before]))
         return candidates
 
     def _looked_at(self, candidates: Sequence[Candidate]) -> Candidates:
@@ -201,7 +182,8 @@ class CandidateSearch:
         ranked = sorted(candidates, key=lambda candidate: -candidate.ranking)
         looked = list[Candidate]()
         for place, candidate in enumerate(ranked):
-            if len(looked) == 3 or (looked and self.meter.exhausted):
+            enough = len(looked) == 3 or candidate.ranking < _LEAST_RANKING or self.meter.exhausted
+            if looked and enough:
                 break
             if not all(candidate.is_apart(other) for other in looked):
                 continue
