@@ -14,7 +14,7 @@ from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry.alignment import Alignment
 from scan2albedo.geometry.rigid import Similarity, invert_rigid, procrustes
 from scan2albedo.io.npz import Arrays, read_npz
-from scan2albedo.registration.candidates import CONVINCING, Candidate, Candidates, CandidateSearch
+from scan2albedo.registration.candidates import CONVINCING, LEAST_RANKING, Candidate, Candidates, CandidateSearch
 from scan2albedo.registration.coarse_search import coarse_poses
 from scan2albedo.registration.evidence import Evidence
 from scan2albedo.registration.icp import loosely_shaped, residuals, shaped_icp
@@ -51,7 +51,7 @@ def accepted(
     there is a second face. Raises `RegistrationError` when there is no face, or it is inside out.
     """
     best, name, chance = candidates[0], scan.raw.name, probability(candidates)
-    figures, found = "nothing looked at", best.evidence
+    figures, found = f"likeness {best.ranking:.2f} (needed: {LEAST_RANKING})", best.evidence
     if found is not None:
         figures = (
             f"correlation of the relief {found.relief.whole:.2f}, in windows of 3 cm "
