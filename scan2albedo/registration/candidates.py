@@ -12,7 +12,7 @@ from scan2albedo.core.arrays import FloatArray
 from scan2albedo.geometry.rigid import Similarity, invert_rigid
 from scan2albedo.registration.coarse_search import PlacedPose, Poses
 from scan2albedo.registration.evidence import HOPELESS, ColourScorer, Evidence, evidence
-from scan2albedo.registration.icp import FEW, icp, residuals, rigid_distance_mm
+from scan2albedo.registration.icp import FEW, icp, rigid_distance_mm, rms_mm
 from scan2albedo.registration.inputs import PreparedScan, Template
 from scan2albedo.registration.relief import ReliefAgreement
 
@@ -47,7 +47,7 @@ class Candidate:
     @property
     def ranking(self) -> float:
         """Likeness, lessened where little of the face is covered: ranks poses."""
-        return self.likeness * min(1.0, self.relief.coverage / _ENOUGH_COVERAGE) ** 0.5
+        return self.likeness * float(np.sqrt(min(1.0, self.relief.coverage / _ENOUGH_COVERAGE)))
 
     @property
     def log_odds(self) -> float:
@@ -89,14 +89,6 @@ def rescored(
     return _sorted(scored)
 
 
-@dataclass(frozen=True)
-class Round:
-    """Coarse poses that are refined before the best of all so far are looked at."""
-
-    name: str
-    poses: Poses
-
-
 class CandidateSearch:
     """Refines coarse poses on a scan, round by round, and ranks them.
 
@@ -126,25 +118,26 @@ class CandidateSearch:
     def until_convinced(self) -> Candidates:
         """Return the candidates, best first, after as many rounds as it takes until one is a face."""
         candidates = Candidates()
-        for round_ in self.rounds():
-            candidates = self._looked_at(self._refined(round_.poses, candidates))
+        for poses in self.rounds():
+            candidates = self._looked_at(self._refined(poses, candidates))
             candidates = rescored(candidates, self.scan, self.template.front, self.scorer)
             if self.meter.exhausted or candidates[0].convinces:
                 break
         return candidates
 
-    def rounds(self) -> Iterator[Round]:
-        """Yield the poses that landmarks show, those nearest to the scan, and those with most relief.
+    def rounds(self) -> Iterator[Poses]:
+        """Yield the poses that landmarks show, those nearest to the scan, and of more those with most relief.
 
         Relief is asked for because distance alone prefers the back of a head to half a face.
         """
         if self.landmarks is not None:
-            yield Round("landmarks", self.landmarks.start())
+            yield self.landmarks.start()
+        every = np.arange(len(self.poses))
         nearest = (self.count + 1) // 2
-        yield Round("nearest", self.poses.subset(np.arange(min(nearest, len(self.poses)))))
-        others = np.arange(nearest, min(5 * self.count, len(self.poses)))
+        yield self.poses.subset(every[:nearest])
+        others = every[nearest : 5 * self.count]
         order = np.argsort([-self._relief(number) for number in others.tolist()], kind="stable")
-        yield Round("relief nearby", self.poses.subset(others[order[: self.count - nearest]]))
+        yield self.poses.subset(others[order[: self.count - nearest]])
 
     def _relief(self, number: int) -> float:
         """Return what ranks a coarse pose by its relief."""
@@ -169,8 +162,7 @@ class CandidateSearch:
                 continue
             # From a scale of 6 mm to one of 3.
             pose = icp(samples, self.few, pose, np.geomspace(6, 3, 15)).pose
-            rms_mm = residuals(samples, self.few.samples, pose).trimmed_rms_mm(self.few.samples.areas)
-            candidates.append(Candidate(pose, self._agreement(pose), rms_mm))
+            candidates.append(Candidate(pose, self._agreement(pose), rms_mm(samples, self.few, pose)))
             meter.count()
             # The nearest pose so far.
             before = (row.error for row in meter.rows if row.stage == meter.stage)
