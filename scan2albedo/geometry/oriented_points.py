@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, NDArray, dots, norms
 from scan2albedo.geometry import mesh
@@ -96,9 +97,9 @@ def anchors(samples: OrientedPoints, *, spacing: float, limit: int, reach: float
 
 def farthest_points(points: FloatArray, spacing: float, limit: int) -> IntArray:
     """Return indices of points at least `spacing` apart, farthest first, at most `limit` of them."""
-    chosen, squared, across = [0], np.full(len(points), np.inf), np.ascontiguousarray(points.T)
+    chosen, squared = [0], np.full(len(points), np.inf)
     while len(chosen) < min(limit, len(points)):
-        squared = np.minimum(squared, ((across - across[:, chosen[-1:]]) ** 2).sum(0))
+        squared = np.minimum(squared, cdist(points[chosen[-1:]], points, "sqeuclidean")[0])
         chosen.append(int(squared.argmax()))
         if squared[chosen[-1]] < spacing * spacing:
             return np.array(chosen[:-1])

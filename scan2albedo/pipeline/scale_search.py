@@ -17,7 +17,7 @@ from scan2albedo.io.units import largest_extent, millimetres_per_unit
 from scan2albedo.pipeline.result import SURE
 from scan2albedo.registration import Registration
 
-_EXTENTS_MM = (300.0, 200.0, 440.0, 140.0)
+_EXTENTS_MM = (300, 200, 440, 140)
 """Lengths that a scan is tried at: of a head, of less of it, of one with shoulders, of a bare face. The sizes
 of faces between two of them are found by the registration."""
 _HUMAN_SCALE = (0.75, 1.3)
@@ -62,12 +62,15 @@ def registered_outward(
         return turned, register(turned)
 
 
-def registered_at_any_scale(scan: RawScan, fits: bool, register: Register) -> tuple[RawScan, Registration]:
+def registered_at_any_scale(
+    scan: RawScan, fits: bool, register: Register, draft: Register | None = None
+) -> tuple[RawScan, Registration]:
     """Return the scan, at the scale at which it holds a face, and the face's pose.
 
     It is taken as it is where its size `fits` and it holds a face of a person's size. Where that is in doubt
-    it is tried at the sizes of other heads, and brought to the scale at which a sure face has the model's
-    size. Raises RegistrationError, that of the scan as it is if its size fits, where there is no face.
+    it is tried at the sizes of other heads, with the cheaper search `draft` if given, and brought to the
+    scale at which a sure face has the model's size. Raises RegistrationError, that of the scan as it is if
+    its size fits, where there is no face; its note lists the sizes tried.
     """
     refusal = NoFaceError(f"{scan.name}: no face beyond doubt at any scale; give unit='mm', 'cm' or 'm'")
     known = None
@@ -81,11 +84,12 @@ def registered_at_any_scale(scan: RawScan, fits: bool, register: Register) -> tu
         return known
     extent = largest_extent(scan.vertices, vertex_components(len(scan.vertices), scan.faces))
     nearest_mm = min(_EXTENTS_MM, key=lambda mm: abs(np.log(mm / extent)))
-    for tried_mm in _EXTENTS_MM:
-        if fits and known is None and tried_mm == nearest_mm and low < tried_mm / extent < high:
-            continue  # a face of that size was looked for in the scan as it is
+    sizes_mm = list(_EXTENTS_MM)
+    if fits and known is None and low < nearest_mm / extent < high:
+        sizes_mm.remove(nearest_mm)  # a face of that size was looked for in the scan as it is
+    for tried_mm in sizes_mm:
         with suppress(RegistrationError):
-            _, found = register(scan.scaled(tried_mm / extent))
+            _, found = (draft or register)(scan.scaled(tried_mm / extent))
             if found.confidence >= _SURE:
                 factor = tried_mm / extent / found.face_scale
                 note = (
@@ -97,6 +101,7 @@ def registered_at_any_scale(scan: RawScan, fits: bool, register: Register) -> tu
                 break
     else:
         if known is None:
+            refusal.add_note(f"no sure face where it is {sizes_mm} mm long, either")
             raise refusal
         return known
     return register(replace(scan.scaled(factor), notes=(note, *others)))

@@ -32,10 +32,11 @@ from scan2albedo.io.result_records import RegistrationRecord
 from scan2albedo.pipeline.clock import Clock
 from scan2albedo.pipeline.detected_landmarks import require_detector, with_detected
 from scan2albedo.pipeline.options import ProcessOptions
+from scan2albedo.pipeline.quality import PRESETS
 from scan2albedo.pipeline.result import SURE, ProcessResult, Run
 from scan2albedo.pipeline.scale_search import load_of_any_size, registered_at_any_scale, registered_outward
 from scan2albedo.pipeline.white_balance import balanced
-from scan2albedo.registration import Registration, register
+from scan2albedo.registration import Registration, RegistrationOptions, register
 from scan2albedo.registration.register import judged_with_fit, refined_registration
 from scan2albedo.sampling import geometry_image, geometry_image_of_scan
 from scan2albedo.sampling.geometry_images import texture_doubt
@@ -137,16 +138,20 @@ class Register(Stage):
             reason = "skipped by the caller: the scan is taken to lie in the model's frame"
             return [PlanStep(self.name, False, reason)]
 
-        def posed(scan: RawScan) -> Registration:
-            tuning, share = options.of_registration(), clock.share(self.share)
-            return register(scan, model, share, options.seed, options=tuning, on_progress=run.on_progress)
+        def outward(tuning: RegistrationOptions, scan: RawScan) -> tuple[RawScan, Registration]:
+            def posed(scan: RawScan) -> Registration:
+                share = clock.share(self.share)
+                return register(scan, model, share, options.seed, options=tuning, on_progress=run.on_progress)
+
+            return registered_outward(scan, posed)
 
         with clock.timed(self.name):
+            search = partial(outward, options.of_registration())
             if run.size_fits is None:
-                run.scan, run.registration = registered_outward(run.scan, posed)
+                run.scan, run.registration = search(run.scan)
             else:  # nobody gave the unit: the scale of a face in it
-                outward = partial(registered_outward, register=posed)
-                run.scan, run.registration = registered_at_any_scale(run.scan, run.size_fits, outward)
+                draft = partial(outward, PRESETS["draft"].registration)
+                run.scan, run.registration = registered_at_any_scale(run.scan, run.size_fits, search, draft)
         return self.rows(run.registration)
 
     def rows(self, registration: Registration) -> list[PlanStep]:

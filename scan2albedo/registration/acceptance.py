@@ -14,7 +14,13 @@ from scan2albedo.face_model import AnnotatedSurface, default_model
 from scan2albedo.geometry.alignment import Alignment
 from scan2albedo.geometry.rigid import Similarity, invert_rigid, procrustes
 from scan2albedo.io.npz import Arrays, read_npz
-from scan2albedo.registration.candidates import CONVINCING, Candidate, Candidates, CandidateSearch
+from scan2albedo.registration.candidates import (
+    CONVINCING,
+    LEAST_RANKING,
+    Candidate,
+    Candidates,
+    CandidateSearch,
+)
 from scan2albedo.registration.coarse_search import coarse_poses
 from scan2albedo.registration.evidence import Evidence
 from scan2albedo.registration.icp import loosely_shaped, residuals, shaped_icp
@@ -51,7 +57,7 @@ def accepted(
     there is a second face. Raises `RegistrationError` when there is no face, or it is inside out.
     """
     best, name, chance = candidates[0], scan.raw.name, probability(candidates)
-    figures, found = "nothing looked at", best.evidence
+    figures, found = f"likeness {best.ranking:.2f} (needed: {LEAST_RANKING})", best.evidence
     if found is not None:
         figures = (
             f"correlation of the relief {found.relief.whole:.2f}, in windows of 3 cm "
@@ -69,13 +75,12 @@ def accepted(
         samples = scan.samples
         offset = samples.points - samples.areas @ samples.points / samples.areas.sum()
         outward = samples.areas @ dots(offset, samples.normals)
-        clearly = outward >= _CLEARLY_OUTWARD * (samples.areas @ norms(offset))
-        if best.log_odds < CONVINCING and not (best.log_odds > 0 and clearly):
+        if best.log_odds < CONVINCING and outward < _CLEARLY_OUTWARD * (samples.areas @ norms(offset)):
             # The turned scan is another problem than the scan, so its rows stay out of the trace.
             turned, unseen = scan.inside_out(), meter.untraced()
             poses = coarse_poses(turned, template, options, unseen, 0)
             search = CandidateSearch(turned, template, poses, options.candidates, unseen)
-            other = search.of_first_rounds()[0]
+            other = search.until_convinced()[0]
             meter.count(unseen.evaluations)
             if other.log_odds > max(best.log_odds, 0.0):
                 raise _inside_out_error(scan, other)

@@ -146,10 +146,20 @@ def icp(
     )
 
 
-def shaped_icp(scan: OrientedPoints, template: Template, start: Similarity, meter: Meter) -> Alignment:
-    """Refine a pose with a person's shape: one that cannot change is drawn aside by a smile or open jaw."""
+def coarsely_shaped(scan: OrientedPoints, template: Template, start: Similarity, meter: Meter) -> Alignment:
+    """Take the first steps of `shaped_icp`, with few samples."""
     first = np.geomspace(*_SHAPED_MM, _FEW_STEPS)
-    shaped = icp(scan, template.first(FEW), start, first, shaped=True, meter=meter)
+    return icp(scan, template.first(FEW), start, first, shaped=True, meter=meter)
+
+
+def shaped_icp(
+    scan: OrientedPoints, template: Template, start: Similarity | Alignment, meter: Meter
+) -> Alignment:
+    """Refine a pose with a person's shape: one that cannot change is drawn aside by a smile or open jaw.
+
+    An alignment is what `coarsely_shaped` returned.
+    """
+    shaped = start if isinstance(start, Alignment) else coarsely_shaped(scan, template, start, meter)
     last = _MOST_STEPS * [_SHAPED_MM[1]]
     return icp(scan, template, shaped, last, shaped=True, settled=_SETTLED, meter=meter)
 

@@ -35,7 +35,7 @@ class RegistrationOptions:
     kept_starts: int = 240
     """Starts that go on to the second search."""
     candidates: int = 8
-    """Distinct poses that are refined first, at least 6 to be safe; three times as many follow."""
+    """Distinct poses that are refined, half of them where the first are no face; at least 6 to be safe."""
     settling_iterations: int = 30
     """Most iterations at the chosen pose until it settles."""
     annealing_evaluations: int = 400
