@@ -65,7 +65,7 @@ def resynthesize(
     across, down = (copied_steps(filled, field, came_from, around, axis) for axis in (1, 0))
     filled = filled_over_grid(filled, inside, around, across=across, down=down, pull=_HOLD)
     result = albedo.copy()
-    new = np.exp(filled[inside], dtype=np.float64)
+    new = np.exp(filled[inside], dtype=float)
     result[window][target[window]] = np.clip(new, albedo[known].min(0), albedo[known].max(0))
     return result
 

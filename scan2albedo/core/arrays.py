@@ -45,7 +45,7 @@ def checked_array(
         ...
     ValueError: points is (1, 2), expected (N, 3)
     """
-    array = np.asarray(values, np.float64 if kind is float else None)
+    array = np.asarray(values, float if kind is float else None)
     whole = (*array.shape[: array.ndim - len(shape) + 1], *shape[1:]) if shape[0] is ... else shape
     sizes = [got if isinstance(want, str) else want for want, got in zip(whole, array.shape, strict=False)]
     fitting = len(whole) == array.ndim and tuple(sizes) == array.shape
@@ -56,20 +56,20 @@ def checked_array(
     if finite is not None and not (good := np.isfinite(array)).all():
         first = np.argwhere(~good)[0].tolist()
         raise finite(f"{name}: {int((~good).sum())} values are NaN or infinite, first at {first}")
-    return array.astype(np.int64) if kind is int else array
+    return array.astype(int) if kind is int else array
 
 
 def checked_mesh(
     vertices: ArrayLike, faces: ArrayLike, name: str, error: type[Exception] = ValueError
 ) -> tuple[FloatArray, IntArray]:
     """Return vertices (V, 3) and faces (F, 3) of a mesh; an `error` that begins with its name for others."""
-    xyz, index = np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces)
+    xyz, index = np.ascontiguousarray(vertices, float), np.ascontiguousarray(faces)
     for what, array in (("vertices", xyz), ("faces", index)):
         if array.ndim != 2 or array.shape[1] != 3:
             raise error(f"{name}: its {what} have shape {array.shape}, expected (N, 3); triangulate it")
     if bad := int((~np.isfinite(xyz)).any(1).sum()):
         raise error(f"{name}: {bad} of {len(xyz)} vertices are NaN or infinite; repair it first")
-    whole = index.astype(np.int64)
+    whole = index.astype(int)
     if (whole != index).any():
         raise error(f"{name}: its faces hold numbers that are not whole")
     if len(whole) and not (whole.min() >= 0 and whole.max() < len(xyz)):

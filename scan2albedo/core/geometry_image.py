@@ -34,8 +34,8 @@ NO_CAMERA = 255
 Occluder = tuple[FloatArray, IntArray]
 
 ARRAYS = {
-    "position": (np.float64, 3),
-    "normal": (np.float64, 3),
+    "position": (float, 3),
+    "normal": (float, 3),
     "mask": (np.bool_, None),
     "region": (np.uint8, None),
     "texture_linear": (np.float32, 3),

@@ -124,8 +124,8 @@ class RawScan:
             object.__setattr__(self, "landmarks", PlacedLandmarks.of(self.landmarks))
         if not 0 < self.mm_per_unit < np.inf:
             raise ScanError(f"{self.name}: mm_per_unit is {self.mm_per_unit}, expected a length above 0")
-        vertices = self._checked("vertices", np.float64, (None, 3))
-        faces = self._checked("faces", np.int64, (None, 3))
+        vertices = self._checked("vertices", float, (None, 3))
+        faces = self._checked("faces", int, (None, 3))
         if len(faces) == 0:
             raise ScanError(f"{self.name}: no faces ({len(vertices)} vertices); a surface mesh is needed")
         require_valid_indices(faces, len(vertices), self.name)
@@ -137,7 +137,7 @@ class RawScan:
             grid = self.texture_linear.shape[:2] if textured else (len(vertices),)  # type: ignore[union-attr]
             self._checked("color_seen", np.bool_, grid)
         for field, dtype, shape in (
-            ("uv", np.float64, (len(faces), 3, 2)),
+            ("uv", float, (len(faces), 3, 2)),
             ("texture_linear", np.float32, (None, None, 3)),
             ("vertex_color_linear", np.float32, (len(vertices), 3)),
         ):

@@ -278,20 +278,20 @@ def default_model() -> AnnotatedSurface:
     return replace(model, face_uv=model.uv)
 
 
-_STORED: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
-    "control_vertices": (np.float64, ("control_vertices", 3)),
+_STORED: dict[str, tuple[type, tuple[str | int, ...]]] = {
+    "control_vertices": (float, ("control_vertices", 3)),
     "control_faces": (np.int32, ("control_faces", 3)),
-    "uv": (np.float64, ("control_vertices", 2)),
+    "uv": (float, ("control_vertices", 2)),
     "region": (np.uint8, ("control_faces",)),
-    "template_offset": (np.float64, ("template_vertices", 3)),
-    "template_from_model": (np.float64, (4, 4)),
+    "template_offset": (float, ("template_vertices", 3)),
+    "template_from_model": (float, (4, 4)),
     "template_faces": (np.int32, ("template_faces", 3)),
-    "template_uv": (np.float64, ("template_faces", 3, 2)),
-    "face_uv": (np.float64, ("control_vertices", 2)),
+    "template_uv": (float, ("template_faces", 3, 2)),
+    "face_uv": (float, ("control_vertices", 2)),
     "landmark_face": (np.int32, ("landmarks",)),
-    "landmark_barycentric": (np.float64, ("landmarks", 3)),
+    "landmark_barycentric": (float, ("landmarks", 3)),
     "template_face": (np.int32, ("template_vertices",)),
-    "template_barycentric": (np.float64, ("template_vertices", 3)),
+    "template_barycentric": (float, ("template_vertices", 3)),
 }
 """Type on disk, and shape by numbers that `FaceModelFile` gives; integers have 64 bits in memory."""
 

@@ -54,7 +54,7 @@ class RayCaster:
         Directions (N, 3) are of any length; one direction (3,) for all rays is faster. Origins that serve
         many times may be `local`, that is from `to_local`.
         """
-        start = np.asarray(origins, np.float32 if local else np.float64)
+        start = np.asarray(origins, np.float32 if local else float)
         heading = np.ascontiguousarray(directions, np.float32)
         # Embree wants a direction a ray: one block of a common direction serves every block of rays.
         common = np.tile(heading, (min(len(start), _CHUNK), 1)) if heading.ndim == 1 else None
@@ -114,7 +114,7 @@ def each_block(work: Callable[[slice], None], parts: Sequence[slice]) -> None:
                 return
             work(block)
 
-    helpers = min(os.cpu_count() or 1, len(parts)) - 1 if len(parts) > 1 else 0
+    helpers = min(os.cpu_count() or 1, len(parts)) - 1
     if helpers < 1:
         take()
         return

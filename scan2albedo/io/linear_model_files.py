@@ -283,7 +283,7 @@ def _numbers(values: Values, name: str, *, whole: bool = False) -> Any:
     array = np.asarray(values[name])
     if array.dtype.kind not in "fiu" or (whole and ((array < 0) | (array != np.floor(array))).any()):
         raise ModelError(f"{name} holds {array.dtype} {array.shape}, expected {'whole ' * whole}numbers")
-    return array.astype(np.int64 if whole else np.float64)
+    return array.astype(np.int64 if whole else float)
 
 
 def stored_arrays(file: Path) -> Values:

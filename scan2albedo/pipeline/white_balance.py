@@ -28,7 +28,7 @@ def balanced(
         if not skin.any():
             reason = "the colours are not balanced: no skin is known, so its colour is not either"
             return scan, image, PlanStep.wrong("white_balance", reason)
-        red, green, blue = np.log(texture[skin], dtype=np.float64).T
+        red, green, blue = np.log(texture[skin], dtype=float).T
         prior_mean = np.array([0.0, *AlbedoPrior.faces().chroma[0]])
         gain = np.exp(prior_mean - [0.0, np.median(green - red), np.median(blue - red)])
         gain, reason = gain / gain[1], "skin has the mean colour of people's"

@@ -238,7 +238,7 @@ class ProcessedFace:
         """Return the albedo's level: the geometric mean of V over the texels whose texture was seen."""
         value = self.albedo_linear.max(-1)[self.image.seen]
         positive = value[value > 0]
-        return float(np.exp(np.mean(np.log(positive, dtype=np.float64)))) if len(positive) else 0.0
+        return float(np.exp(np.mean(np.log(positive, dtype=float)))) if len(positive) else 0.0
 
     def reshaped(self, mesh: FaceMesh, position: FloatArray, name: str) -> Self:
         """Return this face with other geometry: vertices of `mesh`, `position` (N, 3) of the masked texels.
