@@ -12,8 +12,8 @@ from scan2albedo.geometry.rays import RayCaster
 
 _OFFSETS = (1.5e-4, 5e-3)
 """Least and largest offset of shadow rays as parts of the caster's size."""
-_RIM = 16
-"""Points of a rim that show whether a lamp is cut: beyond two of them lies at most a 200th of it."""
+_RIM = 13
+"""Points of a rim, at most 33 degrees apart, that show whether a lamp is cut: a 200th lies beyond two."""
 
 
 @dataclass(frozen=True)
