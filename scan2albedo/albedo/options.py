@@ -17,7 +17,7 @@ OPTIONAL_STEPS = (
     "albedo.light_colour",
     "albedo.inpainting",
 )
-"""Steps that the evidence decides on, unless `EstimateOptions.skip` or `force` names them: cast shadows, the
+"""Steps that priors and evidence decide on, unless `EstimateOptions.skip` or `force` names them: cast shadows, the
 lamps' angular radius, the cameras that each texel is seen from, Phong's highlight, a finite distance common
 to all lights, Oren-Nayar's sigma (or Minnaert's exponent), occlusion of ambient light, one bounce of light
 off the surface, an environment in spherical harmonics, colours of the light's parts, repair of saturated
