@@ -90,7 +90,7 @@ def test_the_closed_form_is_ridge_regression_over_all_unknowns(model, lighting):
             diffuse, lobes = response.diffuse @ fit.light, response.specular @ fit.light
             gloss = np.einsum("vk,vkj->vj", share, lobes)
             residual = shot.observed_linear - albedo * diffuse - total * gloss
-            spread = 1.4826 * np.median(np.abs(residual[SEEN]))
+            spread = 1.482602218505602 * np.median(np.abs(residual[SEEN]))
             by_channel = np.column_stack([np.diag(diffuse[vertex]), gloss[vertex]])
             rows.append(np.kron(by_channel, np.append(1.0, b)))
             off.append(residual[vertex])

@@ -142,7 +142,7 @@ def test_maps_need_coordinates_and_colours():
     ):
         with pytest.raises(ApplicationError, match=words):
             engine_maps(*given, estimate(), surface, 32)
-    with pytest.raises(ValueError, match="maps is 'skin', expected one of chart, scan, template"):
+    with pytest.raises(ValueError, match="maps is 'skin', expected one of None, chart, scan, template"):
         ProcessOptions(maps="skin")
 
 
