@@ -17,11 +17,12 @@ OPTIONAL_STEPS = (
     "albedo.light_colour",
     "albedo.inpainting",
 )
-"""Steps that priors and evidence decide on, unless `EstimateOptions.skip` or `force` names them: cast shadows, the
-lamps' angular radius, the cameras that each texel is seen from, Phong's highlight, a finite distance common
-to all lights, Oren-Nayar's sigma (or Minnaert's exponent), occlusion of ambient light, one bounce of light
-off the surface, an environment in spherical harmonics, colours of the light's parts, repair of saturated
-texels. Parts of the light that are not skipped are always in the model, as far as their priors allow."""
+"""Steps that priors and evidence decide on, unless `EstimateOptions.skip` or `force` names them: cast
+shadows, the lamps' angular radius, the cameras that each texel is seen from, Phong's highlight, a finite
+distance common to all lights, Oren-Nayar's sigma (or Minnaert's exponent), occlusion of ambient light, one
+bounce of light off the surface, an environment in spherical harmonics, colours of the light's parts, repair
+of saturated texels. Parts of the light that are not skipped are always in the model, as far as their priors
+allow."""
 
 MINIMAL_TEXELS = 64
 """Fewer usable texels are an error."""

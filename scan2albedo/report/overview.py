@@ -47,14 +47,14 @@ def overview_figure(title: str, panels: list[Panel], columns: int = 5) -> Figure
 
     columns = min(columns, len(panels))
     rows = -(-len(panels) // columns)
-    # A line that is wider than the figure would be cut off on both sides.
-    lines = [line for part in title.split("\n") for line in textwrap.wrap(part, 36 * columns) or [""]]
-    below_in = 3.9 * rows
+    # A line that is wider than the figure would be cut off on both sides. An empty one keeps panels apart.
+    lines = [line for part in f"{title}\n".split("\n") for line in textwrap.wrap(part, 36 * columns) or [""]]
+    below_in = 4 * rows
     height_in = below_in + 0.25 * len(lines)
     figure = Figure(figsize=(3.6 * columns, height_in))
     figure.suptitle("\n".join(lines))
     # Places in inches: matplotlib's own layout engines take as long as the drawing.
-    figure.subplots_adjust(0, 0, 1, (below_in - 0.25) / height_in, 0, 0.08)
+    figure.subplots_adjust(0, 0, 1, (below_in - 0.25) / height_in, 0.03, 0.08)
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for axis in axes:
         axis.set_axis_off()
