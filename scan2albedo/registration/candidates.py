@@ -126,23 +126,19 @@ class CandidateSearch:
         return candidates
 
     def rounds(self) -> Iterator[Poses]:
-        """Yield the poses that landmarks show, those nearest to the scan, and of more those with most relief.
+        """Yield the poses that landmarks show, those nearest to the scan, and those with most relief.
 
-        Relief is asked for because distance alone prefers the back of a head to half a face.
+        Relief is asked for because distance alone prefers the back of a head to half a face: of the nearest
+        poses first, then of all, among which a face is that is much larger or smaller than the model's.
         """
         if self.landmarks is not None:
             yield self.landmarks.start()
-        every = np.arange(len(self.poses))
-        nearest = (self.count + 1) // 2
-        yield self.poses.subset(every[:nearest])
-        others = every[nearest : 5 * self.count]
-        order = np.argsort([-self._relief(number) for number in others.tolist()], kind="stable")
-        yield self.poses.subset(others[order[: self.count - nearest]])
-
-    def _relief(self, number: int) -> float:
-        """Return what ranks a coarse pose by its relief."""
-        pose = Similarity(self.poses.rotations[number], self.poses.translations[number])
-        return Candidate(pose, self._agreement(pose), 0.0).ranking
+        yield self.poses.subset(np.arange(len(self.poses))[: (self.count + 1) // 2])
+        poses = map(Similarity, self.poses.rotations, self.poses.translations)
+        relief = [Candidate(pose, self._agreement(pose), 0.0).ranking for pose in poses]
+        ranked = np.argsort(-np.array(relief), kind="stable")
+        yield self.poses.subset(ranked[ranked < 5 * self.count][: self.count])
+        yield self.poses.subset(ranked[: 2 * self.count])
 
     def _agreement(self, pose: Similarity) -> ReliefAgreement:
         return self.template.image.agreement(self.scan.vertices, self.scan.faces, pose.inverse())
