@@ -7,7 +7,6 @@ how rare covers are against it. A cover leaves a hole, over which the model keep
 """
 
 import numpy as np
-from scipy.stats import norm
 
 from scan2albedo.core import Meter
 from scan2albedo.core.arrays import BoolArray, FloatArray, dots, norms
@@ -120,7 +119,8 @@ def _covers(scan: ScanSurface, model: AnnotatedSurface, person: FloatArray) -> B
     if not cover.any():
         return cover
     # Heights are normal about a face that the modes make, and even before covers and other faces.
-    odds = -np.log(FARTHEST_MM) - norm.logpdf(before_mm[cover], scale=deviation_mm)
+    normal = np.log(np.sqrt(2 * np.pi) * deviation_mm) + (before_mm[cover] / deviation_mm) ** 2 / 2
+    odds = normal - np.log(FARTHEST_MM)
     by_heights = float(mesh.vertex_areas(scan.vertices, scan.faces)[cover] @ odds) / EYE_MM**2
     # A cover ends as a thing does: at the scan's border, or by jumps. A brow rises gradually.
     edges, _ = mesh.edges_with_faces(scan.faces)

@@ -16,8 +16,7 @@ from typing import Self
 import numpy as np
 from scipy.linalg import block_diag
 from scipy.ndimage import gaussian_filter
-from scipy.special import logsumexp
-from scipy.stats import norm, qmc
+from scipy.special import logsumexp, ndtri
 from skimage.measure import points_in_poly
 
 from scan2albedo.core import RawScan
@@ -387,7 +386,9 @@ def _posterior(
 @cache
 def _draws() -> FloatArray:
     """Return (_SAMPLES, _MOTIONS) normal numbers, evenly spread, always the same: mean 0, covariance 1."""
-    draws = norm.ppf(np.clip(qmc.Sobol(_MOTIONS, seed=1).random(_SAMPLES), 1e-6, 1 - 1e-6))
+    # Multiples of roots of primes, modulo 1, are spread evenly (Richtmyer's lattice).
+    roots = np.sqrt([2, 3, 5, 7, 11, 13, 17])
+    draws = ndtri(np.outer(np.arange(1, _SAMPLES + 1), roots) % 1)
     draws -= draws.mean(axis=0)
     return np.linalg.solve(np.linalg.cholesky(draws.T @ draws / _SAMPLES), draws.T).T
 
