@@ -137,7 +137,7 @@ def scan_picture(scan: s2a.RawScan, vertices: NDArray[np.floating], view: View) 
     """Return a scan's own colours, whose vertices (V, 3) were turned, without any shading."""
     looks: dict[str, Any] = {}
     if scan.uv is not None and scan.texture_linear is not None:
-        looks["texture_srgb"] = scan.uv, encode_srgb_bytes(scan.texture_linear)
+        looks["texture"] = scan.uv, scan.texture_linear
     else:
         looks["vertex_color_srgb"] = encode_srgb_bytes(scan.vertex_color_linear[None])[0] / 255
     return rendered(vertices, scan.faces, view=view, shaded=False, **looks)

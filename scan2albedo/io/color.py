@@ -82,7 +82,9 @@ def is_deep(linear: Float32Array) -> bool:
 
 def label_colors() -> ByteArray:
     """Return (11, 3) sRGB colours of labels: 0 black, the others those of matplotlib's tab10."""
-    from matplotlib import colormaps
+    return hex_colors("000000 1f77b4 ff7f0e 2ca02c d62728 9467bd 8c564b e377c2 7f7f7f bcbd22 17becf")
 
-    colors = np.array([(0.0, 0.0, 0.0), *colormaps["tab10"].colors])  # type: ignore[attr-defined]
-    return (255 * colors).round().astype(np.uint8)
+
+def hex_colors(text: str) -> ByteArray:
+    """Return (N, 3) sRGB bytes of colours in hexadecimal digits, as in "1f77b4 ff7f0e"."""
+    return np.frombuffer(bytes.fromhex(text), np.uint8).reshape(-1, 3)

@@ -21,7 +21,7 @@ _KINDS |= {name: {"b": "b", "u": "iu"}.get(np.dtype(kind).kind, "fiu") for name,
 
 
 def write_geometry_image(path: str | Path, image: GeometryImage) -> None:
-    """Write a geometry image as a compressed ``.npz`` without loss, atomically.
+    """Write a geometry image as an ``.npz`` without loss, atomically.
 
     Arrays: ``position_mm``, ``normal``, ``mask`` and, where the image has them, ``region``,
     ``texture_linear``, ``texture_valid``, ``specular_scale``, ``inpaint``, ``skin``, ``labels``,
@@ -38,8 +38,8 @@ def write_geometry_image(path: str | Path, image: GeometryImage) -> None:
         arrays["occluder_vertices_mm"], arrays["occluder_faces"] = image.occluder
     if image.camera is not None and image.camera_positions is not None:
         arrays["camera"], arrays["camera_positions_mm"] = image.camera, image.camera_positions
-    # Floats hardly shrink: the fastest level saves a quarter of the time and costs 1 % of the size.
-    write_npz(path, arrays, what="geometry image", compression=1)
+    # All but the empty texels of these hardly shrinks: a sixth of the file for two thirds of the time.
+    write_npz(path, arrays, what="geometry image", compression=1, plain=("position_mm", "normal"))
 
 
 def write_geometry_image_exr(path: str | Path, image: GeometryImage) -> None:

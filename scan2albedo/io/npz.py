@@ -18,11 +18,19 @@ from scan2albedo.io.records import Content, parse_record
 Arrays = dict[str, NDArray]
 
 
-def write_npz(path: str | Path, arrays: Mapping[str, NDArray], *, what: str, compression: int = 0) -> None:
+def write_npz(
+    path: str | Path,
+    arrays: Mapping[str, NDArray],
+    *,
+    what: str,
+    compression: int = 0,
+    plain: Collection[str] = (),
+) -> None:
     """Write arrays, by name, as an .npz file, whole or not at all; same content, same bytes.
 
     Messages call the content `what`, such as "reflectance model". `compression` is the level of zlib, 0 for
-    none: 6 is worth its time where values repeat, as in masks and indices; measured floats hardly shrink.
+    none: 6 is worth its time where values repeat, as in masks and indices; measured floats hardly shrink, and
+    arrays named in `plain` are not compressed.
     Raises ValueError when the name does not end in .npz, OutputError when the file cannot be written.
     """
     if Path(path).suffix != ".npz":
@@ -33,6 +41,7 @@ def write_npz(path: str | Path, arrays: Mapping[str, NDArray], *, what: str, com
         zipfile.ZipFile(temporary, "w", method, compresslevel=compression) as archive,
     ):
         for name, array in arrays.items():
+            archive.compression = zipfile.ZIP_STORED if name in plain else method
             with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
                 np.lib.format.write_array(entry, np.asanyarray(array), allow_pickle=False)
 

@@ -8,7 +8,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
+
+from PIL.Image import Image
 
 from scan2albedo.core.arrays import Texts
 from scan2albedo.core.budget import Trace
@@ -18,9 +20,6 @@ from scan2albedo.io.atomic import cannot_write
 from scan2albedo.io.leftovers import is_hidden_path
 from scan2albedo.io.publication import folder_lock, go_on, publish, settle, staged
 from scan2albedo.io.records import Record, installed_versions, read_record, write_record
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 Kind = TypeVar("Kind", bound=Record)
 
@@ -75,14 +74,14 @@ class Staging(Generic[Kind]):
     folder: Path
     files: OwnFiles[Kind]
 
-    def figure(self, name: str, figure: Figure, dpi: int = 110) -> None:
-        """Write a matplotlib figure."""
-        figure.savefig(self.folder / name, dpi=dpi)
-
     def trace(self, trace: Trace) -> None:
-        """Write a trace as a table, trace.csv, and as a figure, error_vs_time.png."""
+        """Write a trace as a table, trace.csv, and as a picture, error_vs_time.png."""
         trace.to_csv(self.folder / "trace.csv")
-        self.figure("error_vs_time.png", trace.plot())
+        trace.plot().savefig(self.folder / "error_vs_time.png")
+
+    def picture(self, name: str, picture: Image) -> None:
+        """Write a picture as PNG."""
+        picture.save(self.folder / name, compress_level=1)
 
     def write_record(self, **content: Any) -> Kind:
         """Write the record with this content, versions and the list of files, and return it; call it last."""

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, NDArray, Texts, Values
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, NDArray, Values
 from scan2albedo.geometry.mesh import vertex_normals
 from scan2albedo.geometry.tangents import split_at_seams, tangent_mesh
 from scan2albedo.io.atomic import write_bytes, write_text
@@ -55,8 +55,8 @@ class TexturedMesh:
     """(68,): the vertices that `parts` follow."""
 
 
-def write_textured_obj(path: str | Path, mesh: TexturedMesh, *, mm_per_unit: float = 1.0) -> Texts:
-    """Write a mesh as OBJ, with its MTL and pictures beside it; return the names of these.
+def write_textured_obj(path: str | Path, mesh: TexturedMesh, *, mm_per_unit: float = 1.0) -> None:
+    """Write a mesh as OBJ, with its MTL and pictures beside it.
 
     Vertices keep their order and are written in a unit of `mm_per_unit`. Raises OutputError.
     """
@@ -71,25 +71,22 @@ def write_textured_obj(path: str | Path, mesh: TexturedMesh, *, mm_per_unit: flo
     if mesh.uv is None:
         lines += [f"f {a} {b} {c}\n" for a, b, c in (mesh.faces + 1).tolist()]
         write_text(target, "".join(lines))
-        return ()
+        return
     split = split_at_seams(mesh.faces, mesh.uv)
     lines += [f"vt {u:.9g} {v:.9g}\n" for u, v in split.uv.tolist()]
     corners = np.stack([mesh.faces, split.faces], axis=-1).reshape(-1, 6) + 1
     for name, chosen in _materials(mesh):
         lines += [f"usemtl {name}\n"]
         lines += [f"f {a}/{k} {b}/{m} {c}/{n}\n" for a, k, b, m, c, n in corners[chosen].tolist()]
-    materials, written = "", [target.with_suffix(".mtl").name]
+    materials = ""
     for picture in mesh.pictures:
         write_bytes(target.with_name(picture.name), picture.png)
         materials += f"newmtl {Path(picture.name).stem}\nKd 1 1 1\nillum 1\nmap_Kd {picture.name}\n"
-        written.append(picture.name)
         if picture.normal_png is not None:
             write_bytes(target.with_name(picture.normal_name), picture.normal_png)
             materials += f"norm {picture.normal_name}\n"
-            written.append(picture.normal_name)
     write_text(target.with_suffix(".mtl"), materials)
     write_text(target, "".join(lines))
-    return tuple(written)
 
 
 def write_textured_glb(path: str | Path, mesh: TexturedMesh) -> None:

@@ -116,7 +116,7 @@ def _shown_colors(scan: RawScan, near: BoolArray) -> Values:
         stride = max(1, max(scan.texture_linear.shape[:2]) // (4 * _SIZE))
         texture = (255 * _exposed(scan.texture_linear[::stride, ::stride])).astype(np.uint8)
         uv = in_first_period(scan.uv[near], texture.shape)
-        return {"texture_srgb": (uv, texture), "shaded": False}
+        return {"texture": (uv, texture), "shaded": False}
     if scan.vertex_color_linear is not None:
         return {"vertex_color_srgb": _exposed(scan.vertex_color_linear), "shaded": False}
     return {}

@@ -17,10 +17,11 @@ from scan2albedo.io.result_records import RESULT_FILE, InputRecord, ResultRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
 from scan2albedo.pipeline.clock import Clock
 from scan2albedo.pipeline.options import ProcessChanges, ProcessOptions
+from scan2albedo.pipeline.overview import result_panels
 from scan2albedo.pipeline.result import ProcessResult, Run
 from scan2albedo.pipeline.stages import Files, FindAlbedo, Fit, FitLinearModel, Load, Register, Sample, Stage
 from scan2albedo.pipeline.unlit import Unlit
-from scan2albedo.report.overview import figure_png, overview_figure, result_panels
+from scan2albedo.report.overview import overview_picture
 
 STAGES: list[Stage] = [Load(), Register(), Fit(), Sample(), FitLinearModel(), FindAlbedo(), Unlit()]
 """The way of a scan; one that is appended writes files of its own."""
@@ -130,18 +131,9 @@ def write_result(
         result.write_more(staging.folder)
         written.write("trace.csv", result.trace.to_csv)
         if "overview.png" not in left_out:
-            panels = result_panels(
-                result.scan,
-                result.fitted,
-                result.geometry_image,
-                result.albedo,
-                result.preview_srgb,
-                None if result.unlit is None else result.unlit.scan,
-            )
-            overview = figure_png(overview_figure(result.summary(), panels, columns=6))
-            written.write("overview.png", Path.write_bytes, overview)
-            curves = figure_png(result.trace.plot())
-            written.write("error_vs_time.png", Path.write_bytes, curves)
+            overview = overview_picture(result.summary(), result_panels(result), 6)
+            written.write("overview.png", overview.save, compress_level=1)
+            written.write("error_vs_time.png", result.trace.plot().savefig)
         albedo = result.albedo
         own = None if result.fitted is None else result.fitted.model.template_from_model
         staging.write_record(

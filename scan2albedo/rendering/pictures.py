@@ -21,8 +21,13 @@ from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.pinhole import project
 from scan2albedo.geometry.rasterization import Raster, interpolate, pixels_from_uv, rasterize
 from scan2albedo.geometry.rigid import rotation_from_vector
-from scan2albedo.io.color import encode_srgb_bytes
+from scan2albedo.io.color import encode_srgb_bytes, hex_colors, linear_to_srgb
 
+COLORMAPS = {
+    "viridis": "440154481b6d46327e3f4788365c8d2e6e8e277f8e21918c1fa1872db27d4ac16d73d056a0da39d0e11cfde725",
+    "inferno": "0000040d0829280b53470b6a65156e82206c9f2a63bc3754d44842e8602df57d15fc9f07fac228f3e55dfcffa4",
+}
+"""Colours at equal steps of matplotlib's colormaps; between them these are off by at most 8 of 255."""
 DISTANCE_MM = 700.0
 """From the camera of a portrait to the middle of the face."""
 PORTRAIT_MARGIN = 1.12
@@ -194,7 +199,7 @@ def render_mesh(
     faces: ArrayLike,
     *,
     vertex_color_srgb: ArrayLike | None = None,
-    texture_srgb: tuple[ArrayLike, ByteArray] | None = None,
+    texture: tuple[ArrayLike, ByteArray | Float32Array] | None = None,
     view: View | None = None,
     size: int = 512,
     shaded: bool = True,
@@ -202,35 +207,40 @@ def render_mesh(
     """Render a mesh orthographically as (size, size, 3) uint8 sRGB before white.
 
     `vertices` (V, 3): +x to the right, +y up, +z to the viewer. `vertex_color_srgb` (V, 3) is within [0, 1],
-    grey when None; `texture_srgb`, the uv of each face's corners (F, 3, 2) and an image (H, W, 3), goes
-    before it. Without `view` all of the mesh is shown from the front. `shaded` multiplies colours by a
-    headlight's shading.
+    grey when None; `texture`, the uv of each face's corners (F, 3, 2) and an image (H, W, 3), sRGB bytes or
+    linear floats, goes before it. Without `view` all of the mesh is shown from the front. `shaded`
+    multiplies colours by a headlight's shading.
     """
     xyz, index = np.asarray(vertices, float), np.asarray(faces, int)
     view = view if view is not None else View.around(xyz)
     raster = view.raster(xyz, index, size)
-    if texture_srgb is not None:
-        corners, image = np.asarray(texture_srgb[0], float), texture_srgb[1]
-        uv = np.einsum("nk,nkc->nc", raster.barycentric[raster.covered], corners[raster.face[raster.covered]])
+    covered = raster.covered
+    if texture is not None:
+        corners, image = np.asarray(texture[0], float), texture[1]
+        uv = np.einsum("nk,nkc->nc", raster.barycentric[covered], corners[raster.face[covered]])
         pixels = np.round(pixels_from_uv(uv, image.shape[:2])).astype(int)
         column, row = np.clip(pixels, 0, [image.shape[1] - 1, image.shape[0] - 1]).T
-        picture = np.zeros((size, size, 3))
-        picture[raster.covered] = image[row, column] / 255.0
+        colors = image[row, column]
+        colors = colors / 255 if colors.dtype == np.uint8 else linear_to_srgb(np.clip(colors, 0, 1))
+    elif vertex_color_srgb is not None:
+        colors = interpolate(raster, index, np.asarray(vertex_color_srgb, float))[covered]
     else:
-        grey = np.full((len(xyz), 3), 0.8)
-        color = grey if vertex_color_srgb is None else np.asarray(vertex_color_srgb, float)
-        picture = interpolate(raster, index, color)
+        colors = np.array([[0.8]])
     if shaded:
-        normals = normalized(interpolate(raster, index, vertex_normals(view.project(xyz), index)))
-        picture *= (0.25 + 0.75 * np.abs(normals @ normalized(np.array([0.35, 0.45, 0.82]))))[..., None]
-    picture[~raster.covered] = 1.0
-    return np.round(np.clip(picture, 0, 1) * 255).astype(np.uint8)
+        normals = normalized(interpolate(raster, index, vertex_normals(view.project(xyz), index))[covered])
+        light = np.abs(normals @ normalized(np.array([0.35, 0.45, 0.82])))
+        colors = colors * (0.25 + 0.75 * light)[:, None]
+    picture = np.full((size, size, 3), 255, np.uint8)
+    picture[covered] = np.round(np.clip(colors, 0, 1) * 255)
+    return picture
 
 
 def heat_colors(values: ArrayLike, low: float, high: float, colormap: str = "viridis") -> FloatArray:
-    """Return (N, 3) sRGB colours in [0, 1] of values mapped linearly from [low, high]; NaN is grey."""
-    from matplotlib import colormaps
+    """Return (N, 3) sRGB colours in [0, 1] of values mapped linearly from [low, high]; NaN is grey.
 
-    array = np.asarray(values, float)
-    colors = colormaps[colormap](np.clip((array - low) / (high - low), 0, 1))[..., :3]
-    return np.where(np.isnan(array)[..., None], 0.6, colors)
+    `colormap` is one of `COLORMAPS`.
+    """
+    array, stops = np.asarray(values, float), hex_colors(COLORMAPS[colormap]) / 255
+    place = np.clip((array - low) / (high - low), 0, 1) * (len(stops) - 1)
+    colors = [np.interp(place, range(len(stops)), channel) for channel in stops.T]
+    return np.where(np.isnan(array)[..., None], 0.6, np.stack(colors, -1))

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from PIL.ImageColor import getrgb
 from scipy.ndimage import affine_transform, binary_dilation
 
 from scan2albedo.core import RawScan
@@ -56,7 +57,7 @@ def glasses_panels(frames: Sequence[tuple[str, FloatArray, CanonicalEyeglasses]]
         dots = canonical.keypoints[finite_rows(canonical.keypoints)]
         # Each column of the weights has a hue, mixed by weight.
         hues = colormaps["tab20"](np.arange(canonical.weights.shape[1]) % 20)[:, :3]
-        heat = heat_colors(distance, 0, max(most, 1e-9), "viridis")
+        heat = heat_colors(distance, 0, max(most, 1e-9))
         how = "unbent, own shape" if canonical.unbent else "to the mean"
         how += f"\nmoved by {rms(distance):.2f} mm rms (0 to {most:.2g} mm)"
         states = ((f"{name}\nas given", placed, canonical.weights @ hues), (how, canonical.vertices, heat))
@@ -75,16 +76,14 @@ def registration_panels(
 
     Orange is the frame's outline, blue where the head hides it; red are outliers and what is not observed.
     """
-    from matplotlib.colors import to_rgb
-
     caster = None if head is None else RayCaster(*head)
     panels = [_view_panel(frame, number, view, caster) for number, view in enumerate(views[:MOST_SHOWN])]
     upright = align_key_points(frame.keypoints, in_own_axes(frame.keypoints))
     vertices = transform_points(upright, frame.vertices)
     shown = frame.deviation[frame.observed]
     most = max(float(shown.max(initial=0.0)), 1e-9)
-    heat = heat_colors(frame.deviation, 0, most, "viridis")
-    colors = np.where(frame.observed[:, None], heat, to_rgb(_OUTLIER_COLOR))
+    heat = heat_colors(frame.deviation, 0, most)
+    colors = np.where(frame.observed[:, None], heat, np.divide(getrgb(_OUTLIER_COLOR), 255))
     title = f"standard deviation, 0 to {most:.2g} mm" if len(shown) else "nothing is observed"
     lost = 1 - frame.observed.mean()
     more = f"\n(red: {lost:.0%} not observed)" if lost > 0 else ""
@@ -94,8 +93,8 @@ def registration_panels(
         panels.append(Panel(f"{title}; {side}{more}", picture))
     if head is not None:
         skin = transform_points(upright, head[0])
-        parts = [to_rgb("midnightblue"), to_rgb("bisque")]
-        colors = np.repeat(parts, [len(vertices), len(skin)], axis=0)
+        parts = getrgb("midnightblue"), getrgb("bisque")
+        colors = np.repeat(parts, [len(vertices), len(skin)], axis=0) / 255
         joined = np.concatenate([vertices, skin]), np.concatenate([frame.faces, head[1] + len(vertices)])
         around = View.around(vertices)
         view = View(around.center_mm, 1.5 * around.half_width_mm, yaw_deg=-35.0)
@@ -105,8 +104,6 @@ def registration_panels(
 
 
 def _view_panel(frame: RegisteredEyeglasses, number: int, view: SeenView, head: RayCaster | None) -> Panel:
-    from matplotlib.colors import to_rgb
-
     view_camera, view_mask, view_labels = view
     camera = normalized_cameras(view_camera.matrix[None])[0]
     # The (3, 3) map from the picture's pixels to the panel's that shows frame, mask and labels.
@@ -139,7 +136,7 @@ def _view_panel(frame: RegisteredEyeglasses, number: int, view: SeenView, head: 
     hidden.flat[shown.index[behind]] = True
     # The silhouette's own border; what the head cuts off is not a border of the frame.
     for part, rest, color in ((hidden, ~(seen | hidden), "cornflowerblue"), (seen, ~seen, "darkorange")):
-        picture[part & binary_dilation(rest, iterations=2)] = np.round(255 * np.array(to_rgb(color)))
+        picture[part & binary_dilation(rest, iterations=2)] = getrgb(color)
     errors, close = frame.label_errors_px[number], frame.inliers[number]
     labelled = ~np.isnan(errors)
     count, wrong = int(labelled.sum()), int((labelled & ~close).sum())
@@ -150,8 +147,7 @@ def _view_panel(frame: RegisteredEyeglasses, number: int, view: SeenView, head: 
     outline = "outline not compared" if np.isnan(off) else f"outline {off:.1f} px rms"
     title = f"{view_camera.name}: {labels}\n{'no mask' if view_mask is None else outline}"
     dots = view_labels[labelled] @ zoom[:2, :2].T + zoom[:2, 2]
-    colors = np.where(close[labelled, None], to_rgb("lime"), to_rgb(_OUTLIER_COLOR))
-    return Panel(title, picture, dots, colors)
+    return Panel(title, picture, dots, ["lime" if near else _OUTLIER_COLOR for near in close[labelled]])
 
 
 def key_point_chart(

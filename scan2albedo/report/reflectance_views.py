@@ -104,7 +104,7 @@ def relit_panels(
         Panel("relit", encode_srgb_bytes(np.clip(scale * made, 0, 1))),
         Panel(
             f"difference, 0 to {100 * _MOST_ERROR:.0f} % of white",
-            np.round(255 * heat_colors(off, 0, _MOST_ERROR, "magma")).astype(np.uint8),
+            np.round(255 * heat_colors(off, 0, _MOST_ERROR, "inferno")).astype(np.uint8),
         ),
     ]
 

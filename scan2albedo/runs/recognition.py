@@ -132,9 +132,9 @@ def write_identification(
         }
         write_npz(staging.folder / "similarities.npz", similarities, what="similarities")
         if cmc is not None:
-            staging.figure("cmc.png", curve_figure(name, cmc))
+            curve_figure(name, cmc).savefig(staging.folder / "cmc.png")
         if roc is not None:
-            staging.figure("roc.png", curve_figure(name, roc))
+            curve_figure(name, roc).savefig(staging.folder / "roc.png")
         return staging.write_record(**dict(record))
 
 

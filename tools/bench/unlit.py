@@ -209,7 +209,7 @@ class Fitted:
     def picture(self) -> FloatArray:
         """The scan's own picture."""
         texture = self.scan.uv, encode_srgb_bytes(self.scan.texture_linear)
-        return drawn(self.placed, self.scan.faces, texture_srgb=texture)
+        return drawn(self.placed, self.scan.faces, texture=texture)
 
 
 @cache
@@ -251,8 +251,8 @@ def tile_drawn(painted: TemplateTexture, chosen: BoolArray) -> tuple[FloatArray,
     uv = painted.uv[faces]
     unseen = np.repeat(np.where(tile.seen[..., None], 0, 255).astype(np.uint8), 3, axis=2)
     # Black is what lies wholly on the template, and is seen.
-    counted = drawn(*mesh, texture_srgb=(uv, unseen)).max(-1) == 0
-    return drawn(*mesh, texture_srgb=(uv, encode_srgb_bytes(tile.color_linear))), counted
+    counted = drawn(*mesh, texture=(uv, unseen)).max(-1) == 0
+    return drawn(*mesh, texture=(uv, encode_srgb_bytes(tile.color_linear))), counted
 
 
 def painted_by_us(scene: Fitted) -> Drawn:

@@ -9,16 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from scan2albedo.core.arrays import Values
 from scan2albedo.errors import Scan2AlbedoError, needs_extra, one_line
 from scan2albedo.io.records import read_record
 from scan2albedo.io.result_records import ResultRecord, metric_columns
-from scan2albedo.report.html.encoding import encoded
 from scan2albedo.report.html.scan_section import relative_link
-from scan2albedo.report.html.texts import is_share, label_of, number_text, seconds_text, unit_of, value_text
-from scan2albedo.report.overview import figure_png
+from scan2albedo.report.html.texts import label_of, number_text, seconds_text, unit_of, value_text
 
 CATALOGUE_FILE, RESULT_FILE = "catalogue.parquet", "result.json"
 DONE, FAILED, NOT_RUN = "done", "failed", "not run"
@@ -230,21 +227,19 @@ def _columns(rows: Sequence[ScanRow], done: Sequence[ScanRow]) -> dict[str, Valu
     return columns
 
 
-def _distributions(rows: Sequence[ScanRow]) -> str:
-    """Return a figure with a histogram of each figure that several scans have, as a data URL; "" for none."""
-    known = {column: [v for row in rows if (v := row.number(column)) is not None] for column in FIGURES}
-    known = {column: values for column, values in known.items() if len(values) > 1}
-    if not known:
-        return ""
-    figure = Figure(figsize=(13, 2.4 * math.ceil(len(known) / 4)), dpi=80, layout="constrained")
-    for number, (column, values) in enumerate(known.items(), start=1):
-        title = f"{label_of(column)}, median {value_text(column, float(np.median(values)))} {unit_of(column)}"
-        axis = figure.add_subplot(math.ceil(len(known) / 4), 4, number)
-        axis.set_title(title, fontsize=9)
-        shown = np.array(values) * (100 if is_share(column) else 1)
-        axis.hist(shown, bins="sturges")
-        axis.axvline(float(np.median(shown)), color="black", linestyle="--")
-    return f"data:image/png;base64,{encoded(figure_png(figure))}"
+def _distributions(rows: Sequence[ScanRow]) -> list[Values]:
+    """Return a histogram of each figure that several scans have: heights of bars, as parts of the highest."""
+    histograms = []
+    for column in FIGURES:
+        known = [value for row in rows if (value := row.number(column)) is not None]
+        if len(known) > 1:
+            counts, edges = np.histogram(known, bins="sturges")
+            low, median, high = float(edges[0]), float(np.median(known)), float(edges[-1])
+            texts = [value_text(column, value) for value in (low, median, high)]
+            title = f"{label_of(column)}, median {texts[1]} {unit_of(column)}"
+            place, bars = (median - low) / (high - low), (counts / counts.max()).tolist()
+            histograms.append({"title": title, "bars": bars, "median": place, "ends": texts[::2]})
+    return histograms
 
 
 def _facts(rows: Sequence[ScanRow]) -> list[tuple[str, str]]:

@@ -31,7 +31,7 @@ from scan2albedo.io.result_records import SHA256, InputRecord, RunRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder, Staging
 from scan2albedo.io.units import MM_PER_UNIT
 from scan2albedo.report.eyeglasses_views import MOST_SHOWN, glasses_panels
-from scan2albedo.report.overview import overview_figure
+from scan2albedo.report.overview import overview_picture
 from scan2albedo.runs.eyeglasses.inputs import GlassesFrame
 
 
@@ -183,7 +183,7 @@ def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, Values]:
         drawn = [(frame.name, frame.scan.vertices, canonical) for frame, canonical in both]
         title = f"{MOST_SHOWN} of " * (len(drawn) > MOST_SHOWN)
         title += f"{len(drawn)} frame{'s' * (len(drawn) > 1)}"
-        staging.figure("overview.png", overview_figure(title, glasses_panels(drawn), 4), dpi=100)
+        staging.picture("overview.png", overview_picture(title, glasses_panels(drawn), 4))
         staging.write_record(
             options=dict(done.options),
             frames=tuple(frame.name for frame in done.frames),

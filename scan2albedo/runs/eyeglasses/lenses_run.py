@@ -40,7 +40,7 @@ from scan2albedo.io.records import (
 from scan2albedo.io.result_records import InputRecord, RunRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
 from scan2albedo.report.eyeglasses_views import MOST_SHOWN
-from scan2albedo.report.overview import Panel, overview_figure
+from scan2albedo.report.overview import Panel, overview_picture
 from scan2albedo.runs.eyeglasses.inputs import FileRecord, GlassesInput
 
 _FRAME_ALBEDO = (0.05, 0.05, 0.06)
@@ -302,8 +302,8 @@ def run_lenses(
             parts.append(GlbPart(name, lens.vertices, lens.faces, color, opacity, roughness=_SHOWN_OPACITY))
         write_parts_glb(staging.folder / "frame_with_lenses.glb", parts)
         powers = ", ".join(f"{lens.name} {lens.material.dioptres:+g} D" for lens in rendered.lenses)
-        overview = overview_figure(f"{frame.name}: {powers}", panels[: 2 * MOST_SHOWN], 2)
-        staging.figure("overview.png", overview, dpi=100)
+        overview = overview_picture(f"{frame.name}: {powers}", panels[: 2 * MOST_SHOWN], 2)
+        staging.picture("overview.png", overview)
         record = staging.write_record(
             name=frame.name,
             options=asdict(options),

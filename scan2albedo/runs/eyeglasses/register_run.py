@@ -33,7 +33,7 @@ from scan2albedo.io.records import (
 from scan2albedo.io.result_records import RunRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
 from scan2albedo.report.eyeglasses_views import MOST_SHOWN, registration_panels
-from scan2albedo.report.overview import overview_figure
+from scan2albedo.report.overview import overview_picture
 from scan2albedo.runs.eyeglasses.inputs import FileRecord, GlassesInput
 
 
@@ -211,7 +211,7 @@ def write_registration_files(done: PlacedFrame, out: Path) -> Values:
             title += f"; {MOST_SHOWN} of {len(views)} views"
         mesh = None if inputs.head is None else (inputs.head.vertices, inputs.head.faces)
         panels = registration_panels(result, views, mesh)
-        staging.figure("overview.png", overview_figure(title, panels, 3), dpi=150)
+        staging.picture("overview.png", overview_picture(title, panels, 3, 520))
         figures = {**done.figures(), "glb_weight_cut": weight_cut}
         staging.write_record(
             name=inputs.frame.name,

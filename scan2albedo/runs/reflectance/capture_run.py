@@ -16,7 +16,7 @@ from scan2albedo.io.units import MM_PER_UNIT, PLAUSIBLE_EXTENT_MM, largest_exten
 from scan2albedo.reflectance import CaptureFiles, MeshReflectance, OlatImages, ReflectanceFitOptions
 from scan2albedo.reflectance.point_light_lobes import tilted_normals
 from scan2albedo.report import reflectance_views as views
-from scan2albedo.report.overview import overview_figure
+from scan2albedo.report.overview import overview_picture
 from scan2albedo.runs.reflectance import publishing
 
 _DOUBTFUL_MISFIT = 1.25
@@ -153,7 +153,7 @@ def write_fit(done: FittedCapture, out: Path, options: Values) -> Values:
     with publishing(out, "fit", (capture.path,), options, figures, done.notes) as results:
         reflectance.write_reflectance(results.folder / "reflectance.npz", mesh, fit=fit)
         results.trace(fit.trace)
-        results.figure("overview.png", overview_figure(title, views.reflectance_panels(mesh, fit), 5))
+        results.picture("overview.png", overview_picture(title, views.reflectance_panels(mesh, fit)))
         if done.error is not None:
             relit = (
                 f"photographs left out of the fit: relative RMSE {100 * done.error.relative_rmse:.1f} % at "
@@ -163,7 +163,7 @@ def write_fit(done: FittedCapture, out: Path, options: Values) -> Values:
             shown = np.linspace(0, len(chosen) - 1, min(4, len(chosen))).astype(int)
             for j in chosen[shown]:
                 panels += views.relit_panels(pairs[j], *relit_pair(done, j), done.olat.valid[j])
-            results.figure("relit.png", overview_figure(relit, panels, 6))
+            results.picture("relit.png", overview_picture(relit, panels, 6))
         write_colored_mesh(results.folder / "face.ply", mesh, fit.drawn)
     return figures
 

@@ -19,7 +19,7 @@ from scan2albedo.geometry.rigid import invert_rigid, transform_points
 from scan2albedo.reflectance import GeometryFit, ImageObservation, PhotographFiles
 from scan2albedo.reflectance.olat import linear_values, picture_values
 from scan2albedo.registration import register
-from scan2albedo.report.overview import overview_figure
+from scan2albedo.report.overview import overview_picture
 from scan2albedo.report.reflectance_views import draw_in_camera, reflectance_panels, relit_panels
 from scan2albedo.runs.reflectance import MEAN_FILE, MODEL_FILE, SHAPE_FILE, publishing
 from scan2albedo.runs.reflectance.capture_run import gamma_notes, write_colored_mesh
@@ -206,7 +206,7 @@ def write_fitted_photograph(done: FittedPhotograph, models: FaceModels, out: Pat
         panels = relit_panels("face", np.nan_to_num(linear), made, shown, np.isfinite(linear))
         title = f"relative RMSE {100 * face.relative_rmse:.1f} % over {figures['seen_vertices']} vertices\n"
         title += "; ".join(step.reason for step in face.plan if step.ran) or "the mean face"
-        results.figure("overview.png", overview_figure(title, panels + reflectance_panels(upright), 7))
+        results.picture("overview.png", overview_picture(title, panels + reflectance_panels(upright), 7))
     return figures
 
 

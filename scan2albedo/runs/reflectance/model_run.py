@@ -17,7 +17,7 @@ from scan2albedo.io.npz import read_npz
 from scan2albedo.reflectance import MeshReflectance, VertexReflectance, read_reflectance, write_reflectance
 from scan2albedo.reflectance.morphable_model import held_out_components, reliability
 from scan2albedo.reflectance.reflectance_files import RESULT_FILE
-from scan2albedo.report.overview import Panel, overview_figure
+from scan2albedo.report.overview import Panel, overview_picture
 from scan2albedo.report.reflectance_views import albedo_colors, albedo_white, face_picture
 from scan2albedo.runs.reflectance import MEAN_FILE, MODEL_FILE, SHAPE_FILE, publishing
 from scan2albedo.templates import AnnotatedFaceModel
@@ -187,7 +187,7 @@ def write_model_folder(built: FaceModels, out: Path, options: Values) -> Values:
             changed = model.reconstruct(side * np.eye(model.components)[number]).reflectance
             name = f"direction {number + 1}, {side:+d} deviations"
             panels.append(_panel(name, replace(built.mean, reflectance=changed), white))
-        results.figure("model.png", overview_figure(title, panels, 5))
+        results.picture("model.png", overview_picture(title, panels))
     return figures
 
 
@@ -220,7 +220,7 @@ def write_samples(folder: Path, out: Path, *, count: int, seed: int, scale: floa
             mesh = replace(models.mean, reflectance=one.reflectance)
             write_reflectance(results.folder / f"sample_{number:03d}.npz", mesh)
             panels.append(_panel(f"sample {number}", mesh, white))
-        results.figure("samples.png", overview_figure(f"{count} samples of {folder.name}", panels, 6))
+        results.picture("samples.png", overview_picture(f"{count} samples of {folder.name}", panels, 6))
     return figures
 
 
