@@ -285,5 +285,5 @@ def _fit_channel(level: Level, meter: Meter) -> FloatArray:
         return np.concatenate(parts)
 
     found = least_squares(residual, np.zeros(basis.shape[1] - 1), loss="soft_l1", f_scale=0.05)
-    meter.record(float(np.mean(np.abs(found.fun))))
+    meter.record(np.mean(np.abs(found.fun)))
     return complete(found.x)

@@ -42,7 +42,7 @@ def resynthesize(
         return albedo
     known = origin if context is None else origin | (context & ~target)
     if bad := int((~finite_rows(albedo[known])).sum()):
-        raise ValueError(f"{bad} of {int(known.sum())} texels to copy from or compare with are not finite")
+        raise ValueError(f"{bad} of {known.sum()} texels to copy from or compare with are not finite")
     radius = max(4, round(RADIUS * max(target.shape)))
     window = surroundings(target, radius)
     if not origin[window].any():
@@ -142,7 +142,7 @@ def _fill(field, order, origin, context, offsets, places, jumps, precision, rng)
                 i, j = row + jumps[t, attempt - found, 0], column + jumps[t, attempt - found, 1]
                 attempt += 1
             elif reach == height + width:
-                i, j = places[int(rng.integers(0, len(places)))]
+                i, j = places[rng.integers(0, len(places))]
             else:
                 reach = min(2 * reach, height + width)
                 i = row + int(rng.integers(-reach, reach + 1))

@@ -87,11 +87,11 @@ def usable_texels(image: GeometryImage) -> BoolArray:
     black, clipped = value <= 0, value >= SATURATION_LINEAR
     with_normal = seen & (lengths(image.normal) > 0.5)
     usable = with_normal & ~black & ~clipped
-    if int(usable.sum()) < MINIMAL_TEXELS:
+    if usable.sum() < MINIMAL_TEXELS:
         raise LightingError(
-            f"only {int(usable.sum())} of {int(image.mask.sum())} texels can be used to find the light "
-            f"(seen {int(seen.sum())}, of these black {int((seen & black).sum())}, "
-            f"saturated {int((seen & clipped).sum())}, with a normal {int(with_normal.sum())}); at least "
+            f"only {usable.sum()} of {image.mask.sum()} texels can be used to find the light "
+            f"(seen {seen.sum()}, of these black {(seen & black).sum()}, "
+            f"saturated {(seen & clipped).sum()}, with a normal {with_normal.sum()}); at least "
             f"{MINIMAL_TEXELS} are needed: check the texture's exposure and `texture_valid`, "
             "and scale textures that go beyond 1"
         )

@@ -84,13 +84,13 @@ class LightSearch:
         return self._explained(best, wanted, [self.scene.shadows[1], lamps, size])
 
     def _explained(self, best: Point, wanted: list[tuple[float, Point]], steps: list[PlanStep]) -> LightFound:
-        level, (shift, spread) = wanted[0][1].problem.level, self._averaged(wanted)
-        first = wanted[0][0]
+        first, likeliest = wanted[0]
+        level, (shift, spread) = likeliest.problem.level, self._averaged(wanted)
         found, others = best.solution().hypothesis, list[Alternative]()
         for value, point in wanted:
-            other, near = point.solution().hypothesis, TEMPER * (first - value) < 1
+            other = point.solution().hypothesis
             if (
-                near
+                TEMPER * (first - value) < 1
                 and len(other.rows) == len(found.rows) > 0
                 and not _same_directions(other, found, math.cos(0.25))
             ):

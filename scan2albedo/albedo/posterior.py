@@ -299,7 +299,7 @@ class Point:
         scales = np.array([*parts, grain, soft])
         scales *= (scales / self.known.scales) ** _AHEAD
         scales[2] = max(scales[2], _LEAST_GRAIN)
-        return self.settled(p.started(node_field.Scales(*scales.tolist()), self.robust))
+        return self.settled(p.started(node_field.Scales(*scales), self.robust))
 
     def log_evidence(self) -> float:
         """Return the log of the model's evidence by Laplace's method [1]_.

@@ -138,7 +138,7 @@ def albedo_error(estimate: ArrayLike, truth: ArrayLike, mask: ArrayLike) -> Albe
     ours, true, chosen = np.asarray(estimate, float), np.asarray(truth, float), np.asarray(mask, bool)
     if ours.shape != true.shape or ours.shape[: chosen.ndim] != chosen.shape or not chosen.any():
         shapes = f"estimate {ours.shape}, truth {true.shape} and mask {chosen.shape}"
-        raise ValueError(f"{shapes} ({int(chosen.sum())} texels) must agree and not be empty")
+        raise ValueError(f"{shapes} ({chosen.sum()} texels) must agree and not be empty")
     ours, true = ours[chosen], true[chosen]
     if not (all_finite(ours) and all_finite(true)):
         raise ValueError("estimate or truth holds NaN or infinite values inside the mask")

@@ -54,13 +54,13 @@ def inpainted(
     saturated, white = int(any_channel(clipped).sum()), int(all_channels(clipped).sum())
     evidence = (
         f"{saturated} saturated texels, {white} of them in all channels; "
-        f"{int(partly.sum())} to restore from other channels, {int(wholly.sum())} to resynthesise"
+        f"{partly.sum()} to restore from other channels, {wholly.sum()} to resynthesise"
     )
     if not touched.any():
         reason = "the annotation forbids it" if saturated else "nothing is saturated"
         return albedo_linear, PlanStep(stage, False, reason, evidence)
     albedo, source = albedo_linear.astype(float), usable & allowed & ~touched
-    if int(source.sum()) >= MINIMAL_TEXELS:
+    if source.sum() >= MINIMAL_TEXELS:
         missed = _missed_highlight(albedo, any_channel(clipped) & allowed, allowed, source)
         wholly, partly, source = wholly | missed, partly & ~missed, source & ~missed
         lost &= ~missed[..., None]
@@ -107,11 +107,11 @@ def restore_channels(albedo: FloatArray, lost: BoolArray, source: BoolArray) -> 
     """
     touched = any_channel(lost)
     target, origin = touched & ~all_channels(lost), source & ~touched
-    if not target.any() or int(origin.sum()) < MINIMAL_TEXELS:
+    if not target.any() or origin.sum() < MINIMAL_TEXELS:
         return albedo
     radius = max(4, round(RADIUS * max(target.shape)))
     window = surroundings(target, 4 * radius)
-    if int(origin[window].sum()) < MINIMAL_TEXELS:
+    if origin[window].sum() < MINIMAL_TEXELS:
         window = (slice(None), slice(None))
     result, inside, field = albedo.copy(), target[window], np.log(np.maximum(albedo[window], FAINT))
     # A one, the x_c and their products, summed over the sources around each texel, and over all of them.

@@ -16,7 +16,6 @@ from scan2albedo.albedo.shaded_image import LightFound, ShadedImage
 from scan2albedo.albedo.soft_terms import DARKEST
 from scan2albedo.core import EnvironmentLight, PointLight
 from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, row_sums
-from scan2albedo.core.compiled import compiled
 from scan2albedo.lighting.environment_light import open_shading, open_transfer
 from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.lighting.shading import Reflectance, lamp_factors
@@ -152,45 +151,11 @@ class _Expected:
         """Let most texels tell the person's ratios, in this light."""
         self.ratios += np.median(self.left(light, gloss)[self.usable], 0) * ~self.first
 
-    def mean_part(
-        self,
-        light: FloatArray,
-        more: FloatArray,
-        gloss: FloatArray,
-        dark: FloatArray | float,
-        prior: FloatArray,
-    ) -> FloatArray:
-        """Return (N,) the mean of parts 0 to 1 of `more` light and of `gloss` (N, 3), by what each leaves.
-
-        `dark` is in the variance of that; `prior` (parts, N) is of the parts.
-        """
-        sure = self.usable / (SPREADS[0] ** 2 + dark)
-        rows = self.texels, light, more, gloss, self.level, self.ratios, sure, prior
-        return _mean_parts(self.parts, self.lead, self.coloured, *rows)
-
-
-@compiled
-def _mean_parts(parts, lead, coloured, texels, light, more, gloss, level, ratios, sure, prior):  # type: ignore[no-untyped-def]
-    """Return (N,) what `_Expected.mean_part` does; `sure` (N,) is the precision of what a part leaves."""
-    means, fits, logs = np.empty(len(texels)), np.empty(len(parts)), np.empty(3)
-    for n in range(len(texels)):
-        for k, part in enumerate(parts):
-            for c in range(3):
-                shown = max(texels[n, c] - part * gloss[n, c], HALF_STEP)
-                logs[c] = np.log(shown / max(light[n, c] + part * more[n, c], DARKEST))
-            left = (logs[lead] - level[n]) ** 2
-            for c in range(3):
-                if coloured and c != lead:
-                    left += (logs[c] - logs[lead] - ratios[n, c]) ** 2
-            fits[k] = -0.5 * sure[n] * left
-        total = 0.0
-        mass = 0.0
-        for k, part in enumerate(parts):
-            chance = np.exp(max(fits[k] - fits.max(), -6.0)) * prior[k, n]
-            total += part * chance
-            mass += chance
-        means[n] = total / mass
-    return means
+    def mean_part(self, left: list[FloatArray], dark: FloatArray | float, prior: FloatArray) -> FloatArray:
+        """Return (N,) the mean of parts 0 to 1, by what each leaves, `dark` of its variance, and a prior."""
+        fits = -0.5 * self.usable * (np.stack(left) ** 2).sum(2) / (SPREADS[0] ** 2 + dark)
+        chance = np.exp(np.maximum(fits - fits.max(0), -6.0)) * prior
+        return self.parts @ chance / chance.sum(0)
 
 
 def _seen_shadows(
@@ -217,9 +182,9 @@ def _seen_shadows(
             others = soft + np.einsum("ln,lnc->nc", seen, lamps) - seen[k][:, None] * lamps[k]
             prior = np.tile(reached * (1 - reached) / (len(known.parts) - 2), (len(known.parts), 1))
             prior[0], prior[-1] = (1 - reached) * (1 - reached / 2), reached * (1 + reached) / 2
+            left = [known.left(others + part * lamps[k]) for part in known.parts]
             dark = DARKEST / np.maximum(others[:, known.lead], DARKEST)
-            part = known.mean_part(others, lamps[k], np.zeros_like(others), dark, prior)
-            seen[k] = np.where(away[k], 1.0, part)
+            seen[k] = np.where(away[k], 1.0, known.mean_part(left, dark, prior))
     return np.where(away, 0.0, seen).astype(np.float32)
 
 
@@ -231,8 +196,8 @@ def _left_over(known: _Expected, light: FloatArray, gloss: FloatArray) -> tuple[
     """
     known.settle(light, gloss)
     prior = [np.exp(-2 * (2 * p - 1) ** 2) * (known.texels >= 2 * p * gloss).all(1) for p in known.parts]
-    same = np.zeros_like(light)
-    share = 2 * known.mean_part(light, same, 2 * gloss, 0.0, np.stack(prior))[:, None]
+    rest = [known.left(light, 2 * part * gloss) for part in known.parts]
+    share = 2 * known.mean_part(rest, 0.0, np.stack(prior))[:, None]
     left, first, usable = known.left(light, share * gloss), known.first, known.usable
     # The texture of this surface is rougher than that of a prior's cells: most texels show how much.
     measured = normal_deviation(left[usable], 0)

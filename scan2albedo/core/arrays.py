@@ -55,7 +55,7 @@ def checked_array(
         raise error(f"{name} is {found}{array.shape}, expected {wanted}{said}")
     if finite is not None and not (good := np.isfinite(array)).all():
         first = np.argwhere(~good)[0].tolist()
-        raise finite(f"{name}: {int((~good).sum())} values are NaN or infinite, first at {first}")
+        raise finite(f"{name}: {(~good).sum()} values are NaN or infinite, first at {first}")
     return array.astype(int) if kind is int else array
 
 

@@ -178,7 +178,7 @@ class GeometryImage:
         wrong = (np.abs(length - 1) > _LENGTH) & (length > _LENGTH)
         if wrong.any():
             raise GeometryImageError(
-                f"{int(wrong.sum())} of {len(length)} normals have lengths from {length[wrong].min():.3g} to "
+                f"{wrong.sum()} of {len(length)} normals have lengths from {length[wrong].min():.3g} to "
                 f"{length[wrong].max():.3g}; divide them by their length, or give 0 where none is known"
             )
 

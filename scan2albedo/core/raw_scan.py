@@ -169,7 +169,7 @@ class RawScan:
         array = array.astype(dtype, copy=False)
         if (bad := ~np.isfinite(array)).any():
             raise ScanError(
-                f"{self.name}: {field} holds {int(bad.sum())} values that are NaN or infinite, "
+                f"{self.name}: {field} holds {bad.sum()} values that are NaN or infinite, "
                 f"first at {tuple(int(i) for i in np.argwhere(bad)[0])}; repair or re-export the scan"
             )
         object.__setattr__(self, field, array)

@@ -119,8 +119,8 @@ def _covers(scan: ScanSurface, model: AnnotatedSurface, person: FloatArray) -> B
     if not cover.any():
         return cover
     # Heights are normal about a face that the modes make, and even before covers and other faces.
-    normal = np.log(np.sqrt(2 * np.pi) * deviation_mm) + (before_mm[cover] / deviation_mm) ** 2 / 2
-    odds = normal - np.log(FARTHEST_MM)
+    even = np.log(2 * np.pi * (deviation_mm / FARTHEST_MM) ** 2)
+    odds = (even + (before_mm[cover] / deviation_mm) ** 2) / 2
     by_heights = float(mesh.vertex_areas(scan.vertices, scan.faces)[cover] @ odds) / EYE_MM**2
     # A cover ends as a thing does: at the scan's border, or by jumps. A brow rises gradually.
     edges, _ = mesh.edges_with_faces(scan.faces)

@@ -428,7 +428,7 @@ class _Task:
             falls = falls and across.scale < (1 - SMALL) * last.scale
             across = replace(across, share=1.0 if falls else float(np.sqrt(across.share * last.share)))
             off = np.sqrt(across.residuals(state.points)[1])
-            state.meter.record(float(np.average(off, weights=certain)))
+            state.meter.record(np.average(off, weights=certain))
             if state.meter.exhausted:
                 break
             before = replace(state, terms=(across, along))

@@ -185,7 +185,7 @@ class MouthSearch:
         """Return the angle that brings landmarks nearest to their targets; 0 where that is off the scan."""
         every = (0.0, *ANGLES_DEG)
         apart = [norms(landmarks.offsets(self.opened(angle))).mean() for angle in every]
-        nearest = every[int(np.argmin(apart))]
+        nearest = every[np.argmin(apart)]
         still, open_ = (self.cost(self.opened(angle)) for angle in (0.0, nearest))
         return nearest if open_ < still else 0.0
 

@@ -387,8 +387,7 @@ def _posterior(
 def _draws() -> FloatArray:
     """Return (_SAMPLES, _MOTIONS) normal numbers, evenly spread, always the same: mean 0, covariance 1."""
     # Multiples of roots of primes, modulo 1, are spread evenly (Richtmyer's lattice).
-    roots = np.sqrt([2, 3, 5, 7, 11, 13, 17])
-    draws = ndtri(np.outer(np.arange(1, _SAMPLES + 1), roots) % 1)
+    draws = ndtri(np.outer(np.arange(1, _SAMPLES + 1), np.sqrt([2, 3, 5, 7, 11, 13, 17])) % 1)
     draws -= draws.mean(axis=0)
     return np.linalg.solve(np.linalg.cholesky(draws.T @ draws / _SAMPLES), draws.T).T
 

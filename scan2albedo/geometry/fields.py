@@ -188,7 +188,7 @@ def surface_diffusion(
     if not (np.isfinite(deviation_mm) and deviation_mm >= 0):
         raise ValueError(f"deviation_mm must be finite and 0 or more, got {deviation_mm}")
     if not all_finite(vertices):
-        raise ValueError(f"{int((~np.isfinite(vertices)).any(1).sum())} vertices are NaN or infinite")
+        raise ValueError(f"{(~np.isfinite(vertices)).any(1).sum()} vertices are NaN or infinite")
     area = vertex_areas(vertices, faces)
     # Far beyond the surface's size everything is its mean already, and L would drown M in rounding.
     deviation = min(float(deviation_mm), 1e3 * float(np.ptp(vertices, axis=0).max(initial=0.0)))
@@ -202,7 +202,7 @@ def surface_diffusion(
         if old.ndim == 0 or len(old) != len(vertices):
             raise ValueError(f"values have shape {old.shape}, expected ({len(vertices)}, ...)")
         if not all_finite(old):
-            raise ValueError(f"{int((~np.isfinite(old)).sum())} values are not finite, and would spread")
+            raise ValueError(f"{(~np.isfinite(old)).sum()} values are not finite, and would spread")
         return field.solve(old)
 
     return spread

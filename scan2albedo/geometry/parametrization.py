@@ -73,7 +73,7 @@ def boundary_loop(vertex_count: int, faces: IntArray) -> IntArray:
     euler = len(used) - len(edges) + len(faces)
     if components != 1 or uses.max() > 2 or euler != 1 or len(loops) != 1:
         raise ModelError(
-            f"the mesh is not a disc: {components} components, {int((uses > 2).sum())} edges with more than "
+            f"the mesh is not a disc: {components} components, {(uses > 2).sum()} edges with more than "
             f"two faces, Euler characteristic {euler}, {len(loops)} boundary loops; expected one component, "
             "characteristic 1 and one loop. Fill its holes, or cut it"
         )

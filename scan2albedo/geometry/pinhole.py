@@ -19,7 +19,7 @@ def normalized_cameras(cameras: ArrayLike) -> FloatArray:
         raise ValueError("cameras must be finite")
     scale = norms(matrices[:, 2, :3]) * np.sign(np.linalg.det(matrices[:, :, :3]))
     if not (scale != 0).all():
-        raise ValueError(f"camera {int(np.argmin(np.abs(scale)))} has a singular left 3x3 part")
+        raise ValueError(f"camera {np.argmin(np.abs(scale))} has a singular left 3x3 part")
     return matrices / scale[:, None, None]
 
 

@@ -386,7 +386,7 @@ def _fit_rows(options: ProcessOptions, scan: RawScan, fitted: FittedFace) -> lis
     rows = []
     if scan.landmarks is not None:
         reason = "MediaPipe finds landmarks" if options.landmarks_detected else "landmarks are given"
-        rows.append(PlanStep("fit.landmarks", True, reason, f"{int(scan.landmarks.placed.sum())}"))
+        rows.append(PlanStep("fit.landmarks", True, reason, f"{scan.landmarks.placed.sum()}"))
     evidence = f"{np.nanmean(fitted.residual_mm):.3f} mm mean"
     rows.append(PlanStep("fit", True, "the model is deformed onto the scan", evidence))
     area_mm2 = fitted.covered_mm2

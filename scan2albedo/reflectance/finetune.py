@@ -139,7 +139,7 @@ def finetune(
                     change, errors = max(helping, key=lambda trial: assured_gains(errors, trial[1]).min())
                     current = with_change(model, change)
                     steps.append(step)
-                    meter.record(float(errors[:, 0].mean()))
+                    meter.record(errors[:, 0].mean())
                     break
             else:
                 converged = not meter.exhausted

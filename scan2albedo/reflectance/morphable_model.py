@@ -309,4 +309,4 @@ def held_out_components(samples: Sequence[VertexReflectance], vertices: ArrayLik
                 hidden = both & ~half
                 b = kept.of(seen).fit(sample.diffuse_linear[seen], prior=noise).mean
                 errors[number] += np.sum((kept.of(hidden).at(b) - sample.diffuse_linear[hidden]) ** 2)
-    return counts[int(np.argmax(errors <= 1.01**2 * errors.min()))]
+    return counts[np.argmax(errors <= 1.01**2 * errors.min())]

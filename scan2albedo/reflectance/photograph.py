@@ -131,7 +131,7 @@ class ImageObservation:
             bad = ~finite_rows(rows)
             if bad.any():
                 raise ReflectanceError(
-                    f"{name} of vertex {int(np.flatnonzero(seen)[bad][0])} holds NaN or infinite values "
+                    f"{name} of vertex {np.flatnonzero(seen)[bad][0]} holds NaN or infinite values "
                     f"({bad.sum()} vertices); take such vertices out of `seen`"
                 )
 

@@ -129,7 +129,7 @@ def corner_uv(template: DenseTemplate) -> tuple[FloatArray | None, str]:
     corners = uv if uv.ndim == 3 else uv[np.array(template.faces, int)]
     why = ""
     if not all_finite(corners):
-        why = f"{int((~np.isfinite(corners)).any((1, 2)).sum())} faces have no texture coordinates"
+        why = f"{(~np.isfinite(corners)).any((1, 2)).sum()} faces have no texture coordinates"
     elif (corners < -UV_SLACK).any() or (corners > 10 + UV_SLACK).any():
         why = "texture coordinates lie beyond the tiles of UDIM (u and v from 0 to 10)"
     elif not np.ptp(corners, axis=1).any():

@@ -139,7 +139,7 @@ def lens_mesh(
         faces, cross, axis = faces[:, [0, 2, 1]], -cross, -axis
     folded = ~(cross @ axis > 0)
     if folded.any():
-        said = f"{int(folded.sum())} of {len(faces)} triangles fold"
+        said = f"{folded.sum()} of {len(faces)} triangles fold"
         advice = "move the centre inside, or put the points in order"
         raise EyeglassesError(f"the rim does not go around the lens centre once: {said}; {advice}")
     return vertices, faces

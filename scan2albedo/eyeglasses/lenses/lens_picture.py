@@ -205,9 +205,7 @@ def _lens_notes(lens: inserted.InsertedLens, masked: bool, seen: bool) -> list[s
     notes, rim = [], lens.rim
     if rim.gaps != "none":
         source = "its key points" if rim.gaps == "subdivided" else "the rim on both sides"
-        notes.append(
-            f"{int((~rim.measured).sum())} of {len(rim.points)} points of its rim come from {source}"
-        )
+        notes.append(f"{(~rim.measured).sum()} of {len(rim.points)} points of its rim come from {source}")
     if rim.deviation is not None:
         off = rms(rim.deviation)
         notes.append(f"masks refine its outline, to {off:.2f} mm (standard deviation)")

@@ -72,7 +72,7 @@ def refract(lens: ThinLens, camera: ArrayLike, points: ArrayLike) -> RefractedRa
     height = from_center @ normal
     flat = np.abs(height) <= _GRAZING * norms(from_center)
     if flat.any():
-        share = f"{int(flat.sum())} of {len(flat)} rays"
+        share = f"{flat.sum()} of {len(flat)} rays"
         raise EyeglassesError(f"the camera lies in the lens plane ({share}); move it, or leave this lens out")
     heading = normalized(through - origins)
     approach = -np.sign(height) * (heading @ normal)

@@ -238,7 +238,7 @@ def _checked_view(
         outside = ((found < -0.5) | (found > np.array(covered.shape[::-1]) - 0.5)).any(1)
         if len(found) and outside.mean() > 0.5:
             raise EyeglassesError(
-                f"{int(outside.sum())} of {len(found)} labels of view {number} lie outside its mask of "
+                f"{outside.sum()} of {len(found)} labels of view {number} lie outside its mask of "
                 f"{covered.shape[1]} x {covered.shape[0]} pixels: give masks of the labelled pictures' size"
             )
         if shape not in (None, covered.shape):

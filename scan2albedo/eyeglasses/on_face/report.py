@@ -123,7 +123,7 @@ def report(
     for lost, why in ((hidden, "hidden in all views"), (uncertain, "seen, but not well enough")):
         if lost.any():
             worst = f"up to {known_to.keypoints[lost].max():.1f} mm standard deviation"
-            reason = f"{int(lost.sum())} key points are {why}"
+            reason = f"{lost.sum()} key points are {why}"
             rows.append(PlanStep("glasses.unobserved", False, reason, worst))
     world, transforms = motion.world_from_frame.copy(), motion.transforms.copy()
     world[:3, 3] *= unit
