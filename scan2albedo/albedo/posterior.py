@@ -50,8 +50,6 @@ NOISE = 0.02
 """Relative noise of a cell, that of pictures of 8 bits: below this part of the median V says nothing."""
 _LEAST_GRAIN = 0.1
 """Scale of grain at which cells are as noisy as rounding to 8 bits makes texels."""
-_AHEAD = 0.6
-"""How much farther than its iteration says the scales go, whose steps shrink slowly."""
 _MISFIT_SD = 0.7
 """Standard deviation of the log of two scales that the image itself tells: how far this person is from the
 prior, and how rough."""
@@ -295,11 +293,9 @@ class Point:
             expected = self.x[at] ** 2 + np.diag(self.covariance())[at]
             square = float((expected * self.prior.curvature[at]).mean()) * soft**2
             soft = _shrunk(square, HARMONICS, _LIGHT_SD)
-        grain = _shrunk(rough, len(self.error) / p.repeats, _MISFIT_SD)
-        scales = np.array([*parts, grain, soft])
-        scales *= (scales / self.known.scales) ** _AHEAD
-        scales[2] = max(scales[2], _LEAST_GRAIN)
-        return self.settled(p.started(node_field.Scales(*scales), self.robust))
+        grain = max(_shrunk(rough, len(self.error) / p.repeats, _MISFIT_SD), _LEAST_GRAIN)
+        scales = node_field.Scales(parts[0], parts[1], grain, soft)
+        return self.settled(p.started(scales, self.robust))
 
     def log_evidence(self) -> float:
         """Return the log of the model's evidence by Laplace's method [1]_.
