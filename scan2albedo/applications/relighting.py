@@ -143,7 +143,7 @@ class RelitFace:
         # Phong tessellation's 3/4 of the way to the tangent planes (Boubekeur and Alexa 2008).
         position = seen.raised(mesh.vertices, mesh.normals, 0.75 if mesh.from_chart else 0.0)
         caster = RayCaster(*face.image.occluder_mesh()) if face.casts_shadows else None
-        shadows = ShadowMap(caster, position, normal, face.shadow_offset_mm)
+        shadows = ShadowMap(caster, position, normal, face.shadow_offset_mm, place=seen.place)
         pixels, gloss = pixels_from_uv(seen.interpolated(mesh.uv), mask.shape), face.image.specular_scale
         albedo, scale = bilinear(filled_from_nearest(face.albedo_linear, mask), pixels), None
         if gloss is not None:

@@ -6,8 +6,19 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.ndimage import maximum_filter
 
-from scan2albedo.core.arrays import ArrayLike, ByteArray, Float32Array, FloatArray, NDArray, dots, norms
+from scan2albedo.core.arrays import (
+    ArrayLike,
+    BoolArray,
+    ByteArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    NDArray,
+    dots,
+    norms,
+)
 from scan2albedo.geometry.rays import RayCaster
 
 _OFFSETS = (1.5e-4, 5e-3)
@@ -24,7 +35,8 @@ class ShadowMap:
     `offset_mm` along the normal. 0.03 to 0.3 mm serves a face: less lets the surface shadow itself, more
     loses shadow at contacts. It is kept between 0.015 % and 0.5 % of the caster's size, so that a surface in
     another unit than millimetres neither shadows itself nor loses all its shadows. No ray is shot where the
-    light's cosine to the normal is above `open_above` (N,): there nothing is known to hide it.
+    light's cosine to the normal is above `open_above` (N,): there nothing is known to hide it. Where points
+    are samples of a picture, `place` (N, 2) is row and column of each: neighbours then share rays.
     """
 
     caster: RayCaster | None
@@ -32,6 +44,7 @@ class ShadowMap:
     normal: FloatArray
     offset_mm: float = 0.2
     open_above: FloatArray | None = None
+    place: IntArray | None = None
     _origin: Float32Array = field(init=False, repr=False)
     _above: FloatArray = field(init=False, repr=False)
 
@@ -47,7 +60,8 @@ class ShadowMap:
     def visible(self, direction: ArrayLike, distance_mm: float = math.inf) -> ByteArray:
         """Return (N,) uint8, 1 where a light reaches the point.
 
-        `direction` (3,) is unit, from the origin toward the light; `distance_mm` is inf for a distant light.
+        `direction`, (3,) or one a point, is unit, from the origin toward the light; `distance_mm` is inf for a
+        distant light.
         Rays are shot only where n.l > 0, and go on past a near light: nothing may stand behind it.
         """
         toward = np.asarray(direction, float)
@@ -58,7 +72,7 @@ class ShadowMap:
         at = np.flatnonzero(facing & ~(cosine > self._above * norms(ray)))
         result = facing.astype(np.uint8)
         if self.caster is not None and len(at):
-            rays = ray[at].astype(np.float32) if near else toward
+            rays = toward if ray.ndim == 1 else ray[at].astype(np.float32)
             result[at] = ~self.caster.occluded(self._origin[at], rays, local=True)
         return result
 
@@ -81,7 +95,12 @@ class ShadowMap:
         unsure = np.flatnonzero((result == 0) & (cosine > -spread))
         disc = cone_directions(points, direction, radius)
         # Its rim comes last; where that is hidden or seen as a whole, so is the rest.
-        inner, some = points - min(points // 3, _RIM), self._some(unsure)
+        inner = points - min(points // 3, _RIM)
+        if self.place is not None:
+            shown, hidden = self._some(unsure)._around(disc[inner:], distance_mm)
+            result[unsure] = shown
+            unsure = unsure[shown & hidden]
+        some = self._some(unsure)
         seen, facing = some._seen(disc[inner:], distance_mm)
         partly = np.flatnonzero((seen > 0) & (seen < facing))
         more, most = some._some(partly)._seen(disc[:inner], distance_mm)
@@ -92,7 +111,25 @@ class ShadowMap:
 
     def _some(self, index: NDArray[np.intp]) -> ShadowMap:
         surface = self.position[index], self.normal[index]
-        return ShadowMap(self.caster, *surface, self.offset_mm, self._above[index])
+        place = None if self.place is None else self.place[index]
+        return ShadowMap(self.caster, *surface, self.offset_mm, self._above[index], place)
+
+    def _around(self, rim: FloatArray, distance_mm: float) -> tuple[BoolArray, BoolArray]:
+        """Return where part of a lamp's rim (K, 3) is seen in a picture, and where part is hidden (N,).
+
+        A sample shoots at one point of the rim alone, but those within two samples of it shoot at every one.
+        """
+        assert self.place is not None
+        row, column = self.place.T
+        toward = rim[(5 * row + column) % len(rim)]
+        seen = self.visible(toward, distance_mm) > 0
+        facing = dots(self.normal, toward - self.position / distance_mm) > 0
+        found = []
+        for here in (seen, facing & ~seen):
+            picture = np.zeros(self.place.max(0) + 1, bool)
+            picture[row, column] = here
+            found.append(maximum_filter(picture, 5)[row, column])
+        return found[0], found[1]
 
     def _seen(self, directions: FloatArray, distance_mm: float) -> tuple[FloatArray, FloatArray]:
         """Return (N,) the sums of the cosines to the points of a lamp that are seen, and to all."""

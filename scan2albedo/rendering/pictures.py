@@ -91,6 +91,11 @@ class SeenSamples:
     corners: IntArray
     weight: FloatArray
 
+    @property
+    def place(self) -> IntArray:
+        """(N, 2): row and column of each sample."""
+        return np.column_stack(np.divmod(self.index, self.shape[1] * self.side))
+
     def chosen(self, which: NDArray) -> SeenSamples:
         """Return some of the samples."""
         return SeenSamples(self.shape, self.side, self.index[which], self.corners[which], self.weight[which])
