@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 
-from scan2albedo.applications.relighting import RelightOptions, relight
+from scan2albedo.applications.relighting import RelightOptions, face_view, relight
 from scan2albedo.core import PointLight
 from scan2albedo.core.arrays import ArrayLike, ByteArray, GridShape, all_finite
 from scan2albedo.core.lights import LAMP_RADIUS_DEG
@@ -17,6 +18,7 @@ from scan2albedo.io.records import OwnFileNames
 from scan2albedo.io.result_records import RunRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
 from scan2albedo.rendering.pictures import Picture
+from scan2albedo.rendering.scene_light import SceneLight
 from scan2albedo.unlit.processed_face import ProcessedFace
 
 
@@ -87,9 +89,11 @@ def sweep(
     camera, shape, samples
         As in `RelitFace.picture`.
     """
+    relit = relight(face, (*others, *places), ambient=ambient, options=options)
+    view = face_view(relit.face, camera, shape=shape, samples=samples)
+    still = view.radiance(replace(relit.light, lamps=others))
     for place in places:
-        relit = relight(face, (*others, place), ambient=ambient, options=options)
-        yield relit.picture(camera, shape=shape, samples=samples)
+        yield view.picture(still + view.radiance(SceneLight([place])))
 
 
 def frames_srgb(pictures: Sequence[Picture], exposure: float | None = None) -> list[ByteArray]:

@@ -33,8 +33,14 @@ from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.lighting.shading import Reflectance
 from scan2albedo.lighting.shadow_map import ShadowMap
 from scan2albedo.rendering import pictures
-from scan2albedo.rendering.pictures import Picture, auto_exposure, checked_exposure
-from scan2albedo.rendering.scene_light import SceneLight, shade
+from scan2albedo.rendering.pictures import (
+    Picture,
+    SeenSamples,
+    auto_exposure,
+    checked_exposure,
+    seen_samples,
+)
+from scan2albedo.rendering.scene_light import LitSurface, SceneLight, shade
 from scan2albedo.unlit.eyes import WET_EXPONENT, WET_REFLECTANCE
 from scan2albedo.unlit.eyes_and_mouth import eyes_and_mouth
 from scan2albedo.unlit.face_features import AROUND, feature_texels, without_gaps
@@ -90,13 +96,7 @@ class RelitFace:
         view = normalized(np.asarray(face.view_direction, float))
         diffuse, specular = shade(shadows, self.light, face.reflectance, view, scale)
         texture = face.albedo_linear[mask].astype(float) * diffuse + specular
-        return [on_grid(mask, self._checked(values)) for values in (texture, diffuse, specular)]
-
-    def _checked(self, values: FloatArray) -> Float32Array:
-        """Return light in single precision; ApplicationError where it is too bright for that."""
-        if np.abs(values).max(initial=0.0) > np.finfo(np.float32).max:
-            raise ApplicationError(f"{self.face.name} is lit brighter than 3e38: lower the intensities")
-        return values.astype(np.float32)
+        return [on_grid(mask, _checked(face, values)) for values in (texture, diffuse, specular)]
 
     @property
     def texture_linear(self) -> Float32Array:
@@ -129,70 +129,8 @@ class RelitFace:
         samples : int
             On each side of a pixel.
         """
-        if min(shape) < 2 or samples < 1:
-            raise ValueError(f"shape is {shape}, samples {samples}, expected 2 pixels and 1 sample or more")
-        face, mesh, mask = self.face, self.face.mesh, self.face.mask
-        matrix = default_camera(face, shape) if camera is None else np.asarray(camera, float)
-        projection = normalized_cameras(matrix[None])[0]
-        seen = pictures.seen_samples(mesh.vertices, mesh.faces, projection, shape, samples)
-        normal = seen.interpolated(mesh.normals)
-        toward = normalized(camera_centers(projection[None])[0] - seen.interpolated(mesh.vertices))
-        outside = dots(normal, toward) > 0
-        seen, normal, toward = seen.chosen(outside), normalized(normal[outside]), toward[outside]
-        # The triangles of a chart lie below the curved surface, and its finer occluder would shade them:
-        # Phong tessellation's 3/4 of the way to the tangent planes (Boubekeur and Alexa 2008).
-        position = seen.raised(mesh.vertices, mesh.normals, 0.75 if mesh.from_chart else 0.0)
-        caster = RayCaster(*face.image.occluder_mesh()) if face.casts_shadows else None
-        shadows = ShadowMap(caster, position, normal, face.shadow_offset_mm, place=seen.place)
-        pixels, gloss = pixels_from_uv(seen.interpolated(mesh.uv), mask.shape), face.image.specular_scale
-        albedo, scale = bilinear(filled_from_nearest(face.albedo_linear, mask), pixels), None
-        if gloss is not None:
-            scale = bilinear(filled_from_nearest(gloss[..., None], mask), pixels)[:, 0]
-        diffuse, specular = shade(shadows, self.light, face.reflectance, toward, scale)
-        radiance = np.column_stack([albedo * diffuse + specular, np.ones(len(albedo))])
-        eye = camera_centers(projection[None])[0]
-        if face.inside is not None and (parts := face.inside.parts) and eye[2] > mesh.vertices[:, 2].min():
-            # Eyes and mouth, where they are nearer, or the face is cut away before them.
-            vertices, faces = join([(part.vertices, part.faces) for part in parts])
-            behind = pictures.seen_samples(vertices, faces, projection, shape, samples)
-            off = np.full((2, math.prod(shape) * samples**2), np.inf)
-            off[0, seen.index] = lengths(seen.interpolated(mesh.vertices) - eye)
-            off[1, behind.index] = lengths(behind.interpolated(vertices) - eye)
-            cut = bilinear(face.inside.cut_mm[..., None], pixels)[:, 0] > 0
-            off[0, seen.index[cut & np.isfinite(off[1, seen.index])]] = np.inf
-            nearer = off[0] < off[1] + _DENT_MM  # lids of a scan may be dented into an eyeball
-            kept, behind = nearer[seen.index], behind.chosen(~nearer[behind.index])
-            there = behind.interpolated(vertices)
-            colors = behind.interpolated(np.concatenate([np.asarray(part.color_linear) for part in parts]))
-            normal = np.concatenate([vertex_normals(p.vertices, p.faces) for p in parts])
-            shown = self._parts_radiance(there, behind.interpolated(normal), normalized(eye - there), colors)
-            seen = seen.chosen(kept).joined(behind)
-            radiance = np.concatenate([radiance[kept], np.column_stack([shown, np.ones(len(shown))])])
-        made = self._checked(seen.picture(radiance))
-        return Picture(made[..., :3], made[..., 3])
-
-    def _parts_radiance(
-        self, position: FloatArray, normal: FloatArray, toward: FloatArray, albedo: FloatArray
-    ) -> FloatArray:
-        """Return (N, 3) light from points (N, 3) of eyes and mouth, mm, toward a viewer, all of it wet."""
-        assert self.face.inside is not None
-        cut_mm, own = self.face.inside.cut_mm, self.face.mesh
-        vertices, faces = self.face.image.occluder_mesh()
-        # Where the fitted surface itself casts the shadows, what is cut away, and half a millimetre of its
-        # ragged edge, casts none on what is behind it.
-        if len(vertices) == len(own.uv):
-            gone = bilinear(cut_mm[..., None], pixels_from_uv(own.uv, cut_mm.shape))[:, 0] > -0.5
-            faces = faces[~gone[faces].any(1)]
-        caster = RayCaster(vertices, faces) if self.face.casts_shadows else None
-        # Both sides of the bag of a mouth are seen.
-        inward = dots(normal, toward) < 0
-        outward = normalized(np.where(inward[:, None], -normal, normal))
-        shadows = ShadowMap(caster, position, outward, self.face.shadow_offset_mm)
-        # The highlight's peak beside a white surface, as of skin above; skin's albedo is a half.
-        strength = WET_REFLECTANCE * WET_EXPONENT / 2 * self.face.level() / 0.5
-        wet = Reflectance("lambert", 0.0, strength, WET_EXPONENT)
-        diffuse, specular = shade(shadows, self.light, wet, toward)
-        return albedo * diffuse + specular
+        view = face_view(self.face, camera, shape=shape, samples=samples)
+        return view.picture(view.radiance(self.light))
 
     def write_glb(self, path: str | Path, *, exposure: float | None = None) -> None:
         """Write the face, with eyes and mouth, as a GLB that shines by itself, so no viewer lights it again.
@@ -208,9 +146,110 @@ class RelitFace:
             for part in inside.parts:
                 xyz, normals = part.vertices, vertex_normals(part.vertices, part.faces)
                 toward = np.tile(view, (len(xyz), 1))
-                radiance = self._parts_radiance(xyz, normals, toward, np.asarray(part.color_linear))
-                parts.append(replace(part, color_linear=factor * radiance))
+                surface = _wet_surface(self.face, xyz, normals, toward, np.asarray(part.color_linear))
+                parts.append(replace(part, color_linear=factor * surface.radiance(self.light)))
         write_glb(path, mesh.vertices, mesh.faces, mesh.uv, texture, emissive=True, parts=parts)
+
+
+def _checked(face: ProcessedFace, values: FloatArray) -> Float32Array:
+    """Return light in single precision; ApplicationError where it is too bright for that."""
+    if np.abs(values).max(initial=0.0) > np.finfo(np.float32).max:
+        raise ApplicationError(f"{face.name} is lit brighter than 3e38: lower the intensities")
+    return values.astype(np.float32)
+
+
+@dataclass(frozen=True)
+class FaceView:
+    """What a camera sees of a face, whatever light falls on it."""
+
+    face: ProcessedFace
+    samples: SeenSamples
+    surfaces: tuple[LitSurface, ...]
+    """Skin, and what is seen behind its openings, whose points are the N of the samples, in this order."""
+
+    def radiance(self, light: SceneLight) -> FloatArray:
+        """Return (N, 3) the light that each sample sees; that of several lights is their sum."""
+        return np.concatenate([surface.radiance(light) for surface in self.surfaces])
+
+    def picture(self, radiance: FloatArray) -> Picture:
+        """Return the picture of what the samples see (N, 3); ApplicationError where it is too bright."""
+        covered = np.column_stack([radiance, np.ones(len(radiance))])
+        made = _checked(self.face, self.samples.picture(covered))
+        return Picture(made[..., :3], made[..., 3])
+
+
+def face_view(
+    face: ProcessedFace, camera: ArrayLike | None = None, *, shape: GridShape = (512, 512), samples: int = 2
+) -> FaceView:
+    """Return what a camera sees of a face as `relight` gives it; see `RelitFace.picture`."""
+    if min(shape) < 2 or samples < 1:
+        raise ValueError(f"shape is {shape}, samples {samples}, expected 2 pixels and 1 sample or more")
+    mesh = face.mesh
+    matrix = default_camera(face, shape) if camera is None else np.asarray(camera, float)
+    projection = normalized_cameras(matrix[None])
+    eye = camera_centers(projection)[0]
+    seen = seen_samples(mesh.vertices, mesh.faces, projection[0], shape, samples)
+    away = seen.interpolated(mesh.vertices) - eye
+    outside = dots(seen.interpolated(mesh.normals), away) < 0
+    seen, away = seen.chosen(outside), away[outside]
+    if face.inside is None or not face.inside.parts or eye[2] <= mesh.vertices[:, 2].min():
+        return FaceView(face, seen, (_skin_surface(face, seen, away),))
+    # Eyes and mouth, where they are nearer, or the face is cut away before them.
+    parts = face.inside.parts
+    vertices, faces = join([(part.vertices, part.faces) for part in parts])
+    behind = seen_samples(vertices, faces, projection[0], shape, samples)
+    off = np.full((2, math.prod(shape) * samples**2), np.inf)
+    off[0, seen.index] = lengths(away)
+    off[1, behind.index] = lengths(behind.interpolated(vertices) - eye)
+    before = np.flatnonzero(np.isfinite(off[1, seen.index]))
+    at = pixels_from_uv(seen.chosen(before).interpolated(mesh.uv), face.mask.shape)
+    cut = bilinear(face.inside.cut_mm[..., None], at)[:, 0] > 0
+    off[0, seen.index[before[cut]]] = np.inf
+    nearer = off[0] < off[1] + _DENT_MM  # lids of a scan may be dented into an eyeball
+    kept, behind = nearer[seen.index], behind.chosen(~nearer[behind.index])
+    seen, there = seen.chosen(kept), behind.interpolated(vertices)
+    colors = behind.interpolated(np.concatenate([np.asarray(part.color_linear) for part in parts]))
+    normal = behind.interpolated(np.concatenate([vertex_normals(p.vertices, p.faces) for p in parts]))
+    wet = _wet_surface(face, there, normal, normalized(eye - there), colors)
+    return FaceView(face, seen.joined(behind), (_skin_surface(face, seen, away[kept]), wet))
+
+
+def _skin_surface(face: ProcessedFace, seen: SeenSamples, away: FloatArray) -> LitSurface:
+    """Return the skin at the samples that see it, `away` (N, 3) from the camera."""
+    mesh, mask, gloss = face.mesh, face.mask, face.image.specular_scale
+    # The triangles of a chart lie below the curved surface, and its finer occluder would shade them:
+    # Phong tessellation's 3/4 of the way to the tangent planes (Boubekeur and Alexa 2008).
+    position = seen.raised(mesh.vertices, mesh.normals, 0.75 if mesh.from_chart else 0.0)
+    caster = RayCaster(*face.image.occluder_mesh()) if face.casts_shadows else None
+    normal = normalized(seen.interpolated(mesh.normals))
+    shadows = ShadowMap(caster, position, normal, face.shadow_offset_mm, place=seen.place)
+    pixels = pixels_from_uv(seen.interpolated(mesh.uv), mask.shape)
+    albedo, scale = bilinear(filled_from_nearest(face.albedo_linear, mask), pixels), None
+    if gloss is not None:
+        scale = bilinear(filled_from_nearest(gloss[..., None], mask), pixels)[:, 0]
+    return LitSurface(shadows, face.reflectance, normalized(-away), albedo, scale)
+
+
+def _wet_surface(
+    face: ProcessedFace, position: FloatArray, normal: FloatArray, toward: FloatArray, albedo: FloatArray
+) -> LitSurface:
+    """Return points (N, 3) of eyes and mouth, mm, all of it wet; the viewer is `toward` (N, 3)."""
+    assert face.inside is not None
+    cut_mm, own = face.inside.cut_mm, face.mesh
+    vertices, faces = face.image.occluder_mesh()
+    # Where the fitted surface itself casts the shadows, what is cut away, and half a millimetre of its
+    # ragged edge, casts none on what is behind it.
+    if len(vertices) == len(own.uv):
+        gone = bilinear(cut_mm[..., None], pixels_from_uv(own.uv, cut_mm.shape))[:, 0] > -0.5
+        faces = faces[~gone[faces].any(1)]
+    caster = RayCaster(vertices, faces) if face.casts_shadows else None
+    # Both sides of the bag of a mouth are seen.
+    inward = dots(normal, toward) < 0
+    outward = normalized(np.where(inward[:, None], -normal, normal))
+    shadows = ShadowMap(caster, position, outward, face.shadow_offset_mm)
+    # The highlight's peak beside a white surface, as of skin above; skin's albedo is a half.
+    strength = WET_REFLECTANCE * WET_EXPONENT / 2 * face.level() / 0.5
+    return LitSurface(shadows, Reflectance("lambert", 0.0, strength, WET_EXPONENT), toward, albedo)
 
 
 def relight(

@@ -60,9 +60,8 @@ class ShadowMap:
     def visible(self, direction: ArrayLike, distance_mm: float = math.inf) -> ByteArray:
         """Return (N,) uint8, 1 where a light reaches the point.
 
-        `direction`, (3,) or one a point, is unit, from the origin toward the light; `distance_mm` is inf for a
-        distant light.
-        Rays are shot only where n.l > 0, and go on past a near light: nothing may stand behind it.
+        `direction`, (3,) or one a point, is unit, from the origin toward the light; `distance_mm` is inf for
+        a distant one. Rays are shot only where n.l > 0, and go on past a near light: nothing may stand behind it.
         """
         toward = np.asarray(direction, float)
         near = not math.isinf(distance_mm)

@@ -90,3 +90,22 @@ def shade(
         diffuse = environment_light_on(light.soft, shadows, diffuse)
     scale = 1.0 if specular_scale is None else specular_scale[:, None]
     return diffuse + light.ambient, reflectance.specular_strength * scale * specular
+
+
+@dataclass(frozen=True)
+class LitSurface:
+    """The points of `shadows` with all that light does not change, for many lights one after the other.
+
+    `view` (N, 3), unit, points toward the viewer, `albedo` is (N, 3); `specular_scale` as in `shade`.
+    """
+
+    shadows: ShadowMap
+    reflectance: Reflectance
+    view: FloatArray
+    albedo: FloatArray
+    specular_scale: FloatArray | None = None
+
+    def radiance(self, light: SceneLight) -> FloatArray:
+        """Return (N, 3) what goes from each point toward the viewer."""
+        diffuse, specular = shade(self.shadows, light, self.reflectance, self.view, self.specular_scale)
+        return self.albedo * diffuse + specular
