@@ -10,7 +10,7 @@ import numpy as np
 from scan2albedo.core.arrays import ArrayLike, BoolArray, Float32Array, checked_mesh
 from scan2albedo.geometry.mesh import RayHits
 
-_CHUNK = 8192
+_CHUNK = 2**16
 
 
 class RayCaster:

@@ -61,19 +61,23 @@ class ShadowMap:
         """Return (N,) uint8, 1 where a light reaches the point.
 
         `direction`, (3,) or one a point, is unit, from the origin toward the light; `distance_mm` is inf for
-        a distant one. Rays are shot only where n.l > 0, and go on past a near light: nothing may stand behind it.
+        a distant one. Rays are shot only where n.l > 0, and go on past a near light: nothing may stand
+        behind it.
         """
-        toward = np.asarray(direction, float)
-        near = not math.isinf(distance_mm)
-        ray = toward - self.position / distance_mm if near else toward
+        ray = self._toward(direction, distance_mm)
         cosine = dots(self.normal, ray)
         facing = cosine > 0
         at = np.flatnonzero(facing & ~(cosine > self._above * norms(ray)))
         result = facing.astype(np.uint8)
         if self.caster is not None and len(at):
-            rays = toward if ray.ndim == 1 else ray[at].astype(np.float32)
+            rays = ray if ray.ndim == 1 else ray[at].astype(np.float32)
             result[at] = ~self.caster.occluded(self._origin[at], rays, local=True)
         return result
+
+    def _toward(self, direction: ArrayLike, distance_mm: float) -> FloatArray:
+        """Return the ways from the points to a light in its distances: (N, 3), or (3,) where all are one."""
+        toward = np.asarray(direction, float)
+        return toward if math.isinf(distance_mm) else toward - self.position / distance_mm
 
     def reached(
         self, direction: ArrayLike, distance_mm: float = math.inf, radius_deg: float = 0.0, points: int = 16
@@ -85,7 +89,7 @@ class ShadowMap:
         """
         if radius_deg == 0:
             return self.visible(direction, distance_mm)
-        to_lamp, radius = np.asarray(direction) - self.position / distance_mm, math.radians(radius_deg)
+        to_lamp, radius = self._toward(direction, distance_mm), math.radians(radius_deg)
         length = norms(to_lamp)
         cosine = dots(self.normal, to_lamp) / np.maximum(length, 1e-9)
         # The most by which the cosines to points of the disc differ from that to its centre.
@@ -122,7 +126,7 @@ class ShadowMap:
         row, column = self.place.T
         toward = rim[(5 * row + column) % len(rim)]
         seen = self.visible(toward, distance_mm) > 0
-        facing = dots(self.normal, toward - self.position / distance_mm) > 0
+        facing = dots(self.normal, self._toward(toward, distance_mm)) > 0
         found = []
         for here in (seen, facing & ~seen):
             picture = np.zeros(self.place.max(0) + 1, bool)
@@ -134,8 +138,7 @@ class ShadowMap:
         """Return (N,) the sums of the cosines to the points of a lamp that are seen, and to all."""
         seen, facing = np.zeros((2, len(self.position)))
         for toward in directions:
-            to_lamp = toward - self.position / distance_mm
-            cosine = np.maximum(dots(self.normal, to_lamp), 0.0)
+            cosine = np.maximum(dots(self.normal, self._toward(toward, distance_mm)), 0.0)
             facing += cosine
             seen += cosine * self.visible(toward, distance_mm)
         return seen, facing
