@@ -11,7 +11,6 @@ from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
 from scan2albedo.albedo.division import divide_light
-from scan2albedo.albedo.inpainting import continued_smoothly
 from scan2albedo.albedo.levels import Level, build_level, cell_field, usable_texels
 from scan2albedo.albedo.light_search import LightSearch
 from scan2albedo.albedo.options import EstimateOptions
@@ -35,6 +34,7 @@ from scan2albedo.core import (
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import FloatArray, on_grid
 from scan2albedo.core.geometry_image import NO_CAMERA
+from scan2albedo.geometry.fields import continued_smoothly
 from scan2albedo.geometry.mesh import lengths
 from scan2albedo.lighting.environment_light import environment_of_shading, open_shading
 from scan2albedo.lighting.harmonics import harmonics

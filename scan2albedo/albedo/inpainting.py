@@ -1,9 +1,9 @@
-"""Exemplar synthesis of texels whose colour a highlight has wiped out, and smooth gaps of an albedo."""
+"""Exemplar synthesis of texels whose colour a highlight has wiped out."""
 
 import numpy as np
 
 from scan2albedo.albedo.node_field import FAINT
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, IntArray, NDArray, finite_rows
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, finite_rows
 from scan2albedo.core.compiled import compiled
 from scan2albedo.geometry.fields import filled_over_grid
 
@@ -68,14 +68,6 @@ def resynthesize(
     new = np.exp(filled[inside], dtype=float)
     result[window][target[window]] = np.clip(new, albedo[known].min(0), albedo[known].max(0))
     return result
-
-
-def continued_smoothly(albedo: NDArray, gaps: BoolArray, known: BoolArray) -> Float32Array:
-    """Return an albedo (H, W, 3) whose logarithm goes on from `known` into `gaps` by Laplace's equation."""
-    floor = max(FAINT * float(albedo.mean()), float(np.finfo(np.float32).tiny))
-    field = np.log(np.maximum(albedo.astype(float), floor))
-    filled = filled_over_grid(field, gaps, known)
-    return np.where(gaps[..., None], np.exp(filled), albedo).astype(np.float32)
 
 
 def surroundings(region: BoolArray, margin: int) -> tuple[slice, slice]:

@@ -19,9 +19,11 @@ from scan2albedo.io import geometry_image_files
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.geometry_image_files import read_geometry_image, write_geometry_image
 from scan2albedo.io.glb import METRES_PER_MM, write_glb
+from scan2albedo.io.gltf import GltfFile
 from scan2albedo.io.images import read_image_linear, write_exr, write_png
 from scan2albedo.io.landmark_files import LANDMARKS_FILE, LandmarksRecord
 from scan2albedo.io.limits import DAMAGE
+from scan2albedo.io.parsed_mesh import ScanFolder
 from scan2albedo.io.records import plain_json, read_record
 from scan2albedo.io.result_records import APPLICATION_FILE, RESULT_FILE, ApplicationRecord, ResultRecord
 from scan2albedo.io.run_folder import OwnFiles, RunFolder
@@ -131,13 +133,14 @@ def _from_folder(folder: Path, need_albedo: bool) -> ProcessedFace:
 
 def _fitted_surface(folder: Path, image: GeometryImage) -> FaceMesh:
     """Return triangles and chart of the GLB, with the vertices of the image where it has them."""
-    import trimesh
-
     file = _present(folder, "fitted.glb")
     try:
-        mesh: Any = trimesh.load(file, process=False, force="mesh")
-        vertices = np.asarray(mesh.vertices, float) / METRES_PER_MM
-        faces, uv = np.asarray(mesh.faces, int), np.asarray(mesh.visual.uv, float)
+        glb = GltfFile.read(file, ScanFolder(folder))
+        glb.require_readable()
+        skin = glb.tree["meshes"][0]["primitives"][0]
+        vertices = glb.array(skin["attributes"]["POSITION"]).astype(float) / METRES_PER_MM
+        uv = glb.array(skin["attributes"]["TEXCOORD_0"]) * (1.0, -1.0) + (0.0, 1.0)
+        faces = glb.array(skin["indices"]).reshape(-1, 3).astype(int)
     except DAMAGE as error:
         raise ApplicationError(f"{file}: is no textured GLB ({error}); process the scan again") from error
     exact = vertices if image.occluder is None else image.occluder[0]

@@ -89,14 +89,11 @@ def relight(
     if exposure is not None and not 0 < exposure < math.inf:
         raise typer.BadParameter(f"--exposure is {exposure}, expected a number above 0")
     from scan2albedo import applications
-    from scan2albedo.applications.files import FACE_FILES
     from scan2albedo.applications.light_sweep import FRAMES
     from scan2albedo.io.images import read_image_linear
     from scan2albedo.io.run_folder import RunFolder
-    from scan2albedo.pipeline.process import FILES as SCAN_FILES
 
-    ours = FACE_FILES.holds(out.name) or SCAN_FILES.holds(out.name)
-    if out.resolve() == result.resolve() or (ours and out.resolve().parent == result.resolve()):
+    if out.resolve() == result.resolve() or (out.resolve().parent == result.resolve() and _is_ours(out.name)):
         raise typer.BadParameter(f"-o {out} is part of the processed scan itself; choose another name")
     options = applications.RelightOptions(gloss=gloss, fill_gaps=not keep_gaps)
     stop_cleanly_on_interrupt(None)
@@ -137,6 +134,14 @@ def relight(
     if json_summary:
         summary = {"face": face.name, "status": "done", "out": str(out), "lights": len(lamps)}
         echo_json({**summary, "notes": list(relit.notes)})
+
+
+def _is_ours(name: str) -> bool:
+    """Return whether a processed scan, or a face that an application made, has a file of this name."""
+    from scan2albedo.applications.files import FACE_FILES
+    from scan2albedo.pipeline.process import FILES
+
+    return FACE_FILES.holds(name) or FILES.holds(name)
 
 
 def _write_picture(out: Path, picture: "Picture", exposure: float | None) -> None:

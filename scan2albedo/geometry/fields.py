@@ -6,12 +6,22 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from scan2albedo.core.arrays import ArrayLike, BoolArray, FloatArray, IntArray, NDArray, all_finite
+from scan2albedo.core.arrays import (
+    ArrayLike,
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    NDArray,
+    all_finite,
+)
 from scan2albedo.geometry.mesh import edges_with_faces, vertex_areas
 from scan2albedo.geometry.operators import laplacian
 
 ANCHOR = 1e-9
 """Pull toward the old values, beside links of weight 1: it decides only where nothing known is touched."""
+_FAINT = 1e-4
+"""Part of the mean of an albedo below which it counts as none."""
 
 
 class Field:
@@ -142,6 +152,14 @@ def filled_over_grid(
         steps = np.concatenate([across[rows], down[columns]])
     field = Field(grid_links(usable), gaps.ravel(), pull=pull)
     return field.solve(np.reshape(values, (gaps.size, -1)), steps).reshape(np.shape(values))
+
+
+def continued_smoothly(albedo: NDArray, gaps: BoolArray, known: BoolArray) -> Float32Array:
+    """Return an albedo (H, W, 3) whose logarithm goes on from `known` into `gaps` by Laplace's equation."""
+    floor = max(_FAINT * float(albedo.mean()), float(np.finfo(np.float32).tiny))
+    field = np.log(np.maximum(albedo.astype(float), floor))
+    filled = filled_over_grid(field, gaps, known)
+    return np.where(gaps[..., None], np.exp(filled), albedo).astype(np.float32)
 
 
 def filled_over_mesh(values: ArrayLike, known: ArrayLike, faces: IntArray) -> FloatArray:

@@ -1,15 +1,17 @@
 """`eyes_and_mouth`: eyeballs behind a face's lids and the inside of its mouth, as meshes of their own."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import FloatArray, dots
-from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.closest_points import surface_query
 from scan2albedo.geometry.mesh import lengths, vertex_normals
 from scan2albedo.geometry.rasterization import bilinear, pixels_from_uv
@@ -24,8 +26,11 @@ from scan2albedo.unlit.eyes import (
 )
 from scan2albedo.unlit.face_features import texels_of_parts
 from scan2albedo.unlit.mouth import mouth_parts
-from scan2albedo.unlit.processed_face import Eyeball, EyesAndMouth, ProcessedFace
-from scan2albedo.unlit.template_baking import REACH_MM, TemplateTexture
+from scan2albedo.unlit.processed_face import REACH_MM, Eyeball, EyesAndMouth, ProcessedFace
+
+if TYPE_CHECKING:
+    from scan2albedo.fitting import FittedFace
+    from scan2albedo.unlit.template_baking import TemplateTexture
 
 _GAZE_SD_MM = 0.36
 """Deviation of one eye's gaze from the other's, at the surface of an eyeball."""

@@ -5,12 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter, grey_opening, label, map_coordinates, maximum_filter, zoom
-from skimage.morphology import disk
 
-from scan2albedo.albedo.inpainting import continued_smoothly
 from scan2albedo.core.arrays import BoolArray, FloatArray, RealArray, norms
 from scan2albedo.face_model import default_model
 from scan2albedo.face_model.materials import CLASSES
+from scan2albedo.geometry.fields import continued_smoothly
 from scan2albedo.geometry.rasterization import area_mean
 from scan2albedo.unlit.processed_face import ProcessedFace
 
@@ -118,7 +117,9 @@ def without_catchlights(face: ProcessedFace) -> FloatArray:
         return albedo
     side, around = max(eyes.shape), face.mask & grown(eyes, AROUND)
     value, radius = albedo.max(-1), max(1, round(1.5 * AROUND * side / 2))
-    opened = gaussian_filter(grey_opening(value, footprint=disk(radius)), (2 * radius + 1) / 3, mode="mirror")
+    step = np.arange(-radius, radius + 1)
+    disk = step[:, None] ** 2 + step**2 <= radius**2
+    opened = gaussian_filter(grey_opening(value, footprint=disk), (2 * radius + 1) / 3, mode="mirror")
     # Small spots on eyes are reflections if they are half as bright again as skin.
     most = np.maximum(opened, 1.5 * face.level())
     factor = np.where(around, np.minimum(1.0, most / np.maximum(value, 1e-12)), 1.0)

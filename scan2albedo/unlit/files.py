@@ -13,6 +13,7 @@ from scan2albedo.io.textured_mesh import MeshPicture, TexturedMesh, write_textur
 from scan2albedo.io.usd import write_usda
 from scan2albedo.unlit import template_baking as baking
 from scan2albedo.unlit.light_removal import UnlitScan
+from scan2albedo.unlit.processed_face import REACH_MM
 
 
 def write_unlit(folder: Path, unlit: UnlitScan, samples: type = np.uint8, *, exr: bool = False) -> None:
@@ -124,7 +125,7 @@ def write_template(
             template.faces,
             template.uv,
             textures,
-            baking.REACH_MM,
+            REACH_MM,
             ior=7 / 5,
             metallic=0,
         )
@@ -151,7 +152,7 @@ def _write_maps(folder: Path, tile: baking.TemplateTile, stem: str, end: str, sa
     for name, values in tile.maps.items():
         if name == "displacement_mm":
             write_exr((folder / f"{stem}_displacement{end}").with_suffix(".exr"), values)
-            name, values = "displacement", 0.5 + values / (2 * baking.REACH_MM)
+            name, values = "displacement", 0.5 + values / (2 * REACH_MM)
         write_png(folder / f"{stem}_{name}{end}", baking.integers(values, samples))
 
 

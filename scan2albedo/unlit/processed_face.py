@@ -1,14 +1,15 @@
 """`ProcessedFace`: what the applications need of a processed scan, and whether faces share one chart."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from scan2albedo.albedo import AlbedoEstimate
 from scan2albedo.core import EnvironmentLight, GeometryImage, PointLight
 from scan2albedo.core.arrays import (
     ArrayLike,
@@ -24,17 +25,22 @@ from scan2albedo.core.arrays import (
 )
 from scan2albedo.errors import ApplicationError
 from scan2albedo.face_model import AnnotatedSurface
-from scan2albedo.fitting import FittedFace
 from scan2albedo.geometry.mesh import normalized, vertex_normals
 from scan2albedo.geometry.rasterization import interpolate, rasterize_uv
 from scan2albedo.io.glb import GlbPart
 from scan2albedo.lighting.shading import Reflectance
+
+if TYPE_CHECKING:
+    from scan2albedo.albedo import AlbedoEstimate
+    from scan2albedo.fitting import FittedFace
 
 NO_MODEL = "none"
 OF_LIGHT = ("lights", "environment", "casts_shadows", "view_direction", "shadow_offset_mm")
 """Fields of a face that an `AlbedoEstimate`, and the record of a face, have by the same names."""
 SAME_PLACE_MM = 0.05
 """Surfaces farther apart are not of one result, or of one model: GLB files hold metres with 24 bits."""
+REACH_MM = 4.0
+"""What lies farther from a surface has its shape from elsewhere."""
 _LEAST_OVERLAP = 0.9
 """Part of the smaller mask that the other must contain for two charts to be the same."""
 

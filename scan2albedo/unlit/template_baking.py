@@ -24,13 +24,12 @@ from scan2albedo.io.glb import GlbPart
 from scan2albedo.sampling.geometry_images import without_covers
 from scan2albedo.sampling.texture_lookup import sample_colors, texel_steps
 from scan2albedo.unlit.light_removal import GUTTER, UnlitScan
+from scan2albedo.unlit.processed_face import REACH_MM
 
 LARGEST_TEXTURE = 8192
 """Texels of a side: pictures with more are not read back."""
 FIRST_TILE = 1001
 """UDIM: the tile of coordinates u in [0, 1], v in [0, 1] is 1001, that beside it 1002, that above it 1011."""
-REACH_MM = 4.0
-"""What lies farther from a surface has its shape from elsewhere."""
 LEAST_COSINE = 0.5
 """Surfaces face the same way above this cosine."""
 NOISE_RAD = 0.07
