@@ -5,7 +5,7 @@ import numpy as np
 from scan2albedo.albedo.node_field import FAINT
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, finite_rows
 from scan2albedo.core.compiled import compiled
-from scan2albedo.geometry.fields import filled_over_grid
+from scan2albedo.geometry.fields import filled_over_grid, surroundings
 
 _HOLD = 1e-4
 """Weight by which a copy keeps its own level: felt from 100 texels on, where gradients add up to drift."""
@@ -68,13 +68,6 @@ def resynthesize(
     new = np.exp(filled[inside], dtype=float)
     result[window][target[window]] = np.clip(new, albedo[known].min(0), albedo[known].max(0))
     return result
-
-
-def surroundings(region: BoolArray, margin: int) -> tuple[slice, slice]:
-    """Return the bounding box of `region` (not empty) with `margin` texels around it, as slices."""
-    ends = (np.flatnonzero(region.any(axis))[[0, -1]].tolist() for axis in (1, 0))
-    rows, columns = (slice(max(0, first - margin), last + margin + 1) for first, last in ends)
-    return rows, columns
 
 
 def _order(target: BoolArray, known: BoolArray) -> IntArray:

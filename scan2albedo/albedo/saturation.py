@@ -5,13 +5,14 @@ import math
 import numpy as np
 from scipy.ndimage import binary_opening, binary_propagation
 
-from scan2albedo.albedo.inpainting import RADIUS, resynthesize, surroundings
+from scan2albedo.albedo.inpainting import RADIUS, resynthesize
 from scan2albedo.albedo.node_field import FAINT
 from scan2albedo.albedo.noise import window_sums
 from scan2albedo.albedo.options import MINIMAL_TEXELS, SATURATION_LINEAR, EstimateOptions
 from scan2albedo.albedo.texel_light import HALF_STEP
 from scan2albedo.core import GeometryImage, PlanStep
 from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray
+from scan2albedo.geometry.fields import surroundings
 from scan2albedo.statistics.robust import normal_deviation
 
 _LARGEST_HIGHLIGHT = 0.25

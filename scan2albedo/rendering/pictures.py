@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import sparse
 
 from scan2albedo.core.arrays import (
     ArrayLike,
@@ -107,7 +108,12 @@ class SeenSamples:
 
     def interpolated(self, values: RealArray) -> FloatArray:
         """Return (N, ...) values (V, ...) of the vertices at the points seen."""
-        return np.einsum("nk,nk...->n...", self.weight, values[self.corners])
+        return self._weights(len(values)) @ values
+
+    def _weights(self, count: int) -> sparse.csr_array:
+        """Return the matrix (N, V) of the corners' weights, for a mesh of V vertices."""
+        ends = np.arange(0, self.corners.size + 1, 3)
+        return sparse.csr_array((self.weight.ravel(), self.corners.ravel(), ends), (len(self.index), count))
 
     def raised(
         self, vertices: FloatArray, normals: FloatArray, share: float = 1.0, *, outward: bool = False
@@ -123,6 +129,8 @@ class SeenSamples:
         .. [2] J. Hanika, "Hacking the shadow terminator", Ray Tracing Gems II, 2021.
         """
         flat = self.interpolated(vertices)
+        if share == 0:
+            return flat
         below = dots(vertices[self.corners] - flat[:, None], normals[self.corners])
         if outward:
             below = np.maximum(below, 0.0)

@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter, grey_opening, label, map_coordinates,
 from scan2albedo.core.arrays import BoolArray, FloatArray, RealArray, norms
 from scan2albedo.face_model import default_model
 from scan2albedo.face_model.materials import CLASSES
-from scan2albedo.geometry.fields import continued_smoothly
+from scan2albedo.geometry.fields import continued_smoothly, surroundings
 from scan2albedo.geometry.rasterization import area_mean
 from scan2albedo.unlit.processed_face import ProcessedFace
 
@@ -115,15 +115,17 @@ def without_catchlights(face: ProcessedFace) -> FloatArray:
     albedo, eyes = face.albedo_linear.astype(float), texels_of_parts(face, FEATURES["eyes"])
     if not eyes.any():
         return albedo
-    side, around = max(eyes.shape), face.mask & grown(eyes, AROUND)
-    value, radius = albedo.max(-1), max(1, round(1.5 * AROUND * side / 2))
+    around, radius = face.mask & grown(eyes, AROUND), max(1, round(1.5 * AROUND * max(eyes.shape) / 2))
+    window = surroundings(around, 6 * radius)  # farther than both filters reach
+    value = albedo[window].max(-1)
     step = np.arange(-radius, radius + 1)
     disk = step[:, None] ** 2 + step**2 <= radius**2
     opened = gaussian_filter(grey_opening(value, footprint=disk), (2 * radius + 1) / 3, mode="mirror")
     # Small spots on eyes are reflections if they are half as bright again as skin.
     most = np.maximum(opened, 1.5 * face.level())
-    factor = np.where(around, np.minimum(1.0, most / np.maximum(value, 1e-12)), 1.0)
-    return albedo * factor[..., None]
+    factor = np.where(around[window], np.minimum(1.0, most / np.maximum(value, 1e-12)), 1.0)
+    albedo[window] *= factor[..., None]
+    return albedo
 
 
 def without_gaps(face: ProcessedFace) -> ProcessedFace:
