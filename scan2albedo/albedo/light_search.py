@@ -180,7 +180,7 @@ class LightSearch:
             if found and meter.exhausted:
                 break
             x = np.append(model.extend(start.light_x, full), start.x[-EXTRA:])
-            point = base.problem.at(full, x, base.problem.started(base.known.scales))
+            point = base.problem.at(full, x, base.problem.started(start.known.scales))
             found.append(point if meter.exhausted else self._settled(point))
         return sorted(found, key=lambda point: -point.log_evidence())
 
