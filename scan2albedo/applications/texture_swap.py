@@ -3,10 +3,10 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, gaussian_filter, maximum_filter
+from scipy.ndimage import distance_transform_edt, maximum_filter
 
 from scan2albedo.core.arguments import require_type
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, brightest
 from scan2albedo.face_model import AnnotatedSurface
 from scan2albedo.geometry.fields import filled_over_grid
 from scan2albedo.statistics.robust import geman_mcclure_weights
@@ -152,8 +152,7 @@ def _feature_of_one(difference: FloatArray, both: BoolArray) -> FloatArray:
     sigma = face_features.LOCAL * max(both.shape)
     weight, feature = both.astype(float), np.zeros_like(difference)
     for _ in range(5):
-        total = np.dstack([weight[..., None] * difference, weight])
-        mean = gaussian_filter(total, sigma, mode="mirror", axes=(0, 1))
-        feature = np.where(both[..., None], difference - mean[..., :3] / np.maximum(mean[..., 3:], 1e-9), 0.0)
-        weight = both * geman_mcclure_weights(np.abs(feature).max(-1), _UNLIKE)
+        mean = blurred_inside(difference, weight, sigma)
+        feature = np.where(both[..., None], difference - mean, 0.0)
+        weight = both * geman_mcclure_weights(brightest(np.abs(feature)), _UNLIKE)
     return feature

@@ -98,6 +98,11 @@ def rms(values: ArrayLike) -> float:
     return float(np.sqrt(np.mean(array**2))) if array.size else np.nan
 
 
+def brightest(colors: ArrayLike) -> NDArray:
+    """Return V (...), the largest channel of colours (..., 3); a reduction over so short an axis is slow."""
+    return np.maximum.reduce([*np.moveaxis(np.asarray(colors), -1, 0)])
+
+
 def dots(one: NDArray, other: NDArray) -> NDArray:
     """Return the scalar products (...) of vectors (..., C) and (..., C)."""
     return np.einsum("...c,...c->...", one, other)

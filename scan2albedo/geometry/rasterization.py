@@ -188,12 +188,28 @@ def area_mean(values: ArrayLike, shape: GridShape) -> FloatArray:
     size = result.shape[:2]
     for axis, count in enumerate(shape):
         lines = np.moveaxis(result, axis, 0)
+        step, rest = divmod(size[axis], count)
+        if rest == 0:  # whole pixels alone: their sums take a third of the time
+            result = np.moveaxis(np.add.reduce([lines[first::step] for first in range(step)]), 0, axis)
+            continue
         sums = np.concatenate([np.zeros_like(lines[:1]), np.cumsum(lines, axis=0)])
         edges = np.arange(count + 1) * size[axis] / count
         whole = np.minimum(edges.astype(int), size[axis] - 1)
         part = (edges - whole).reshape(-1, *[1] * (lines.ndim - 1))
         result = np.moveaxis(np.diff(sums[whole] + part * lines[whole], axis=0), 0, axis)
     return result / (size[0] * size[1] / (shape[0] * shape[1]))
+
+
+def area_interpolated(values: FloatArray, shape: GridShape) -> FloatArray:
+    """Return an image (H, W, ...) of more pixels, `shape`: what `area_mean` made smaller, if it is smooth."""
+    result = values
+    for axis, count in enumerate(shape):
+        lines = np.moveaxis(result, axis, 0)
+        place = np.clip((np.arange(count) + 0.5) * len(lines) / count - 0.5, 0, len(lines) - 1)
+        before = np.minimum(place.astype(int), len(lines) - 2)
+        part = (place - before).reshape(-1, *[1] * (lines.ndim - 1))
+        result = np.moveaxis((1 - part) * lines[before] + part * lines[before + 1], 0, axis)
+    return result
 
 
 def filled_smoothly(values: NDArray, known: BoolArray) -> NDArray:

@@ -16,6 +16,7 @@ from scan2albedo.core.arrays import (
     IntArray,
     NDArray,
     RealArray,
+    brightest,
     dots,
 )
 from scan2albedo.geometry.mesh import normalized, vertex_normals
@@ -60,8 +61,8 @@ class Picture:
 
 def auto_exposure(linear: ArrayLike) -> float:
     """Return the factor that shows the bright part of colours (N, 3) just below white; 1 for black."""
-    brightest = np.asarray(linear).reshape(-1, 3).max(-1)
-    bright = float(np.percentile(brightest, 98)) if len(brightest) else 0.0
+    value = brightest(linear).ravel()
+    bright = float(np.percentile(value, 98)) if len(value) else 0.0
     return 0.8 / bright if bright > 0 else 1.0
 
 

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import gaussian_filter, grey_opening, label, map_coordinates, maximum_filter, zoom
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, RealArray, norms
+from scan2albedo.core.arrays import BoolArray, FloatArray, NDArray, RealArray, brightest, norms
 from scan2albedo.face_model import default_model
 from scan2albedo.face_model.materials import CLASSES
 from scan2albedo.geometry.fields import continued_smoothly, surroundings
-from scan2albedo.geometry.rasterization import area_mean
+from scan2albedo.geometry.rasterization import area_interpolated, area_mean
 from scan2albedo.unlit.processed_face import ProcessedFace
 
 FEATURES = {
@@ -117,7 +117,7 @@ def without_catchlights(face: ProcessedFace) -> FloatArray:
         return albedo
     around, radius = face.mask & grown(eyes, AROUND), max(1, round(1.5 * AROUND * max(eyes.shape) / 2))
     window = surroundings(around, 6 * radius)  # farther than both filters reach
-    value = albedo[window].max(-1)
+    value = brightest(albedo[window])
     step = np.arange(-radius, radius + 1)
     disk = step[:, None] ** 2 + step**2 <= radius**2
     opened = gaussian_filter(grey_opening(value, footprint=disk), (2 * radius + 1) / 3, mode="mirror")
@@ -250,13 +250,26 @@ def warped(field: FloatArray, flow: FloatArray) -> FloatArray:
 
 def local_contrast(albedo: FloatArray, mask: BoolArray) -> FloatArray:
     """Return (H, W) log V less its local mean, in its robust deviation; 0 outside the mask."""
-    value = np.log(np.maximum(albedo.max(-1), 1e-4 * max(float(albedo.max()), 1e-12)))
+    value = np.log(np.maximum(brightest(albedo), 1e-4 * max(float(albedo.max()), 1e-12)))
     rest = np.where(mask, value - blurred_inside(value, mask, LOCAL * max(mask.shape)), 0.0)
     return rest / max(float(np.std(rest[mask])), 1e-6)
 
 
-def blurred_inside(field: RealArray, mask: BoolArray, sigma: float) -> FloatArray:
-    """Return the Gaussian means of a field (H, W) or (H, W, C) over the texels of `mask` (H, W) alone."""
-    inside = mask.reshape(*mask.shape, *[1] * (field.ndim - 2)).astype(float)
-    parts = [gaussian_filter(part, sigma, mode="mirror", axes=(0, 1)) for part in (field * inside, inside)]
+def blurred_inside(field: RealArray, weight: NDArray, sigma: float) -> FloatArray:
+    """Return the Gaussian means of a field (H, W) or (H, W, C), texels counting by `weight` (H, W)."""
+    inside = weight.reshape(*weight.shape, *[1] * (field.ndim - 2)).astype(float)
+    parts = [_blurred(part, sigma) for part in (field * inside, inside)]
     return parts[0] / np.maximum(parts[1], 1e-6)
+
+
+def _blurred(field: FloatArray, sigma: float) -> FloatArray:
+    """Return a field (H, W, ...) blurred by a Gaussian, mirrored at its edges.
+
+    What is as smooth as a broad one leaves it is known by its means over blocks of a fifth of `sigma`.
+    """
+    side = round(sigma / 5)
+    if side < 2:
+        return gaussian_filter(field, sigma, mode="mirror", axes=(0, 1))
+    small = area_mean(field, (-(-field.shape[0] // side), -(-field.shape[1] // side)))
+    blurred = gaussian_filter(small, sigma * len(small) / len(field), mode="reflect", axes=(0, 1))
+    return area_interpolated(blurred, field.shape[:2])

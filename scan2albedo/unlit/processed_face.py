@@ -21,6 +21,7 @@ from scan2albedo.core.arrays import (
     Values,
     all_finite,
     attributes,
+    brightest,
     on_grid,
 )
 from scan2albedo.errors import ApplicationError
@@ -242,7 +243,7 @@ class ProcessedFace:
 
     def level(self) -> float:
         """Return the albedo's level: the geometric mean of V over the texels whose texture was seen."""
-        value = self.albedo_linear.max(-1)[self.image.seen]
+        value = brightest(self.albedo_linear[self.image.seen])
         positive = value[value > 0]
         return float(np.exp(np.mean(np.log(positive, dtype=float)))) if len(positive) else 0.0
 
