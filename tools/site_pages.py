@@ -6,6 +6,7 @@
 import ast
 import re
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -76,9 +77,8 @@ def packages() -> Iterator[tuple[str, list[str]]]:
         name = ".".join(init.parent.relative_to(ROOT).parts)
         if name.removeprefix("scan2albedo.") in HIDDEN:
             continue
-        for node in ast.parse(init.read_text(encoding="utf-8")).body:
-            if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
-                yield name, list(ast.literal_eval(node.value))
+        if public := getattr(import_module(name), "__all__", None):
+            yield name, list(public)
 
 
 def python_page(name: str, public: list[str], shown: dict[str, str]) -> str:

@@ -9,8 +9,7 @@ import numpy as np
 from scan2albedo.core import Budget, BudgetLike, Meter, OnProgress, Plan, PlanStep, Trace
 from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray, checked_array, finite_rows
 from scan2albedo.errors import EyeglassesError, errors_of
-from scan2albedo.eyeglasses import mean_keypoints as means
-from scan2albedo.eyeglasses import unbending
+from scan2albedo.eyeglasses import mean_keypoints as means, unbending
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, checked_keypoints, checked_weights
 from scan2albedo.eyeglasses.skinning import skin, translations, turned_translations
 from scan2albedo.eyeglasses.weights import solve_weights

@@ -8,8 +8,7 @@ import numpy as np
 
 from scan2albedo.core.arrays import FloatArray, IntArray, Texts, all_finite
 from scan2albedo.errors import ScanError
-from scan2albedo.io import limits, parsed_mesh
-from scan2albedo.io import text_tables as tables
+from scan2albedo.io import limits, parsed_mesh, text_tables as tables
 from scan2albedo.io.atomic import write_text
 from scan2albedo.io.color import linear_of_srgb_numbers
 from scan2albedo.io.parsed_mesh import GREY, Material, ParsedMesh, ScanFolder, ScanPictures, decoded

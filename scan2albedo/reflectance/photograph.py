@@ -20,8 +20,7 @@ from scan2albedo.geometry.rays import RayCaster, blocks, each_block
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.lighting.shadow_map import ShadowMap
-from scan2albedo.reflectance import environment_shading as shading
-from scan2albedo.reflectance import vertex_visibility as sight
+from scan2albedo.reflectance import environment_shading as shading, vertex_visibility as sight
 from scan2albedo.reflectance.environment_shading import LightResponse, light_response, unit_vectors
 from scan2albedo.reflectance.olat import OlatOptions, linear_values, picture_values
 from scan2albedo.reflectance.vertex_reflectance import BLOCK, EXPONENTS

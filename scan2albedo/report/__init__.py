@@ -1,17 +1,10 @@
 """Overview pictures of results, and `write_report`: an HTML page about a scan or a batch."""
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from scan2albedo.lazy import names_when_asked
 
 if TYPE_CHECKING:
-    from scan2albedo.report.html.write import WrittenReport, write_report
+    from scan2albedo.report.html.write import WrittenReport as WrittenReport, write_report as write_report
 
-__all__ = ["WrittenReport", "write_report"]
-
-
-def __getattr__(name: str) -> Any:
-    # Overviews are drawn in every run; the page and what it stands on are loaded when it is asked for.
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from scan2albedo.report.html import write
-
-    return getattr(write, name)
+__getattr__, __dir__, __all__ = names_when_asked(__name__, __file__)

@@ -15,8 +15,7 @@ from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.operators import vertex_average
 from scan2albedo.geometry.pinhole import pixel_directions, pixel_grid
 from scan2albedo.lighting.environment import DistantLights
-from scan2albedo.synthetic.face_shape import FaceSurface, face_surface
-from scan2albedo.synthetic.face_shape import person as sculpted
+from scan2albedo.synthetic.face_shape import FaceSurface, face_surface, person as sculpted
 from scan2albedo.synthetic.renderer import SHADOW_OFFSET_MM, RayScene
 from scan2albedo.synthetic.sitter import BodyPart, Sitter, sit_down
 from scan2albedo.synthetic.textures import LOOKS, PaintedFeatures, drawn, paint_face, smooth_noise

@@ -87,8 +87,7 @@ def test_images_that_cannot_be_joined_are_refused():
 
 @pytest.mark.slow
 def test_photographs_of_a_person_say_more_together(shared_data):
-    from bench.common_albedo import error as error_of
-    from bench.common_albedo import photographs
+    from bench.common_albedo import error as error_of, photographs
 
     person = dict(np.load(shared_data / "yale" / "yaleB12.npz"))
     made = photographs(person, np.array([0, 6, 3, 4]))

@@ -18,8 +18,7 @@ from helpers.meshes import write_ball
 from helpers.square import write_square_obj
 from helpers.usage import COMMAND, run_process, usage_error
 
-from scan2albedo.cli import commands as cli
-from scan2albedo.cli import doctor
+from scan2albedo.cli import commands as cli, doctor
 from scan2albedo.cli.common import echo_json
 from scan2albedo.core import Plan, PlanStep, RawScan
 from scan2albedo.core.version import VERSION

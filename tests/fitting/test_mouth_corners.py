@@ -9,8 +9,7 @@ from helpers.measures import row_lengths
 
 from scan2albedo.core import Budget, Meter
 from scan2albedo.core.raw_scan import RawScan
-from scan2albedo.fitting import fit
-from scan2albedo.fitting import mouth_opening as mouth
+from scan2albedo.fitting import fit, mouth_opening as mouth
 from scan2albedo.fitting.mouth_opening import CORNERS, corner_moves
 from scan2albedo.fitting.options import FitOptions
 from scan2albedo.fitting.samples import SurfaceSamples

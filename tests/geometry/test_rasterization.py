@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers.square import SQUARE_FACES as FACES
-from helpers.square import SQUARE_UV
+from helpers.square import SQUARE_FACES as FACES, SQUARE_UV
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial import Delaunay
 from skimage.transform import resize_local_mean

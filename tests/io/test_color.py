@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from scan2albedo.io.color import decode_srgb_integers, encode_srgb_bytes, linear_to_srgb, srgb_to_linear
 

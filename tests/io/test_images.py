@@ -20,9 +20,9 @@ from scan2albedo.io.images import (
     read_image_values,
     write_exr,
     write_exr_channels,
+    write_image as write_by_extension,
     write_png,
 )
-from scan2albedo.io.images import write_image as write_by_extension
 
 RNG = np.random.default_rng(5)
 SRGB = ImageCms.createProfile("sRGB")

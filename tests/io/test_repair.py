@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 from helpers.meshes import sphere
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from hypothesis.extra import numpy as arrays
 from numpy.testing import assert_array_equal
 

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 from helpers.meshes import sphere
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from scan2albedo.errors import ScanError
 from scan2albedo.geometry.rigid import rotation_from_vector

@@ -12,8 +12,7 @@ from helpers.faces import with_template
 
 import scan2albedo as s2a
 from scan2albedo.core import Budget
-from scan2albedo.pipeline import clock as clocks
-from scan2albedo.pipeline import unlit as outputs
+from scan2albedo.pipeline import clock as clocks, unlit as outputs
 from scan2albedo.pipeline.clock import Clock
 from scan2albedo.pipeline.options import ProcessOptions
 from scan2albedo.pipeline.result import Run as Scan

@@ -64,8 +64,7 @@ from scan2albedo.pipeline.process import write_result
 from scan2albedo.synthetic import Material, SyntheticScene, face, light_at
 from scan2albedo.synthetic.face_shape import person
 from scan2albedo.synthetic.renderer import RayScene, render
-from scan2albedo.unlit.face_features import FEATURES as LABELS
-from scan2albedo.unlit.face_features import local_contrast, texels_of_parts, warped
+from scan2albedo.unlit.face_features import FEATURES as LABELS, local_contrast, texels_of_parts, warped
 
 LIGHTS = [
     light_at(0, 0),

@@ -17,8 +17,6 @@ from typing import Any
 import numpy as np
 from worlds.model_faces import (
     albedo_error as vertex_error,
-)
-from worlds.model_faces import (
     geometry_scene,
     learned,
     person,

@@ -21,15 +21,13 @@ from typing import Any
 import numpy as np
 from worlds.door import (
     UNSEEN,
+    Case as DoorScan,
     hard_person,
     light_stage_person,
     own_person,
     relief,
     scrap,
     with_landmarks,
-)
-from worlds.door import (
-    Case as DoorScan,
 )
 from worlds.light_stage import light_stage_head
 from worlds.objects import wrong_object

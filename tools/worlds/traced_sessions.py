@@ -20,8 +20,7 @@ from scan2albedo.synthetic.raw_scan import Scanner, assembled, random_pose
 from scan2albedo.synthetic.sitter import nose_tip
 from scan2albedo.synthetic.textures import HEMOGLOBIN, PaintedFeatures, paint_face, smooth_noise
 from worlds.files import write_obj
-from worlds.lamps import COOL, WARM, Environment, Lamp, Rig
-from worlds.lamps import Part as Source
+from worlds.lamps import COOL, WARM, Environment, Lamp, Part as Source, Rig
 from worlds.light_stage import LightStage
 from worlds.path_tracer import LightTable, Part, Studio, exposure_of, stored
 from worlds.pictures import (
