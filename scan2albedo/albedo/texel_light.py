@@ -1,5 +1,6 @@
 """The light that a search found, on every texel: lamps with their shadows, soft light, and colours."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +16,7 @@ from scan2albedo.albedo.prior import SPREADS
 from scan2albedo.albedo.shaded_image import LightFound, ShadedImage
 from scan2albedo.albedo.soft_terms import DARKEST
 from scan2albedo.core import EnvironmentLight, PointLight
-from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, row_sums
+from scan2albedo.core.arrays import BoolArray, Float32Array, FloatArray, dots, row_sums
 from scan2albedo.lighting.environment_light import open_shading, open_transfer
 from scan2albedo.lighting.harmonics import harmonics
 from scan2albedo.lighting.shading import Reflectance, lamp_factors
@@ -151,9 +152,13 @@ class _Expected:
         """Let most texels tell the person's ratios, in this light."""
         self.ratios += np.median(self.left(light, gloss)[self.usable], 0) * ~self.first
 
-    def mean_part(self, left: list[FloatArray], dark: FloatArray | float, prior: FloatArray) -> FloatArray:
+    def mean_part(
+        self, left: Iterable[FloatArray], dark: FloatArray | float, prior: FloatArray
+    ) -> FloatArray:
         """Return (N,) the mean of parts 0 to 1, by what each leaves, `dark` of its variance, and a prior."""
-        fits = -0.5 * self.usable * (np.stack(left) ** 2).sum(2) / (SPREADS[0] ** 2 + dark)
+        # One part after the other: all their channels at once are most of what a large chart needs.
+        misfit = np.stack([dots(part, part) for part in left])
+        fits = -0.5 * self.usable * misfit / (SPREADS[0] ** 2 + dark)
         chance = np.exp(np.maximum(fits - fits.max(0), -6.0)) * prior
         return self.parts @ chance / chance.sum(0)
 
@@ -182,7 +187,7 @@ def _seen_shadows(
             others = soft + np.einsum("ln,lnc->nc", seen, lamps) - seen[k][:, None] * lamps[k]
             prior = np.tile(reached * (1 - reached) / (len(known.parts) - 2), (len(known.parts), 1))
             prior[0], prior[-1] = (1 - reached) * (1 - reached / 2), reached * (1 + reached) / 2
-            left = [known.left(others + part * lamps[k]) for part in known.parts]
+            left = (known.left(others + part * lamps[k]) for part in known.parts)
             dark = DARKEST / np.maximum(others[:, known.lead], DARKEST)
             seen[k] = np.where(away[k], 1.0, known.mean_part(left, dark, prior))
     return np.where(away, 0.0, seen).astype(np.float32)
@@ -196,7 +201,7 @@ def _left_over(known: _Expected, light: FloatArray, gloss: FloatArray) -> tuple[
     """
     known.settle(light, gloss)
     prior = [np.exp(-2 * (2 * p - 1) ** 2) * (known.texels >= 2 * p * gloss).all(1) for p in known.parts]
-    rest = [known.left(light, 2 * part * gloss) for part in known.parts]
+    rest = (known.left(light, 2 * part * gloss) for part in known.parts)
     share = 2 * known.mean_part(rest, 0.0, np.stack(prior))[:, None]
     left, first, usable = known.left(light, share * gloss), known.first, known.usable
     # The texture of this surface is rougher than that of a prior's cells: most texels show how much.
