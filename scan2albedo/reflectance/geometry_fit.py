@@ -12,7 +12,13 @@ from scan2albedo.core import BudgetLike, Meter, OnProgress, Plan, PlanStep, Trac
 from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray, checked_array, finite_rows, norms, rms
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import edges_with_faces, vertex_normals
-from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, pixel_directions, project
+from scan2albedo.geometry.pinhole import (
+    camera_centers,
+    focal_px,
+    normalized_cameras,
+    pixel_directions,
+    project,
+)
 from scan2albedo.geometry.rigid import compose, is_rigid, procrustes, rotation_from_vector, transform_points
 from scan2albedo.optimization.least_squares import Damping, Descent, minimize
 from scan2albedo.reflectance import geometry_terms as terms
@@ -298,7 +304,7 @@ def _descent(start: GeometryPoint, steps: int, damping: float = Damping().first)
 
 def _pixel_mm(camera: FloatArray, depth: FloatArray) -> float:
     """Return the size of a pixel at the median depth."""
-    return float(np.median(depth) / np.sqrt(abs(np.linalg.det(camera[:, :3]))))
+    return float(np.median(depth) / focal_px(camera))
 
 
 def pose_from_landmarks(camera: FloatArray, points_mm: FloatArray, pixels: FloatArray) -> FloatArray:
@@ -342,5 +348,5 @@ def pose_from_landmarks(camera: FloatArray, points_mm: FloatArray, pixels: Float
             best, least = pose, error
     if not np.isfinite(least):
         raise ReflectanceError("no pose puts the landmarks before the camera; check landmarks and camera")
-    to_scene = compose(np.eye(3), camera_centers(camera[None])[0])
+    to_scene = compose(np.eye(3), camera_centers(camera))
     return to_scene @ best @ compose(np.eye(3), -center)

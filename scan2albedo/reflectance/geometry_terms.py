@@ -177,7 +177,7 @@ class PhotometricTerm:
         return LocalTerm(jacobian, (weight * off).ravel(), weight.ravel())
 
     def _sight(self, vertices: FloatArray) -> FloatArray:
-        return camera_centers(self.camera[None])[0] - vertices[self.used]
+        return camera_centers(self.camera) - vertices[self.used]
 
 
 def photometric_term(

@@ -215,7 +215,7 @@ def observe_photograph(
     region = np.ones(finite.shape, bool) if mask is None else mask
     skin = checked_array(region, finite.shape, "mask", kind=bool)
     linear = linear_values(values, gamma).astype(np.float32)
-    toward = normalized(camera_centers(matrix[None])[0] - xyz)
+    toward = normalized(camera_centers(matrix) - xyz)
     seen = sight.VertexVisibility(xyz, index, normal).seen(matrix, VIEW_COSINE)
     pixels, _ = project(matrix, xyz)
     steps = {

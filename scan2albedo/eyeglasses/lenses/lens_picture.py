@@ -250,13 +250,12 @@ class _View:
         once = self._rays(pixels)
         # Edges: pixels whose ray differs from a neighbour's in lens, surface or distance.
         kind = (once.lens + (once.surface + 1) * 4).reshape(shape)
-        focal = np.sqrt(np.abs(np.linalg.det(self.camera[:, :3])))
         distance = np.where(np.isfinite(once.distance), once.distance, 0.0).reshape(shape)
         edges = np.zeros(shape, bool)
         for axis in (0, 1):
             across, kinds, mark = (np.moveaxis(a, axis, 0) for a in (distance, kind, edges))
             # A step in depth of eight pixels' sizes there.
-            least = 8.0 * (np.minimum(across[1:], across[:-1]) / focal)
+            least = 8.0 * (np.minimum(across[1:], across[:-1]) / pinhole.focal_px(self.camera))
             step = (kinds[1:] != kinds[:-1]) | (np.abs(across[1:] - across[:-1]) > least)
             mark[1:] |= step
             mark[:-1] |= step
@@ -279,7 +278,7 @@ class _View:
             names = ("bare", "shaded", "unknown", "lens", "surface", "distance")
             joined: Values = {n: np.concatenate([getattr(part, n) for part in parts]) for n in names}
             return _SeenRays(**joined, glancing=sum(part.glancing for part in parts))
-        scene, center = self.scene, pinhole.camera_centers(self.camera[None])[0]
+        scene, center = self.scene, pinhole.camera_centers(self.camera)
         straight = scene.rays(center, pinhole.pixel_directions(self.camera, pixels), pixels)
         rows, columns = self.region
         cell = np.floor(pixels + 0.5)

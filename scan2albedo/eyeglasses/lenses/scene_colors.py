@@ -14,7 +14,7 @@ from scan2albedo.core.arrays import ArrayLike, BoolArray, ByteArray, FloatArray,
 from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens
 from scan2albedo.eyeglasses.lenses.scenes import LensScene, SceneRays, radiance_at
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, pixel_grid, project
-from scan2albedo.geometry.rasterization import bilinear
+from scan2albedo.geometry.rasterization import bilinear, within
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.lighting.shading import Reflectance
 from scan2albedo.lighting.shadow_map import ShadowMap
@@ -194,7 +194,7 @@ class PhotographedScene:
         environment: FloatArray | None = None,
     ) -> None:
         self._scene, self._picture, self._camera = scene, picture, camera
-        self._center = camera_centers(camera[None])[0]
+        self._center = camera_centers(camera)
         self._region, self._environment = region, environment
         self._known: dict[int, tuple[cKDTree, FloatArray]] = {}
 
@@ -272,7 +272,7 @@ class PhotographedScene:
     def _sample(self, pixels: FloatArray, labels: IntArray) -> tuple[FloatArray, BoolArray]:
         """Return bilinear colours (N, 3) from pixels of the given labels, and where there are any."""
         at = np.where(np.isfinite(pixels), pixels, -1.0)
-        inside = np.asarray(((at >= 0) & (at <= np.array(self._labels.shape[::-1]) - 1)).all(1))
+        inside = within(at, self._labels.shape)
         total = np.zeros((len(at), 4))
         for number in np.unique(labels):
             own, wanted = (self._labels == number)[..., None], labels == number

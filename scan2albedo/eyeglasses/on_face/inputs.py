@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import compress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +25,7 @@ from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, checked_keypoints,
 from scan2albedo.eyeglasses.mean_keypoints import require_posable, typical_size_factor
 from scan2albedo.eyeglasses.on_face.outline import MaskDistance, ObservedView
 from scan2albedo.geometry.pinhole import normalized_cameras
+from scan2albedo.geometry.rasterization import within
 from scan2albedo.geometry.rigid import is_rigid
 
 OBSERVED_MM = 1.2
@@ -100,8 +102,7 @@ class RegisteredEyeglasses:
     def unobserved(self) -> Texts:
         """What the pictures do not determine: "depth", and names of key points."""
         lost = np.isfinite(self.keypoint_deviation) & ~self.keypoints_observed
-        names = tuple(name for name, gone in zip(KEY_POINT_NAMES, lost, strict=True) if gone)
-        return (() if self.depth_observed else ("depth",)) + names
+        return (() if self.depth_observed else ("depth",)) + tuple(compress(KEY_POINT_NAMES, lost))
 
 
 @dataclass(frozen=True)
@@ -235,7 +236,7 @@ def _checked_view(
     if covered is not None:
         if covered.ndim != 2 or min(covered.shape) < 2:
             raise ValueError(f"mask {number} must have shape (H, W), of 2 pixels or more: {covered.shape}")
-        outside = ((found < -0.5) | (found > np.array(covered.shape[::-1]) - 0.5)).any(1)
+        outside = ~within(found, covered.shape, 0.5)
         if len(found) and outside.mean() > 0.5:
             raise EyeglassesError(
                 f"{outside.sum()} of {len(found)} labels of view {number} lie outside its mask of "

@@ -23,8 +23,8 @@ from scan2albedo.core.arrays import (
 from scan2albedo.eyeglasses.mean_keypoints import BEHIND
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
 from scan2albedo.geometry.mesh import normalized
-from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, project
-from scan2albedo.geometry.rasterization import bilinear, bilinear_slopes
+from scan2albedo.geometry.pinhole import camera_centers, focal_px, pixel_directions, project
+from scan2albedo.geometry.rasterization import bilinear, bilinear_slopes, within
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.rendering.pictures import SeenSamples, seen_samples
 
@@ -62,10 +62,8 @@ class MaskDistance:
 
     def sample(self, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return distances (N,) and slopes (N, 2) by column and row, bilinear; NaN outside the window."""
-        height, width = self.field.shape
         place = pixels - np.array(self.corner)
-        with np.errstate(invalid="ignore"):
-            inside = ((place >= 0) & (place <= [width - 1, height - 1])).all(1)
+        inside = within(place, self.field.shape)
         field, where = self.field[..., None], np.where(inside[:, None], place, 0.0)
         value, slope = bilinear(field, where)[:, 0], bilinear_slopes(field, where)[:, 0]
         value[~inside], slope[~inside] = np.nan, np.nan
@@ -156,7 +154,7 @@ def hidden_by(head: RayCaster | None, camera: FloatArray, points: FloatArray) ->
     """Return (N,) True for points that the head hides from a camera."""
     if head is None:
         return np.zeros(len(points), bool)
-    toward = camera_centers(camera[None])[0] - points
+    toward = camera_centers(camera) - points
     # From 1 mm above, for frames rest on the skin.
     return head.occluded(points + normalized(toward), toward)
 
@@ -284,7 +282,7 @@ class OutlineSampler:
         seen = shown.chosen(which)
         foremost = seen.corners[:, 0]
         owner = points.weights.argmax(1)[foremost]
-        px_per_mm = np.sqrt(abs(np.linalg.det(camera[:, :3]))) / project(camera, vertices)[1][foremost]
+        px_per_mm = focal_px(camera) / project(camera, vertices)[1][foremost]
         reach = np.minimum(5.0 + 3 * points.weights[foremost] @ deviation_mm * px_per_mm, REACH_PX)
         place = np.stack(np.divmod(seen.index, view.shape[1])[::-1], 1).astype(float)
         # Points nearer to the picture's border than to the observed outline may have it outside.
@@ -339,7 +337,7 @@ class OutlineSampler:
         """Return (N,) True for points that the head hides, or a ray four pixels beside them."""
         hidden = hidden_by(self.head, camera, points)
         if self.head is not None and len(points):
-            center = camera_centers(camera[None])[0]
+            center = camera_centers(camera)
             far = norms(points - center)[:, None]
             for step in ((1, 0), (-1, 0), (0, 1), (0, -1)):
                 ray = pixel_directions(camera, pixels + 4.0 * np.array(step))

@@ -1,6 +1,7 @@
 """How well the pictures fix a frame, where they contradict it, and the result in the caller's unit."""
 
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
@@ -28,6 +29,7 @@ from scan2albedo.eyeglasses.on_face.outline import (
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import camera_centers, project, projected
+from scan2albedo.geometry.rasterization import within
 
 _MODEL_MM = 0.06
 """What key points and weights cannot follow of a frame at rest."""
@@ -84,7 +86,7 @@ def report(
     apart = 0.0
     if inputs.head is not None:
         apart = float(ClosestPointQuery(*inputs.head).query(keypoints[inputs.known]).distance.min())
-    names = ", ".join(name for name, bad in zip(KEY_POINT_NAMES, wrong, strict=True) if bad)
+    names = ", ".join(compress(KEY_POINT_NAMES, wrong))
     nothing = "nothing counts as observed"
     doubts = (
         (depth > OBSERVED_MM, "depth", "the views do not see depth", f"{depth:.1f} mm standard deviation"),
@@ -334,8 +336,7 @@ def _visible(sampler: OutlineSampler, view: ObservedView, points: FloatArray) ->
     pixels, depth = project(view.camera, points)
     inside = depth > 0
     if view.shape is not None:
-        with np.errstate(invalid="ignore"):
-            inside &= ((pixels >= -0.5) & (pixels <= np.array(view.shape[::-1]) - 0.5)).all(1)
+        inside &= within(pixels, view.shape, 0.5)
     return inside & ~hidden_by(sampler.head, view.camera, points)
 
 
@@ -346,7 +347,7 @@ def _depth_deviation(
     best = np.inf
     for view, seen in zip(views, visible, strict=True):
         if seen.any():
-            rays = normalized(keypoints[seen] - camera_centers(view.camera[None])[0])
+            rays = normalized(keypoints[seen] - camera_centers(view.camera))
             variance = np.maximum(np.einsum("ni,nij,nj->n", rays, covariances[seen], rays), 0.0)
             best = min(best, float(np.sqrt(variance.mean())))
     return best

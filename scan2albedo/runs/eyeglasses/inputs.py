@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from pydantic import Field
 
 from scan2albedo import eyeglasses
 from scan2albedo.core import RawScan
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, Texts, Values, all_finite, finite_rows
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, Texts, Values, finite_rows
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import Camera, LensMaterial, read_cameras, write_keypoints
 from scan2albedo.eyeglasses.frame_files import read_keypoints_with_unit
@@ -19,6 +20,7 @@ from scan2albedo.eyeglasses.mean_keypoints import WIDTHS_MM, front_width
 from scan2albedo.eyeglasses.proposed_keypoints import HARDLY_A_FRAME
 from scan2albedo.eyeglasses.view_files import MASK_ENDINGS
 from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.geometry.rasterization import within
 from scan2albedo.io.atomic import atomic_path, check_writable
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.images import read_image_linear
@@ -64,8 +66,7 @@ class GlassesFrame:
     @property
     def missing_key_points(self) -> Texts:
         """Names of the key points that the file leaves out."""
-        rows = zip(KEY_POINT_NAMES, self.keypoints, strict=True)
-        return tuple(name for name, point in rows if not all_finite(point))
+        return tuple(compress(KEY_POINT_NAMES, ~finite_rows(self.keypoints)))
 
 
 @dataclass(frozen=True)
@@ -232,8 +233,8 @@ def read_registration(
         with errors_of(f"labels {labels}", EyeglassesError):
             pixels = listed.of_cameras([camera.name for camera in views])
     for camera, marks in zip(views, pixels, strict=True):
-        labelled, limit = marks[finite_rows(marks)], np.array(camera.shape[::-1]) - 0.5
-        outside = int(((labelled < -0.5) | (labelled > limit)).any(1).sum())
+        labelled = marks[finite_rows(marks)]
+        outside = (~within(labelled, camera.shape, 0.5)).sum()
         if len(labelled) == 0:
             notes.append(f"no label in the view of {camera.name!r}")
         elif outside:
