@@ -106,11 +106,14 @@ def write_keypoints(
     ----------
     path, keypoints, unit, deviations_mm
     """
-    entries = {
-        name: (float(p[0]), float(p[1]), float(p[2])) if all_finite(p) else None
-        for name, p in zip(KEY_POINT_NAMES, checked_keypoints("keypoints", keypoints), strict=True)
-    }
+    entries = named_points(checked_keypoints("keypoints", keypoints))
     write_record(path, KeyPointsFile(unit=unit, key_points=entries, deviations_mm=dict(deviations_mm or {})))
+
+
+def named_points(points: FloatArray) -> Values:
+    """Return the coordinates of points (20, C) by the names of key points, None for those with NaN."""
+    known = zip(KEY_POINT_NAMES, points, strict=True)
+    return {name: tuple(point.tolist()) if all_finite(point) else None for name, point in known}
 
 
 def read_keypoints(path: str | Path) -> FloatArray:

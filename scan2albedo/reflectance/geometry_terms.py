@@ -28,7 +28,7 @@ from scan2albedo.geometry.rasterization import bilinear, bilinear_slopes
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
 from scan2albedo.optimization.least_squares import LocalTerm, NormalEquations, map_equations
 from scan2albedo.reflectance.environment_shading import shade_environment, shading_gradient
-from scan2albedo.reflectance.image_fit import photometric_penalty
+from scan2albedo.reflectance.image_fit import photometric_penalty, usual_color
 from scan2albedo.reflectance.shape_model import MorphableShapeModel
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 from scan2albedo.reflectance.vertex_visibility import VertexVisibility, pixels_around
@@ -201,8 +201,7 @@ def photometric_term(
     used = np.flatnonzero(usable)
     if not len(used):
         return None
-    grey = np.abs(image.look_up(project(camera, shapes[0][used])[0])).mean(1)
-    unit = float(np.median(grey)) or float(grey.mean())
+    unit = usual_color(image.look_up(project(camera, shapes[0][used])[0]))
     if not unit > 0:
         return None
     return PhotometricTerm(image, camera, faces, used, reflectance.chosen(used), light, unit)

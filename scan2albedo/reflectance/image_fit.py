@@ -139,6 +139,12 @@ def common_vertices(observation: ImageObservation, model: MorphableReflectanceMo
     return used
 
 
+def usual_color(colors: FloatArray) -> float:
+    """Return the median over vertices of colours (V, 3), which specks do not move; the mean where it is 0."""
+    grey = np.abs(colors).mean(1)
+    return float(np.median(grey)) or float(grey.mean())
+
+
 def photometric_penalty(off: FloatArray) -> tuple[float, FloatArray]:
     """Return 2 mean(sqrt(r^2 + eps^2) - eps) of differences r, and its derivatives over r, as weights."""
     size = np.hypot(off, SOFTNESS)
@@ -223,9 +229,8 @@ class ImageTerms:
 
     @cached_property
     def unit(self) -> float:
-        """Median over vertices of the colour, which specks do not move; the mean where that is 0."""
-        grey = np.abs(self.observed).mean(1)
-        return float(np.median(grey)) or float(grey.mean())
+        """The usual colour observed."""
+        return usual_color(self.observed)
 
     def split(self, parameters: FloatArray) -> list[FloatArray]:
         """Return b, g and t of parameters."""

@@ -17,7 +17,7 @@ from scan2albedo.core.arrays import (
 )
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance.olat import OlatOptions
-from scan2albedo.reflectance.point_light_lobes import cosines_of_lobes, point_light_radiance
+from scan2albedo.reflectance.point_light_lobes import cosines_of_lobes, point_light_radiance, radiance_of
 from scan2albedo.reflectance.robust_fit import Observations, ReflectanceFitOptions, RobustFit, normal_sigma
 from scan2albedo.reflectance.vertex_kernels import add_normal_equations, solve_free
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance, among_all
@@ -314,8 +314,7 @@ def find_light_gains(
         fitted = divided.fit(np.arange(len(few)), meter.untraced())
         meter.count()
         estimate, precision = fitted.estimate, subset.precision * fitted.weight[..., None]
-        gloss = np.einsum("jvs,vs->jv", subset.lobes[..., 1:], estimate[:, 3:])
-        radiance = subset.lobes[..., :1] * estimate[:, :3] + gloss[..., None]
+        radiance = radiance_of(subset.lobes, estimate[:, :3], estimate[:, 3:])
         above, below = np.zeros((2, *gain.shape))
         np.add.at(above, light, (precision * subset.observed * radiance).sum(1))
         np.add.at(below, light, (precision * radiance**2).sum(1))

@@ -417,12 +417,12 @@ def refine_lens_rim(
             if edge is None:
                 off_px[number] = np.nan
                 continue
+            point, off, rows, weight = edge
             # A few hits may be of other pieces of the frame.
-            trusted = rim.measured[edge.point]
-            off = np.abs(edge.off_px)
-            off_px[number] = np.median(off[trusted] if trusted.sum() >= count else off)
-            precision += (edge.rows * edge.weight[:, None]).T @ edge.rows
-            pull += edge.rows.T @ (edge.weight * (edge.off_px + edge.rows @ state))
+            trusted = rim.measured[point]
+            off_px[number] = np.median(np.abs(off[trusted] if trusted.sum() >= count else off))
+            precision += (rows * weight[:, None]).T @ rows
+            pull += rows.T @ (weight * (off + rows @ state))
         state = np.asarray(np.linalg.solve(precision, pull), float)
     if np.isnan(off_px).all():
         return rim
@@ -483,16 +483,6 @@ def _rim_curve(
     return _RimCurve(plane.center, start, moves, prior, open_mm, radii, heights, shift, widths)
 
 
-@dataclass(frozen=True)
-class _FoundEdge:
-    """Where a mask ends near n points of the curve: `off_px` (n,) inward, by `rows` (n, P), with weights."""
-
-    point: IntArray
-    off_px: FloatArray
-    rows: FloatArray
-    weight: FloatArray
-
-
 def _find_edge(
     curve: _RimCurve,
     state: FloatArray,
@@ -500,8 +490,12 @@ def _find_edge(
     camera: FloatArray,
     field: MaskDistance,
     deviation_px: float,
-) -> _FoundEdge | None:
-    """Return the edge in a mask whose width is unknown number `column`; None where half of it is missing."""
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray] | None:
+    """Return where a mask ends near n points of the curve; None where half of the edge is missing.
+
+    The points' numbers (n,), how far inward the edge is (n,) px, its derivatives (n, P) and weights (n,). The
+    mask's width is unknown number `column`.
+    """
     pixels, slopes, front = projected(camera[None], curve.start + curve.moves @ state)
     if not front.all():
         return None
@@ -519,4 +513,4 @@ def _find_edge(
     off = (found - state[column])[kept]
     weight = np.minimum(VOTE * norms(along[kept]) / 2, 1.0) / deviation_px**2
     weight /= 1 + (off / (ROBUST * deviation_px)) ** 2
-    return _FoundEdge(np.flatnonzero(kept), off, rows[kept], weight)
+    return np.flatnonzero(kept), off, rows[kept], weight

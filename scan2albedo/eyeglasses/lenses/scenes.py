@@ -19,7 +19,7 @@ from scan2albedo.core.arrays import (
 )
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import checked_mesh
-from scan2albedo.geometry.mesh import RayHits, face_cross_products, normalized, vertex_normals
+from scan2albedo.geometry.mesh import RayHits, face_cross_products, join, normalized, vertex_normals
 from scan2albedo.geometry.rasterization import bilinear, pixels_from_uv
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment import texel_directions, texel_solid_angles
@@ -110,9 +110,7 @@ class LensScene:
     def __init__(self, frame: Surface, surfaces: Sequence[Surface]) -> None:
         self.surfaces = (frame, *surfaces)
         meshes = [(np.asarray(s.vertices), np.asarray(s.faces)) for s in self.surfaces]
-        starts = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
-        self.vertices = np.concatenate([vertices for vertices, _ in meshes])
-        self.faces = np.concatenate([faces + at for (_, faces), at in zip(meshes, starts[:-1], strict=True)])
+        self.vertices, self.faces = join(meshes)
         counts = [len(faces) for _, faces in meshes]
         self._face_starts = np.cumsum([0, *counts])
         self.surface_of_face = np.repeat(np.arange(len(meshes)), counts)

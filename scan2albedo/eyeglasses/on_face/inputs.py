@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import compress
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -181,12 +181,12 @@ def checked_inputs(
     for number, (camera, marks, mask) in enumerate(zip(matrices, labels, view_masks, strict=True)):
         shape = None if shapes is None else (int(shapes[number][0]), int(shapes[number][1]))
         picture = None if pictures is None else pictures[number]
-        view = _checked_view(number, camera, marks, mask, shape, picture)
-        views.append(view.observed)
-        checked.append(view.mask)
-        shown.append(view.picture)
-        if view.mask is not None and view.observed.distance is None:
-            what = "covers all of its picture" if view.mask.any() else "is empty"
+        view, covered, image = _checked_view(number, camera, marks, mask, shape, picture)
+        views.append(view)
+        checked.append(covered)
+        shown.append(image)
+        if covered is not None and view.distance is None:
+            what = "covers all of its picture" if covered.any() else "is empty"
             reason = f"the mask of view {number} {what}: it does not count"
             plan.append(PlanStep("glasses.mask", False, reason))
     skull = None
@@ -205,12 +205,6 @@ def checked_inputs(
     return RegistrationInputs(*frame, *seen, skull, pose, unit, tuple(plan))
 
 
-class _CheckedView(NamedTuple):
-    observed: ObservedView
-    mask: BoolArray | None
-    picture: NDArray | None
-
-
 def _checked_view(
     number: int,
     camera: FloatArray,
@@ -218,7 +212,7 @@ def _checked_view(
     mask: ArrayLike | None,
     shape: GridShape | None,
     picture: ArrayLike | None,
-) -> _CheckedView:
+) -> tuple[ObservedView, BoolArray | None, NDArray | None]:
     """Return one view with its labels (20, 2), mask, size and picture; raises as `register_on_face`."""
     labelled = finite_rows(labels)
     found = labels[labelled]
@@ -247,5 +241,5 @@ def _checked_view(
         shape = covered.shape
         if covered.any() and not covered.all():
             distance = MaskDistance.of(covered)
-    observed = ObservedView(camera, np.where(labelled[:, None], labels, np.nan), distance, shape)
-    return _CheckedView(observed, covered, image)
+    marks = np.where(labelled[:, None], labels, np.nan)
+    return ObservedView(camera, marks, distance, shape), covered, image

@@ -155,7 +155,7 @@ class _Registration:
             self._note("pose", False, f"no key point is labelled: {where}")
             unseen = FrameEstimate(starts[len(starts) // 2], rigid(starts[len(starts) // 2]), True)
             self._look_at_pictures(unseen.state)
-            if not any(view.colors is not None for view in self.objective.views):
+            if not self._seen_in_pictures:
                 return unseen
             self.unseen = unseen
             seen = checked.keypoints, self.objective.views, self.sampler.head
@@ -174,6 +174,10 @@ class _Registration:
         if error_px > options.label_noise_px and not self.meter.exhausted:
             start_poses.require_unmirrored(checked, options, error_px)
         return found
+
+    @property
+    def _seen_in_pictures(self) -> bool:
+        return any(view.colors is not None for view in self.inputs.views)
 
     def _look_at_pictures(self, state: FrameState) -> None:
         """Let pictures stand in for masks, their colours grouped around where the frame is about."""
@@ -279,7 +283,7 @@ class _Registration:
         motion = self.objective.motion(before.state)
         # What labels leave open: outlines that have found a wrong place would call it certain.
         deviation_mm = mark_deviations(self.inputs, motion, before.at)
-        if not self.inputs.labelled and any(view.colors is not None for view in views):
+        if not self.inputs.labelled and self._seen_in_pictures:
             lever = norms(np.nan_to_num(self.inputs.keypoints - motion.center))
             # Half the step between the slopes that were tried.
             deviation_mm = float(np.diff(start_poses.LEANS_RAD).max()) / 2 * lever
@@ -291,25 +295,26 @@ class _Registration:
                 self.meter.merge(meter)
                 reach = f"{outline.REACH_PX:g} px"
                 self._note("outlines", False, "no outline of the frame is near a mask's", reach)
-                lost = self._unfound(reach) if any(view.colors is not None for view in views) else None
+                lost = self._unfound(reach) if self._seen_in_pictures else None
                 return lost or found
             start = found.state
             # Without labels the first outlines may be beside the true ones: bends would follow them.
             rigid = not (self.options.bend and (self.inputs.labelled or len(moves) > 2))
             linearize = partial(self.objective.linearize, samples=samples, rigid=rigid)
             found = descend(linearize, start, meter, steps=6, tolerance=1e-3, error="mean_outline_px")
+            moved = self.objective.motion(found.state)
             first = found.at.mean_outline_px if not moves else first
             if not self.inputs.labelled and self.options.bend:
                 # What is open to bends so far is looked for farther away.
                 at = self.objective.linearize(found.state, samples)
-                deviation_mm = mark_deviations(self.inputs, self.objective.motion(found.state), at)
+                deviation_mm = mark_deviations(self.inputs, moved, at)
             # The longest way of a key point, in its standard deviations: half of one has settled. It may
             # grow once, for tracing jumps from pixel to pixel.
             places = []
             for state in (start, found.state):
                 world = self.objective.motion(state).world_from_frame
                 places.append(transform_points(world, self.inputs.keypoints[known] + state.shifts[known]))
-            deviation = mark_deviations(self.inputs, self.objective.motion(found.state), found.at)[known]
+            deviation = mark_deviations(self.inputs, moved, found.at)[known]
             moves.append(float((norms(places[1] - places[0]) / deviation).max()))
             increases = sum(move > min(moves[:i]) for i, move in enumerate(moves) if i)
             settled = (moves[-1] < 0.5 or increases > 1) and rigid != self.options.bend

@@ -78,9 +78,11 @@ def report(
     errors = at.labels_px[~np.isnan(at.labels_px)]
     misfit = float((errors > 3 * options.label_noise_px).mean()) if len(errors) else 0.0
     trusted = bend_found and misfit <= 1 / 3
-    fit = _fit_to_masks(inputs, sampler, motion, samples, at, shown.outline_noise_px)
+    outline_rms_px, iou, differing = _fit_to_masks(
+        inputs, sampler, motion, samples, at, shown.outline_noise_px
+    )
     # More pixels than 25 are a patch as wide as a temple.
-    wrong = (fit.differing > 25) & inputs.known
+    wrong = (differing > 25) & inputs.known
     sought = marks_visible & (known_to.keypoints <= OBSERVED_MM)
     proposed = _propose(inputs, sampler, motion, samples, known_to, sought, shown.outline_noise_px)
     apart = 0.0
@@ -149,8 +151,8 @@ def report(
         depth_observed=bool(trusted and depth <= OBSERVED_MM and known_to.inflation < _ONE_VIEW),
         label_errors_px=at.labels_px,
         inliers=at.labels_px <= 3 * options.label_noise_px,
-        outline_rms_px=fit.outline_rms_px,
-        iou=fit.iou,
+        outline_rms_px=outline_rms_px,
+        iou=iou,
         proposed_labels=proposed.labels,
         proposed_deviation_px=proposed.deviation_px,
         proposed_masks=tuple(proposed.masks),
@@ -225,15 +227,6 @@ def _certainty(
     )
 
 
-@dataclass(frozen=True)
-class _MaskFit:
-    """Outlines' distances (C,), intersections over unions (C,), and differing pixels by key point (20,)."""
-
-    outline_rms_px: FloatArray
-    iou: FloatArray
-    differing: FloatArray
-
-
 def _fit_to_masks(
     inputs: RegistrationInputs,
     sampler: OutlineSampler,
@@ -241,13 +234,10 @@ def _fit_to_masks(
     samples: OutlineSamples,
     at: Linearization,
     noise_px: float,
-) -> _MaskFit:
-    count = len(inputs.views)
-    outline_rms, iou, differing = (
-        np.full(count, np.nan),
-        np.full(count, np.nan),
-        np.zeros(len(inputs.keypoints)),
-    )
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return outlines' distances, intersections over unions (C,), and differing pixels by key point (20,)."""
+    outline_rms, iou = np.full((2, len(inputs.views)), np.nan)
+    differing = np.zeros(len(inputs.keypoints))
     for number, (view, mask) in enumerate(zip(inputs.views, inputs.masks, strict=True)):
         seen = at.outline_px[samples.view == number]
         if len(seen):
@@ -255,7 +245,7 @@ def _fit_to_masks(
         if mask is not None and view.distance is not None:
             iou[number], here = compare_masks(sampler, motion, number, mask, noise_px)
             differing = np.maximum(differing, here)
-    return _MaskFit(outline_rms, iou, differing)
+    return outline_rms, iou, differing
 
 
 @dataclass(frozen=True)

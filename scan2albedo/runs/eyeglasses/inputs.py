@@ -18,7 +18,7 @@ from scan2albedo.eyeglasses.frame_files import read_keypoints_with_unit
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.mean_keypoints import WIDTHS_MM, front_width
 from scan2albedo.eyeglasses.proposed_keypoints import HARDLY_A_FRAME
-from scan2albedo.eyeglasses.view_files import MASK_ENDINGS
+from scan2albedo.eyeglasses.view_files import MASK_ENDINGS, file_of_camera
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.rasterization import within
 from scan2albedo.io.atomic import atomic_path, check_writable
@@ -372,8 +372,7 @@ def _read_per_camera(
         return tuple(found)
     endings = MASK_ENDINGS if kind == "mask" else (".png", ".jpg", ".jpeg", ".tif")
     for number, camera in enumerate(cameras):
-        candidates = [folder / f"{camera.name}{ending}" for ending in endings]
-        path = next((path for path in candidates if path.is_file()), None)
+        path = file_of_camera(folder, camera, endings)
         if path is None:
             notes.append(f"no {kind} of {camera.name!r}: {folder} has no {camera.name}{' or '.join(endings)}")
             continue
