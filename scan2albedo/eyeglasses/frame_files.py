@@ -154,15 +154,15 @@ def exchanged_key_points(points: FloatArray) -> list[str]:
     if known.sum() < 6:
         return []
     typical = places.typical_key_points()
-    number = {name: k for k, name in enumerate(KEY_POINT_NAMES)}
+    number = KEY_POINT_NAMES.index
     pairs = [(0, 1)] + [(k, MIRROR[k]) for k in range(2, 11)]
     for side in ("left", "right"):
-        pairs += [(number[f"{side}_{a}"], number[f"{side}_{b}"]) for a, b in _SAME_SIDE]
+        pairs += [(number(f"{side}_{a}"), number(f"{side}_{b}")) for a, b in _SAME_SIDE]
 
     def laid(current: FloatArray) -> tuple[FloatArray, float]:
         seen = finite_rows(current)
         placed = transform_points(procrustes(typical[seen], current[seen], scale=True), typical)
-        return placed, float(np.nansum((placed - current) ** 2))
+        return placed, np.nansum((placed - current) ** 2)
 
     current, found = points.copy(), []
     if laid(current[MIRROR])[1] < laid(current)[1] / 4:

@@ -81,7 +81,7 @@ def mean_key_points(keypoints: Sequence[FloatArray], meter: Meter) -> tuple[Floa
         total = np.where(seen[..., None], aligned, 0.0).sum(0)
         new = np.where(count > 0, total / np.maximum(count, 1), np.nan)
         both = finite_rows(mean)
-        change = float(np.abs((new - _laid_on(new, mean))[both]).max())
+        change = np.abs((new - _laid_on(new, mean))[both]).max()
         # Up to rounding.
         settled = bool(change <= 400 * EPSILON * size and (both == (count[:, 0] > 0)).all())
         mean = new
@@ -92,7 +92,7 @@ def mean_key_points(keypoints: Sequence[FloatArray], meter: Meter) -> tuple[Floa
 
 def fullest(keypoints: Sequence[FloatArray]) -> FloatArray:
     """Return the first of the frames' key points (20, 3) that lack fewest: what the others are aligned to."""
-    return max(keypoints, key=lambda points: int(np.isfinite(points).sum()))
+    return max(keypoints, key=lambda points: np.isfinite(points).sum())
 
 
 def align_key_points(source: FloatArray, target: FloatArray) -> FloatArray:
@@ -190,13 +190,13 @@ def outliers(keypoints: Sequence[FloatArray], widths: FloatArray) -> dict[int, s
     found: dict[int, str] = {}
     least = 0.0
     if np.isfinite(widths).any():
-        median_width = float(np.nanmedian(widths))
+        median_width = np.nanmedian(widths)
         least, away = _LEAST * median_width, np.abs(widths - median_width)
-        for i in np.flatnonzero(away > max(_DEVIATIONS * float(np.nanmedian(away)), 4 * least)):
+        for i in np.flatnonzero(away > max(_DEVIATIONS * np.nanmedian(away), 4 * least)):
             found[int(i)] = f"its front is {widths[i]:.4g} wide, the median of the set is {median_width:.4g}"
     above = shapes - np.median(shapes)
-    for i in np.flatnonzero(above > max(_DEVIATIONS * float(np.median(np.abs(above))), least)):
-        worst = int(np.nanargmax(off[i]))
+    for i in np.flatnonzero(above > max(_DEVIATIONS * np.median(np.abs(above)), least)):
+        worst = np.nanargmax(off[i])
         reason = (
             f"its key points are {shapes[i]:.3g} rms from the medians of the set, the median frame's "
             f"{np.median(shapes):.3g}; the farthest is {KEY_POINT_NAMES[worst]} ({off[i, worst]:.3g}): check "

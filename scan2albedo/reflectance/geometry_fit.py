@@ -128,10 +128,9 @@ def refine_geometry(
     matrix = normalized_cameras(np.asarray(camera, float)[None])[0]
     landmarks = checked_array(landmarks_px, (LANDMARKS, 2), "landmarks_px").copy()
     landmarks[~finite_rows(landmarks)] = np.nan
-    count = shape_model.identity_components
-    identity = checked_coefficients(initial_identity, (count,), "initial_identity")
-    count = shape_model.expression_components
-    expression = checked_coefficients(initial_expression, (count,), "initial_expression")
+    sizes = (shape_model.identity_components,), (shape_model.expression_components,)
+    identity = checked_coefficients(initial_identity, sizes[0], "initial_identity")
+    expression = checked_coefficients(initial_expression, sizes[1], "initial_expression")
     coefficients = np.concatenate([identity, expression])
     seen = np.flatnonzero(finite_rows(landmarks))
     pose = _initial_pose(initial_scene_from_model, matrix, landmarks[seen], seen, shape_model, coefficients)
@@ -196,7 +195,7 @@ def refine_geometry(
         expression=expression,
         vertices=state.vertices,
         normals=vertex_normals(state.vertices, shape_model.faces),
-        landmark_error_px=np.asarray(norms(pixels - landmarks)),
+        landmark_error_px=norms(pixels - landmarks),
         photometric_rmse_before=gain.before,
         photometric_rmse_after=gain.after,
         plan=Plan(tuple(plan)),
@@ -338,7 +337,7 @@ def pose_from_landmarks(camera: FloatArray, points_mm: FloatArray, pixels: Float
             shift = to_translation @ np.einsum("nij,nj->i", off, local @ rotation.T)
             pose = compose(rotation, shift)
             target = np.einsum("nij,nj->ni", onto, transform_points(pose, local))
-            error = float(np.sum((transform_points(pose, local) - target) ** 2))
+            error = np.sum((transform_points(pose, local) - target) ** 2)
             if not error < before * (1 - 1e-6):
                 break
             before = error

@@ -100,7 +100,7 @@ class LandmarkTerm:
     def value(self, vertices: FloatArray) -> float:
         """Return the term; inf where a landmark's vertex lies behind the camera."""
         squared = np.sum(self._off(vertices) ** 2, axis=1)
-        return LANDMARK_WEIGHT * float(squared.mean()) if all_finite(squared) else np.inf
+        return LANDMARK_WEIGHT * squared.mean() if all_finite(squared) else np.inf
 
     def linearized(self, vertices: FloatArray) -> LocalTerm:
         """Return the term as weighted squares around `vertices`."""

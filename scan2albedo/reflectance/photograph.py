@@ -222,7 +222,7 @@ def observe_photograph(
         "inside the picture": np.ones_like(skin),
         "on the mask": skin,
         "with finite colours": skin & finite,
-        "not saturated": skin & finite & ~np.asarray((values >= saturation).any(-1)),
+        "not saturated": skin & finite & ~(values >= saturation).any(-1),
     }
     around, share = sight.pixels_around(skin.shape, pixels)
     counted = {name: seen & share.any(0) & valid[around].all(0) for name, valid in steps.items()}

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, finite_rows, identities, norms
+from scan2albedo.core.arrays import FloatArray, finite_rows, identities, norms
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.mean_keypoints import FRONT
 from scan2albedo.eyeglasses.skinning import known_bones, moved_by, turn_conditions, turned_translations
@@ -75,7 +75,7 @@ class FrameMotion:
 
     def __init__(self, keypoints: FloatArray, state: FrameState) -> None:
         self.keypoints, self.state = keypoints, state
-        self.known: BoolArray = finite_rows(keypoints)
+        self.known = finite_rows(keypoints)
         self.center = keypoints[self.known].mean(0)
 
     @cached_property

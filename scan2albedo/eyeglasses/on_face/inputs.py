@@ -177,14 +177,12 @@ def checked_inputs(
             raise ValueError(f"{name} must have one entry for each of {count} cameras, got {len(listed)}")
     unit = 1 / typical_size_factor(keypoints)
     matrices = normalized_cameras(matrices * np.array([unit, unit, unit, 1.0]))
-    views, checked, shown, plan = [], [], [], []
+    views, plan = [], []
     for number, (camera, marks, mask) in enumerate(zip(matrices, labels, view_masks, strict=True)):
         shape = None if shapes is None else (int(shapes[number][0]), int(shapes[number][1]))
         picture = None if pictures is None else pictures[number]
         view, covered, image = _checked_view(number, camera, marks, mask, shape, picture)
-        views.append(view)
-        checked.append(covered)
-        shown.append(image)
+        views.append((view, covered, image))
         if covered is not None and view.distance is None:
             what = "covers all of its picture" if covered.any() else "is empty"
             reason = f"the mask of view {number} {what}: it does not count"
@@ -201,8 +199,8 @@ def checked_inputs(
             raise EyeglassesError("start must be a rigid world_from_glasses: a rotation and a translation")
         pose[:3, 3] /= unit
     frame = vertices / unit, faces, keypoints / unit, weights
-    seen = tuple(views), tuple(checked), tuple(shown)
-    return RegistrationInputs(*frame, *seen, skull, pose, unit, tuple(plan))
+    observed, covered_by, shown = zip(*views, strict=True)
+    return RegistrationInputs(*frame, observed, covered_by, shown, skull, pose, unit, tuple(plan))
 
 
 def _checked_view(

@@ -38,7 +38,7 @@ def rim_openings(
             continue
         panes = pane_faces(vertices, faces[left], plane, marks)
         own, left = left[panes], left[~panes]
-        found.append((side, np.asarray(rim), own, is_covered(vertices, faces[left], plane, marks)))
+        found.append((side, rim, own, is_covered(vertices, faces[left], plane, marks)))
     return found
 
 

@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 from scipy.cluster.vq import kmeans2, vq
 from scipy.ndimage import binary_dilation, distance_transform_edt
-from scipy.special import expit, logsumexp
+from scipy.special import expit, log_softmax, logsumexp, softmax
 
 from scan2albedo.core.arrays import (
     BoolArray,
@@ -82,7 +82,7 @@ def search_edges(
     if not len(pixels):
         return result
     edge = 0.5  # from the middles of the mask's outermost pixels
-    farthest = int(np.ceil(reach_px.max()))
+    farthest = np.ceil(reach_px.max())
     ways = np.arange(-farthest, farthest + 1.0)
     value, slope = distance.sample((pixels[:, None] + ways[:, None] * outward[:, None]).reshape(-1, 2))
     value = value.reshape(len(pixels), -1)
@@ -223,7 +223,7 @@ def search_colors(
     probability (N,) that the frame is there at all, as likely beforehand as that something hides it: the odds
     of the two are the mean over d of exp(sum of m(s) o(s + d)).
     """
-    farthest = int(np.ceil(reach_px.max(initial=1.0)))
+    farthest = np.ceil(reach_px.max(initial=1.0))
     side, ways = np.arange(-_SIDE_PX, _SIDE_PX + 1.0), np.arange(-farthest, farthest + 1.0)
     along = np.arange(ways[0] + side[0], ways[-1] + side[-1] + 1)
 
@@ -234,26 +234,26 @@ def search_colors(
     # Over three pixels a picture is alike: together they say as much as one.
     profile, seen = across(frame.astype(float), side), across(odds / 3, along)
     windows = np.lib.stride_tricks.sliding_window_view(seen, len(side), axis=1)
-    prior = -((ways / np.maximum(reach_px / 3, 0.5)[:, None]) ** 2) / 2
-    prior -= np.log(np.exp(prior).sum(1, keepdims=True))
+    prior = log_softmax(-((ways / np.maximum(reach_px / 3, 0.5)[:, None]) ** 2) / 2, axis=1)
     # All in the frame's colours or all in others is no edge, and every frame is one against its surroundings.
     place, there = (np.einsum("ns,nds->nd", profile - less, windows) + prior for less in (0.5, 0.0))
-    chance = np.exp(place - place.max(1, keepdims=True))
-    chance /= chance.sum(1, keepdims=True)
+    chance = softmax(place, axis=1)
     mean = chance @ ways
     spread = np.sqrt(np.maximum(chance @ ways**2 - mean**2, 0.0) + 1 / 12)
-    return mean, spread, np.asarray(expit(logsumexp(there, axis=1)))
+    return mean, spread, expit(logsumexp(there, axis=1))
 
 
+@dataclass(frozen=True)
 class OutlineSampler:
-    """Traces the outlines of a moving frame, with the head, if any, in front of it."""
+    """Traces the outlines of a moving frame, with the head, if any, in front of it.
 
-    def __init__(
-        self, mesh: FrameMesh, views: Views, head: RayCaster | None, shown: tuple[IntArray, ...] | None = None
-    ) -> None:
-        """`shown` are the faces that each view's mask shows, all of them when omitted."""
-        self.mesh, self.views, self.head = mesh, views, head
-        self.shown = (mesh.faces,) * len(views) if shown is None else shown
+    `shown` are the faces that each view's mask shows, all of them when omitted.
+    """
+
+    mesh: FrameMesh
+    views: Views
+    head: RayCaster | None
+    shown: tuple[IntArray, ...] | None = None
 
     def sample(self, motion: FrameMotion, deviation_mm: FloatArray) -> OutlineSamples:
         """Return outline points that the head does not hide and whose observed outline is within reach.
@@ -277,7 +277,7 @@ class OutlineSampler:
             unknown = np.full((1, count), np.nan)
             return OutlineSamples(nothing.astype(int), points[:0], nowhere, nowhere, nothing, unknown)
         camera = view.camera
-        shown = seen_samples(vertices, self.shown[number], camera, view.shape)
+        shown = self._seen(vertices, number)
         which, outward = trace_outline(shown)
         seen = shown.chosen(which)
         foremost = seen.corners[:, 0]
@@ -308,6 +308,11 @@ class OutlineSampler:
         at_rest = SkinnedPoints(chosen.interpolated(points.rest), chosen.interpolated(points.weights))
         of_view = np.full(len(kept), number)
         return OutlineSamples(of_view, at_rest, edges[kept], outward[kept], noise[kept], share[None])
+
+    def _seen(self, vertices: FloatArray, number: int) -> SeenSamples:
+        view, faces = self.views[number], self.mesh.faces if self.shown is None else self.shown[number]
+        assert view.shape is not None
+        return seen_samples(vertices, faces, view.camera, view.shape)
 
     def _search_picture(
         self,
@@ -349,7 +354,7 @@ class OutlineSampler:
         view = self.views[number]
         assert view.shape is not None
         vertices = motion.positions(self.mesh.points)
-        seen = seen_samples(vertices, self.shown[number], view.camera, view.shape)
+        seen = self._seen(vertices, number)
         seen = seen.chosen(~hidden_by(self.head, view.camera, seen.interpolated(vertices)))
         owner = np.full(view.shape, -1, int)
         owner.flat[seen.index] = seen.corners[:, 0]

@@ -105,7 +105,7 @@ class _Registration:
         self, checked: inputs.RegistrationInputs, options: FaceRegistrationOptions, meter: Meter
     ) -> None:
         self.inputs, self.options, self.meter = checked, options, meter
-        self.steps: list[PlanStep] = list(checked.plan)
+        self.steps = list(checked.plan)
         self.bend_found = True
         self.unseen: FrameEstimate | None = None
         self.objective = RegistrationObjective(checked.keypoints, checked.views, options)
@@ -199,10 +199,10 @@ class _Registration:
 
     def _watch(self, views: tuple[outline.ObservedView, ...]) -> None:
         """Take other views from here on."""
-        keypoints, sampler = self.inputs.keypoints, self.sampler
+        keypoints, contact = self.inputs.keypoints, self.objective.contact
         self.inputs = replace(self.inputs, views=views)
-        self.objective = RegistrationObjective(keypoints, views, self.options, self.objective.contact)
-        self.sampler = outline.OutlineSampler(sampler.mesh, views, sampler.head, sampler.shown)
+        self.objective = RegistrationObjective(keypoints, views, self.options, contact)
+        self.sampler = replace(self.sampler, views=views)
 
     def _bend(self, before: FrameEstimate) -> FrameEstimate:
         if not (self.options.bend and self.inputs.labelled):
@@ -264,7 +264,7 @@ class _Registration:
         sampler = self.sampler
         mesh, shown, steps = fit_lenses_to_masks(sampler.mesh, motion, cameras, masks, sampler.head)
         self.steps += steps
-        self.sampler = outline.OutlineSampler(mesh, views, sampler.head, shown)
+        self.sampler = replace(sampler, mesh=mesh, shown=shown)
 
     def _match_outlines(self, before: FrameEstimate) -> FrameEstimate:
         if self.inputs.labelled and any(picture is not None for picture in self.inputs.pictures):
@@ -286,7 +286,7 @@ class _Registration:
         if not self.inputs.labelled and self._seen_in_pictures:
             lever = norms(np.nan_to_num(self.inputs.keypoints - motion.center))
             # Half the step between the slopes that were tried.
-            deviation_mm = float(np.diff(start_poses.LEANS_RAD).max()) / 2 * lever
+            deviation_mm = np.diff(start_poses.LEANS_RAD).max() / 2 * lever
         # One clock for all tracings: the rows of a stage count from its start.
         meter = self.meter.sub_meter(f"{self.meter.stage}.outlines", "px")
         while len(moves) < 10 and not settled and not meter.exhausted:
@@ -315,7 +315,7 @@ class _Registration:
                 world = self.objective.motion(state).world_from_frame
                 places.append(transform_points(world, self.inputs.keypoints[known] + state.shifts[known]))
             deviation = mark_deviations(self.inputs, moved, found.at)[known]
-            moves.append(float((norms(places[1] - places[0]) / deviation).max()))
+            moves.append((norms(places[1] - places[0]) / deviation).max())
             increases = sum(move > min(moves[:i]) for i, move in enumerate(moves) if i)
             settled = (moves[-1] < 0.5 or increases > 1) and rigid != self.options.bend
             found = replace(found, converged=settled)
@@ -328,7 +328,7 @@ class _Registration:
             found_of = share.mean(1).filled(0.0)
             shares = ", ".join(f"view {n} {part:.0%}" for n, part in zip(watched, found_of, strict=True))
             evidence = f"of the front's outline: {shares}"
-            if float(found_of.mean()) < _FOUND:
+            if found_of.mean() < _FOUND:
                 return self._unfound(evidence) or before
             self._note("pictures", True, "the frame is found in the pictures", evidence)
         labels = before.at.median_label_px, found.at.median_label_px

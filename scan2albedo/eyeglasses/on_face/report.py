@@ -76,7 +76,7 @@ def report(
     )
     # With more than a third of the labels off, which are the right ones is a guess.
     errors = at.labels_px[~np.isnan(at.labels_px)]
-    misfit = float((errors > 3 * options.label_noise_px).mean()) if len(errors) else 0.0
+    misfit = (errors > 3 * options.label_noise_px).mean() if len(errors) else 0.0
     trusted = bend_found and misfit <= 1 / 3
     outline_rms_px, iou, differing = _fit_to_masks(
         inputs, sampler, motion, samples, at, shown.outline_noise_px
@@ -84,10 +84,12 @@ def report(
     # More pixels than 25 are a patch as wide as a temple.
     wrong = (differing > 25) & inputs.known
     sought = marks_visible & (known_to.keypoints <= OBSERVED_MM)
-    proposed = _propose(inputs, sampler, motion, samples, known_to, sought, shown.outline_noise_px)
+    labels, deviations_px, masks, rows = _propose(
+        inputs, sampler, motion, samples, known_to, sought, shown.outline_noise_px
+    )
     apart = 0.0
     if inputs.head is not None:
-        apart = float(ClosestPointQuery(*inputs.head).query(keypoints[inputs.known]).distance.min())
+        apart = ClosestPointQuery(*inputs.head).query(keypoints[inputs.known]).distance.min()
     names = ", ".join(compress(KEY_POINT_NAMES, wrong))
     nothing = "nothing counts as observed"
     doubts = (
@@ -119,9 +121,7 @@ def report(
         ),
         (wrong.any(), "contradicted", "masks show them elsewhere or not at all", names),
     )
-    rows = proposed.steps + [
-        PlanStep.doubt(f"glasses.{name}", *said) for holds, name, *said in doubts if holds
-    ]
+    rows += [PlanStep.doubt(f"glasses.{name}", *said) for holds, name, *said in doubts if holds]
     hidden = inputs.known & ~marks_visible.any(0)
     uncertain = inputs.known & ~hidden & (known_to.keypoints > OBSERVED_MM)
     for lost, why in ((hidden, "hidden in all views"), (uncertain, "seen, but not well enough")):
@@ -153,9 +153,9 @@ def report(
         inliers=at.labels_px <= 3 * options.label_noise_px,
         outline_rms_px=outline_rms_px,
         iou=iou,
-        proposed_labels=proposed.labels,
-        proposed_deviation_px=proposed.deviation_px,
-        proposed_masks=tuple(proposed.masks),
+        proposed_labels=labels,
+        proposed_deviation_px=deviations_px,
+        proposed_masks=tuple(masks),
         converged=found.converged,
         iterations=meter.evaluations,
         plan=plan + rows,
@@ -166,14 +166,13 @@ def report(
 def _noise_shown(options: FaceRegistrationOptions, at: Linearization) -> FaceRegistrationOptions:
     """Return the options with the noise that labels and outlines show, where there are enough of them."""
     labels = at.labels_px[np.isfinite(at.labels_px)]
-    outline = np.abs(at.outline_px)
     # Over the medians of a distance in the plane (Rayleigh) and of an error, at a deviation of 1.
-    if len(labels) > 4:
-        noise_px = float(np.median(labels) / np.sqrt(2 * np.log(2)))
-        options = replace(options, label_noise_px=max(_LEAST_NOISE_PX, noise_px))
-    if len(outline) > 4:
-        noise_px = float(np.median(outline) / (np.sqrt(2) * erfinv(0.5)))
-        options = replace(options, outline_noise_px=max(_LEAST_NOISE_PX, noise_px))
+    for name, errors_px, usual in (
+        ("label_noise_px", labels, np.sqrt(2 * np.log(2))),
+        ("outline_noise_px", np.abs(at.outline_px), np.sqrt(2) * erfinv(0.5)),
+    ):
+        if len(errors_px) > 4:
+            options = replace(options, **{name: max(_LEAST_NOISE_PX, np.median(errors_px) / usual)})
     return options
 
 
@@ -248,16 +247,6 @@ def _fit_to_masks(
     return outline_rms, iou, differing
 
 
-@dataclass(frozen=True)
-class _Proposals:
-    """What pictures show: `labels` (C, 20, 2), their deviations (C, 20), masks (H, W), and plan steps."""
-
-    labels: FloatArray
-    deviation_px: FloatArray
-    masks: list[BoolArray | None]
-    steps: list[PlanStep]
-
-
 def _propose(
     inputs: RegistrationInputs,
     sampler: OutlineSampler,
@@ -266,12 +255,15 @@ def _propose(
     known_to: _Certainty,
     sought: BoolArray,
     noise_px: float,
-) -> _Proposals:
-    """Return the `sought` (C, 20) key points that pictures show, and the frame's pixels in them."""
+) -> tuple[FloatArray, FloatArray, list[BoolArray | None], list[PlanStep]]:
+    """Return what pictures show of the `sought` (C, 20) key points, and the frame's pixels in them.
+
+    Labels (C, 20, 2), their deviations (C, 20) px, masks (H, W), and plan steps.
+    """
     keypoints, covariances = motion.positions(motion.marks), known_to.covariances
-    found = _Proposals(
-        np.full((*sought.shape, 2), np.nan), np.full(sought.shape, np.nan), [None] * len(sought), []
-    )
+    labels, deviations_px = np.full((*sought.shape, 2), np.nan), np.full(sought.shape, np.nan)
+    masks: list[BoolArray | None] = [None] * len(sought)
+    steps = []
     scale = known_to.keypoints**2 / np.maximum(np.trace(covariances, axis1=1, axis2=2), 1e-12)
     for number, view in enumerate(inputs.views):
         if view.colors is None:
@@ -283,17 +275,17 @@ def _propose(
         with np.errstate(invalid="ignore"):
             here &= samples.share[number] > 0.5
         deviation_px = np.sqrt(scale * np.trace(spread, axis1=1, axis2=2) / 2)
-        found.labels[number, here] = pixels[here]
-        found.deviation_px[number, here] = deviation_px[here]
+        labels[number, here] = pixels[here]
+        deviations_px[number, here] = deviation_px[here]
         sure = [f"{KEY_POINT_NAMES[k]} {deviation_px[k]:.1f}" for k in np.flatnonzero(here)]
         reason = f"{len(sure) or 'no'} key points of view {number} are proposed from its picture"
         evidence = f"standard deviations in px: {', '.join(sure)}" if sure else ""
-        found.steps.append(PlanStep("glasses.proposed", bool(sure), reason, evidence))
+        steps.append(PlanStep("glasses.proposed", bool(sure), reason, evidence))
         # Bayes: of a pixel's distance from the outline, as sure as the outline is, and of its colour.
         frame, _ = sampler.mask(motion, number)
         inward = (distance_transform_edt(frame) - distance_transform_edt(~frame)) / noise_px
-        found.masks[number] = log_ndtr(inward) - log_ndtr(-inward) + color_odds(view.colors, frame) > 0
-    return found
+        masks[number] = log_ndtr(inward) - log_ndtr(-inward) + color_odds(view.colors, frame) > 0
+    return labels, deviations_px, masks, steps
 
 
 def _root(matrix: FloatArray) -> FloatArray:
@@ -339,7 +331,7 @@ def _depth_deviation(
         if seen.any():
             rays = normalized(keypoints[seen] - camera_centers(view.camera))
             variance = np.maximum(np.einsum("ni,nij,nj->n", rays, covariances[seen], rays), 0.0)
-            best = min(best, float(np.sqrt(variance.mean())))
+            best = min(best, np.sqrt(variance.mean()))
     return best
 
 

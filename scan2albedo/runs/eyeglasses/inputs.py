@@ -138,10 +138,10 @@ def read_frame(
             # The unit in which the key points lie on the mesh: units are factors of ten apart.
             known = marks[finite_rows(marks)] * marks_mm
             query = ClosestPointQuery(parsed.vertices, parsed.faces).query
-            away = {u: mm * float(np.median(query(known / mm).distance)) for u, mm in MM_PER_UNIT.items()}
+            away = {u: mm * np.median(query(known / mm).distance) for u, mm in MM_PER_UNIT.items()}
             found = min(away, key=lambda u: away[u])
             # Farther off than a tenth of their size, key points are those of another mesh.
-            if not 10 * away[found] <= float(np.ptp(known, axis=0).max()):
+            if not 10 * away[found] <= np.ptp(known, axis=0).max():
                 raise EyeglassesError(
                     f"{mesh.name}: in no unit do the key points lie on the mesh: at best, in {found}, they "
                     f"are {away[found]:.3g} mm off; check that they are this mesh's, and their file's unit"
@@ -155,7 +155,7 @@ def read_frame(
             marks = np.where(own[:, None], marks, proposed.points / ratio)
             stated = zip(KEY_POINT_NAMES, proposed.deviation, own, strict=True)
             deviations.update({n: float(sd) for n, sd, by_hand in stated if np.isfinite(sd) and not by_hand})
-            messages.append(proposed_note(deviations, int(own.sum()), proposed.log_odds))
+            messages.append(proposed_note(deviations, own.sum(), proposed.log_odds))
         width = front_width(ratio * marks, parsed.vertices)
         if mm_per_unit is not None or frame_width_mm is not None:
             scale = mm_per_unit or (frame_width_mm or 0.0) / width
