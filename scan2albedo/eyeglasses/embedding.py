@@ -60,7 +60,7 @@ def embed(
     called = names or [str(k) for k in range(len(handles))]
     corners = vertices[faces.ravel()]
     # Of the key points: a stray fragment far away does not change how large the glasses are.
-    size = float(np.linalg.norm(np.ptp(handles, axis=0))) or float(np.linalg.norm(np.ptp(corners, axis=0)))
+    size = float(np.linalg.norm(np.ptp(handles, axis=0)) or np.linalg.norm(np.ptp(corners, axis=0)))
     if not size > 0:
         raise EyeglassesError(f"all {len(corners)} corners of the mesh lie in one point: there is no surface")
     apart = _distances(handles, "chebyshev")
@@ -145,10 +145,10 @@ def _automatic_spacing(
         skin = _SKIN * caster.size
         sides = [caster.first_hit(center + skin * way, way).distance + skin for way in (normal, -normal)]
         thin = float(np.quantile(np.minimum(*sides), _THIN_PART, method="lower"))
-    wanted = float(np.clip(thin, size / 150, size / 40))
+    wanted = np.clip(thin, size / 150, size / 40)
     reason = f"the mesh's thin parts measure {thin:.4g}"
     if closest < wanted:
-        wanted, reason = max(float(closest), size / 150), "two key points are close together"
+        wanted, reason = max(closest, size / 150), "two key points are close together"
     count = math.ceil(size / wanted * (1 - 1e-9))
     while (touched := _cells(vertices, faces, low, size / count, max_nodes)) is None:
         if count <= 2:
@@ -181,7 +181,7 @@ def _divided_handles(
 
 def _nearest(apart: FloatArray) -> list[int]:
     """Return the two, in order, that are the least `apart` (N, N)."""
-    return sorted(int(k) for k in np.unravel_index(int(np.argmin(apart)), apart.shape))
+    return sorted(int(k) for k in np.unravel_index(np.argmin(apart), apart.shape))
 
 
 def _distances(places: FloatArray, metric: str) -> FloatArray:

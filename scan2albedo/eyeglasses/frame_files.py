@@ -106,11 +106,14 @@ def write_keypoints(
     ----------
     path, keypoints, unit, deviations_mm
     """
-    entries = {
-        name: (float(p[0]), float(p[1]), float(p[2])) if all_finite(p) else None
-        for name, p in zip(KEY_POINT_NAMES, checked_keypoints("keypoints", keypoints), strict=True)
-    }
+    entries = named_points(checked_keypoints("keypoints", keypoints))
     write_record(path, KeyPointsFile(unit=unit, key_points=entries, deviations_mm=dict(deviations_mm or {})))
+
+
+def named_points(points: FloatArray) -> Values:
+    """Return the coordinates of points (20, C) by the names of key points, None for those with NaN."""
+    known = zip(KEY_POINT_NAMES, points, strict=True)
+    return {name: tuple(point.tolist()) if all_finite(point) else None for name, point in known}
 
 
 def read_keypoints(path: str | Path) -> FloatArray:
@@ -151,15 +154,15 @@ def exchanged_key_points(points: FloatArray) -> list[str]:
     if known.sum() < 6:
         return []
     typical = places.typical_key_points()
-    number = {name: k for k, name in enumerate(KEY_POINT_NAMES)}
+    number = KEY_POINT_NAMES.index
     pairs = [(0, 1)] + [(k, MIRROR[k]) for k in range(2, 11)]
     for side in ("left", "right"):
-        pairs += [(number[f"{side}_{a}"], number[f"{side}_{b}"]) for a, b in _SAME_SIDE]
+        pairs += [(number(f"{side}_{a}"), number(f"{side}_{b}")) for a, b in _SAME_SIDE]
 
     def laid(current: FloatArray) -> tuple[FloatArray, float]:
         seen = finite_rows(current)
         placed = transform_points(procrustes(typical[seen], current[seen], scale=True), typical)
-        return placed, float(np.nansum((placed - current) ** 2))
+        return placed, np.nansum((placed - current) ** 2)
 
     current, found = points.copy(), []
     if laid(current[MIRROR])[1] < laid(current)[1] / 4:

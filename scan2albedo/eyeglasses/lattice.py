@@ -1,6 +1,7 @@
 """Lattice cells around a surface and their nodes: interpolation, the Laplacian, bridges between parts."""
 
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Self
 
 import numpy as np
@@ -11,11 +12,11 @@ from scan2albedo.core.arrays import FloatArray, IntArray, norms, row_sums
 from scan2albedo.geometry.mesh import vertex_components
 from scan2albedo.geometry.rays import blocks
 
-CORNERS = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)], int)
+CORNERS = np.argwhere(np.ones((2, 2, 2)))
 """(8, 3) offsets of a cell's corners: corner 4 i + 2 j + k lies at (i, j, k)."""
-_EDGES = [(a, b) for a in range(8) for b in range(a + 1, 8) if np.abs(CORNERS[a] - CORNERS[b]).sum() == 1]
+_EDGES = [(a, b) for a, b in combinations(range(8), 2) if np.abs(CORNERS[a] - CORNERS[b]).sum() == 1]
 """The 12 edges of a cell as pairs of its corners."""
-_NEAR = np.array([[i, j, k] for i in range(3) for j in range(3) for k in range(3)])
+_NEAR = np.argwhere(np.ones((3, 3, 3)))
 """(27, 3) cells from the first one that a triangle of at most 1.5 along each axis may touch."""
 _TIE = 1e-9
 """Cells below which rounding does not decide: a triangle this near to a cell touches it, and one whose height
@@ -110,7 +111,7 @@ def join_parts(cells: IntArray, reach: float) -> IntArray:
             here, way = cells[partner[nearest]].copy(), cells[nearest] - cells[partner[nearest]]
             walked, total = np.zeros(3, int), np.abs(way)
             while (walked < total).any():
-                axis = int(np.argmax(np.where(walked < total, total - walked, 0) / np.maximum(total, 1)))
+                axis = np.argmax(np.where(walked < total, total - walked, 0) / np.maximum(total, 1))
                 here[axis] += np.sign(way[axis])
                 walked[axis] += 1
                 added.append(here[None].copy())
@@ -186,7 +187,7 @@ def enclosed_cells(cells: IntArray) -> IntArray:
     """Return the cells (E, 3) that `cells` (C, 3) enclose; none in boxes of over 2^26 cells."""
     low = cells.min(0) - 1
     shape = cells.max(0) - low + 2
-    if float(np.prod(shape.astype(float))) > 2**26:
+    if np.prod(shape, dtype=float) > 2**26:
         return np.zeros((0, 3), int)
     walls = np.zeros(tuple(shape), bool)
     walls[tuple((cells - low).T)] = True

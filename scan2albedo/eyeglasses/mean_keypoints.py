@@ -75,13 +75,13 @@ def mean_key_points(keypoints: Sequence[FloatArray], meter: Meter) -> tuple[Floa
     settled = False
     while not settled and iteration < 200 and not (iteration and meter.exhausted):
         iteration += 1
-        aligned = np.array([transform_points(align_key_points(p, mean), p) for p in keypoints])
+        aligned = np.array([_laid_on(mean, points) for points in keypoints])
         seen = finite_rows(aligned)
         count = seen.sum(0)[:, None]
         total = np.where(seen[..., None], aligned, 0.0).sum(0)
         new = np.where(count > 0, total / np.maximum(count, 1), np.nan)
         both = finite_rows(mean)
-        change = float(np.abs((new - transform_points(align_key_points(mean, new), mean))[both]).max())
+        change = np.abs((new - _laid_on(new, mean))[both]).max()
         # Up to rounding.
         settled = bool(change <= 400 * EPSILON * size and (both == (count[:, 0] > 0)).all())
         mean = new
@@ -92,13 +92,17 @@ def mean_key_points(keypoints: Sequence[FloatArray], meter: Meter) -> tuple[Floa
 
 def fullest(keypoints: Sequence[FloatArray]) -> FloatArray:
     """Return the first of the frames' key points (20, 3) that lack fewest: what the others are aligned to."""
-    return max(keypoints, key=lambda points: int(np.isfinite(points).sum()))
+    return max(keypoints, key=lambda points: np.isfinite(points).sum())
 
 
 def align_key_points(source: FloatArray, target: FloatArray) -> FloatArray:
     """Return the rigid `target_from_source` (4, 4) of the key points that both have, three or more."""
     both = finite_rows(source) & finite_rows(target)
     return procrustes(source[both], target[both])
+
+
+def _laid_on(target: FloatArray, points: FloatArray) -> FloatArray:
+    return transform_points(align_key_points(points, target), points)
 
 
 def key_point_size(points: FloatArray) -> float:
@@ -177,7 +181,7 @@ def outliers(keypoints: Sequence[FloatArray], widths: FloatArray) -> dict[int, s
     center = fullest(keypoints)
     # Aligned to their medians a few times, which the first frame's oddities then no longer reach.
     for _ in range(5):
-        aligned = np.array([transform_points(align_key_points(p, center), p) for p in keypoints])
+        aligned = np.array([_laid_on(center, points) for points in keypoints])
         known = np.isfinite(aligned).any((0, 2))
         center = np.full_like(aligned[0], np.nan)
         center[known] = np.nanmedian(aligned[:, known], axis=0)
@@ -186,13 +190,13 @@ def outliers(keypoints: Sequence[FloatArray], widths: FloatArray) -> dict[int, s
     found: dict[int, str] = {}
     least = 0.0
     if np.isfinite(widths).any():
-        median_width = float(np.nanmedian(widths))
+        median_width = np.nanmedian(widths)
         least, away = _LEAST * median_width, np.abs(widths - median_width)
-        for i in np.flatnonzero(away > max(_DEVIATIONS * float(np.nanmedian(away)), 4 * least)):
+        for i in np.flatnonzero(away > max(_DEVIATIONS * np.nanmedian(away), 4 * least)):
             found[int(i)] = f"its front is {widths[i]:.4g} wide, the median of the set is {median_width:.4g}"
     above = shapes - np.median(shapes)
-    for i in np.flatnonzero(above > max(_DEVIATIONS * float(np.median(np.abs(above))), least)):
-        worst = int(np.nanargmax(off[i]))
+    for i in np.flatnonzero(above > max(_DEVIATIONS * np.median(np.abs(above)), least)):
+        worst = np.nanargmax(off[i])
         reason = (
             f"its key points are {shapes[i]:.3g} rms from the medians of the set, the median frame's "
             f"{np.median(shapes):.3g}; the farthest is {KEY_POINT_NAMES[worst]} ({off[i, worst]:.3g}): check "

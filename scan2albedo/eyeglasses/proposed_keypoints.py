@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
+from scipy.special import softmax
 from skimage.measure import find_contours
 from skimage.morphology import convex_hull_image
 
@@ -53,7 +54,7 @@ class _Frame:
     def __init__(self, vertices: FloatArray, faces: IntArray) -> None:
         turned, own = rigid.in_principal_frame(vertices, faces)
         low, high = turned[faces.ravel()].min(0), turned[faces.ravel()].max(0)
-        self.unit = float((high - low).max()) / 150
+        self.unit = (high - low).max() / 150
         self.middle = rigid.transform_points(rigid.invert_rigid(own), (low + high)[None] / 2)[0]
         xyz = (vertices - self.middle) / self.unit
         joined = np.unique(np.round(xyz, 3), axis=0, return_inverse=True)[1].ravel()[faces]
@@ -142,7 +143,7 @@ class _Seen:
         middle, half = own.shape[1] // 2, own | pane
         half[:, : middle + 2] = False
         best = -np.inf, np.zeros_like(own), np.inf
-        most = float(half.any(0).sum() * half.any(1).sum()) * self.pixel**2
+        most = half.any(0).sum() * half.any(1).sum() * self.pixel**2
 
         def closed() -> Iterator[tuple[BoolArray, float]]:
             yield own, 0.0
@@ -157,7 +158,7 @@ class _Seen:
             label = ndimage.label(~mask)[0]
             area = np.bincount(label.ravel()) * self.pixel**2
             area[np.unique([0, *label[:, : middle + 1].flat, *label[[0, -1]].flat, *label[:, -1]])] = 0
-            if area.max() > 100 and (score := float(np.log(area.max())) - cost) > best[0]:
+            if area.max() > 100 and (score := np.log(area.max()) - cost) > best[0]:
                 best = score, label == area.argmax(), cost
         return best
 
@@ -243,13 +244,13 @@ def symmetry_planes(points: FloatArray) -> list[tuple[FloatArray, float]]:
             # The reflection I - 2 n n^T that leaves least: n belongs to the least of p q^T + q p^T.
             both = ((own - a) * weight[:, None]).T @ (points[nearest] - b)
             normal = np.linalg.eigh(both + both.T)[1][:, 0]
-            offset = float(normal @ (a + b) / 2)
-        return normal, offset, float(np.mean(odds / (1 + odds)))
+            offset = normal @ (a + b) / 2
+        return normal, offset, np.mean(odds / (1 + odds))
 
     few, middle = points[:: max(len(points) // 300, 1)], points.mean(0)
     axes = [*np.linalg.eigh(np.cov(points.T))[1].T, *rigid.super_fibonacci_rotations(30)[:, 0]]
     # A single temple draws the centroid to its side.
-    starts = (refined(n, float(n @ middle) + away, few) for n in axes for away in (-18, 0, 18))
+    starts = (refined(n, n @ middle + away, few) for n in axes for away in (-18, 0, 18))
     kept: list[tuple[FloatArray, float]] = []
     for normal, offset, _ in sorted(starts, key=lambda plane: plane[2]):
         if len(kept) < 3 and all(np.linalg.norm(np.cross(normal, n)) > 1 / 3 for n, _ in kept):
@@ -292,21 +293,21 @@ def _rim_points(edge: FloatArray, outer: FloatArray, bridge: float, cost: float)
         # A flat top is as high all along: designs have it within 4 mm of the lens's middle.
         x = (x * 16 + middle[0] * flat) / (16 + flat)
         at = np.where(height > 0, np.abs(outer[:, 0] - x), np.inf).argmin()
-        found[name] = outer[at], float(np.hypot(2.5 * (flat / (16 + flat)) ** 0.5, 0.5))
+        found[name] = outer[at], np.hypot(2.5 * (flat / (16 + flat)) ** 0.5, 0.5)
     # Below the middle of the sides as on typical frames: a twelfth of the way around, and facing 30 degrees
     # down. People place these anywhere along the side.
     along = normalized(np.roll(edge, -12, 0) - np.roll(edge, 12, 0))
     for name, arc, up in (("rim_inner", (_side(edge, -1) + 30) % 360, -1), ("rim_outer", 330, 1)):
         turned = (along @ [1, up * 3**0.5]).argmax()
         at = norms(outer - (outer[arc] + outer[turned]) / 2).argmin()
-        found[name] = outer[at], float(np.hypot(3.5, np.linalg.norm(outer[arc] - outer[turned]) / 2))
+        found[name] = outer[at], np.hypot(3.5, np.linalg.norm(outer[arc] - outer[turned]) / 2)
     if np.isfinite(bridge):
         nose = edge[90:270]
         near = nose[norms(nose - [0, bridge]).argmin()]
         level = nose[(nose[:, 0] + 9 * np.abs(nose[:, 1] - bridge)).argmin()]
         at = norms(nose - (near + level) / 2).argmin()
-        found["rim_bridge"] = nose[at], float(np.hypot(1.0, np.linalg.norm(near - level) / 2))
-    return {name: (place, float(np.hypot(sd, cost))) for name, (place, sd) in found.items()}
+        found["rim_bridge"] = nose[at], np.hypot(1.0, np.linalg.norm(near - level) / 2)
+    return {name: (place, np.hypot(sd, cost)) for name, (place, sd) in found.items()}
 
 
 def _temple_points(cloud: FloatArray, height: FloatArray, outer: FloatArray) -> _Places:
@@ -320,7 +321,7 @@ def _temple_points(cloud: FloatArray, height: FloatArray, outer: FloatArray) -> 
     if -height[behind].min(initial=0) < 45 or not near.any():
         end = cloud[side & (np.abs(height) < 2 * _SLAB)]
         end = end[end[:, 0] > end[:, 0].max(initial=0) - 1]
-        return {"hinge": (end.mean(0), float(np.hypot(2, end[:, 1].std())))} if len(end) else {}
+        return {"hinge": (end.mean(0), np.hypot(2, end[:, 1].std()))} if len(end) else {}
     level = np.median(cloud[near, 1])
     tall = max(np.percentile(np.abs(cloud[near, 1] - level), 90), 1)
     outmost = (height > -16) & (cloud[:, 0] > outer[:, 0].max() - 8)
@@ -348,13 +349,13 @@ def _temple_points(cloud: FloatArray, height: FloatArray, outer: FloatArray) -> 
         terms = np.column_stack([np.ones(len(z)), z, np.maximum(z - z[k], 0)])
         misfit[k] = ((y - terms @ np.linalg.lstsq(terms, y, rcond=None)[0]) ** 2).sum()
     odds = -len(run) * misfit / (10 * misfit.min() + len(run) / 10) - (16 * (run / run[-1] - 2 / 3)) ** 2 / 2
-    share = np.exp(odds - odds.max()) / np.exp(odds - odds.max()).sum()
+    share = softmax(odds)
     knee = share @ run
     sd = np.sqrt(share @ (run - knee) ** 2)
     for name, part, own in (("temple_middle", 0.5, _SPACING), ("ear_bend", 1, 2)):
         at = _at_run(knee * part, run, line)
         at[0] = temple[norms(temple[:, 1:] - at[1:]) < 1.5 * _SPACING, 0].max(initial=at[0])
-        found[name] = at, float(np.hypot(sd * part, own))
+        found[name] = at, np.hypot(sd * part, own)
     return found | {"temple_tip": (tip, _SPACING)}
 
 
@@ -402,7 +403,7 @@ def propose_keypoints(mesh: Any) -> ProposedKeyPoints:
     points = frame.middle + frame.unit * points
     known = finite_rows(points)
     worn = rigid.procrustes(points[known], typical_key_points()[known], scale=True)
-    log_mm = float(np.log(np.linalg.norm(worn[0, :3])))
+    log_mm = np.log(np.linalg.norm(worn[0, :3]))
     units = {"inch": 25.4, **MM_PER_UNIT}
     unit = min(units, key=lambda name: abs(np.log(units[name]) - log_mm))
     scale = units[unit]

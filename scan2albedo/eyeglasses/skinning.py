@@ -47,8 +47,13 @@ def skin(vertices: ArrayLike, weights: ArrayLike, transforms: ArrayLike) -> Floa
         raise ValueError(f"transforms must have shape (K, 4, 4) or (K, 3, 4), got {maps.shape}")
     xyz = checked_array(vertices, ("V", 3), "vertices", finite=ValueError)
     shares = checked_array(weights, (len(xyz), len(maps)), "weights", finite=ValueError)
-    blended = (shares @ maps[:, :3].reshape(-1, 12)).reshape(-1, 3, 4)
-    return np.einsum("vij,vj->vi", blended[:, :, :3], xyz) + blended[:, :, 3]
+    return moved_by(maps, shares, xyz)
+
+
+def moved_by(transforms: FloatArray, weights: FloatArray, points: FloatArray) -> FloatArray:
+    """Return what `skin` does of vertices (V, 3) and weights (V, K), unchecked."""
+    blended = (weights @ transforms[:, :3].reshape(-1, 12)).reshape(-1, 3, 4)
+    return np.einsum("vij,vj->vi", blended[:, :, :3], points) + blended[:, :, 3]
 
 
 def translations(source: FloatArray, target: FloatArray) -> FloatArray:

@@ -96,7 +96,7 @@ def front_halves(
     def pairs(_: Alignment, placed: FloatArray) -> Pairs:
         hits = query.query(placed[held == 0])
         # What one rim has and the other lacks does not pull.
-        reach = 3 * float(np.median(hits.distance))
+        reach = 3 * np.median(hits.distance)
         trust = tukey_weights(hits.distance, max(reach, SMALLEST))
         pull = np.full(len(source), _LABEL_SHARE * trust.sum() / len(source))
         goal = np.concatenate([hits.points, target])
@@ -162,7 +162,7 @@ def common_bend(points_mm: FloatArray, reflection: FloatArray) -> str:
     even, out = (points_mm + image) / 2, (points_mm - points_mm[MIRROR]) @ across / 2
     side = np.sign(np.nansum(out[RIMS[0]]) + np.nansum(out[_TEMPLES[0]]))
     top, _, inner, bottom, outer = even[RIMS[0]]
-    wrap = float(np.rad2deg(np.arcsin(side * normalized(np.cross(outer - inner, top - bottom)) @ across)))
+    wrap = np.rad2deg(np.arcsin(side * normalized(np.cross(outer - inner, top - bottom)) @ across))
     said, temple = [], _TEMPLES[0][finite_rows(even[_TEMPLES[0]])]
     if np.isfinite(wrap):
         spread, bend = f"+- {deviation[0]:.1f}", f"so the bend is {wrap - mean_deg[0]:+.1f}"
@@ -170,7 +170,7 @@ def common_bend(points_mm: FloatArray, reflection: FloatArray) -> str:
         said.append(f"the rims are turned back by {wrap:.1f} degrees, {designs}")
     if len(temple) > 1:
         place, way = even[temple], side * (out[temple] - out[temple[0]])
-        length = float(np.linalg.norm(place[-1] - place[0]))
+        length = np.linalg.norm(place[-1] - place[0])
         run = np.cumsum(norms(np.diff(place[:3], axis=0)))
         bow = f", bowed outward by {way[1] - way[2] * run[0] / run[1]:.1f} mm" if len(temple) > 2 else ""
         said.append(

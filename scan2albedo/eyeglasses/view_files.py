@@ -15,12 +15,17 @@ from scan2albedo.core.arrays import (
     GridShape,
     NDArray,
     Texts,
-    all_finite,
     checked_array,
     norms,
 )
 from scan2albedo.errors import EyeglassesError, ScanError, errors_of
-from scan2albedo.eyeglasses.frame_files import KeyPointName, LengthUnit, known_key_points, read_json
+from scan2albedo.eyeglasses.frame_files import (
+    KeyPointName,
+    LengthUnit,
+    known_key_points,
+    named_points,
+    read_json,
+)
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_COUNT, KEY_POINT_NAMES
 from scan2albedo.io.atomic import make_folder
 from scan2albedo.io.images import read_image_linear, write_png
@@ -166,12 +171,10 @@ def read_masks(folder: str | Path, cameras: Sequence[Camera]) -> tuple[BoolArray
     """
     masks = []
     for camera in cameras:
-        candidates = [Path(folder) / f"{camera.name}{end}" for end in MASK_ENDINGS]
-        path = next((one for one in candidates if one.is_file()), None)
+        path = file_of_camera(Path(folder), camera, MASK_ENDINGS)
         if path is None:
-            raise EyeglassesError(
-                f"mask {candidates[0]} is missing; give a PNG for each camera, named after it"
-            )
+            missing = Path(folder) / f"{camera.name}{MASK_ENDINGS[0]}"
+            raise EyeglassesError(f"mask {missing} is missing; give a PNG for each camera, named after it")
         with errors_of(f"mask {path}", EyeglassesError, ScanError):
             mask: BoolArray = (read_image_linear(path) != 0).any(-1)
         if mask.shape != camera.shape:
@@ -180,6 +183,12 @@ def read_masks(folder: str | Path, cameras: Sequence[Camera]) -> tuple[BoolArray
             raise EyeglassesError(f"mask {path} {said}; give its mask")
         masks.append(mask)
     return tuple(masks)
+
+
+def file_of_camera(folder: Path, camera: Camera, endings: Texts) -> Path | None:
+    """Return the first file there is of those named after a camera, with one of the endings."""
+    candidates = (folder / f"{camera.name}{ending}" for ending in endings)
+    return next(filter(Path.is_file, candidates), None)
 
 
 @dataclass(frozen=True)
@@ -229,13 +238,7 @@ def write_labels(path: str | Path, labels: ArrayLike, camera_names: Sequence[str
     """
     pixels = checked_array(labels, (len(camera_names), KEY_POINT_COUNT, 2), "labels")
     require_distinct_names(camera_names)
-    views = {
-        name: {
-            key_point: (float(p[0]), float(p[1])) if all_finite(p) else None
-            for key_point, p in zip(KEY_POINT_NAMES, view, strict=True)
-        }
-        for name, view in zip(camera_names, pixels, strict=True)
-    }
+    views = {name: named_points(view) for name, view in zip(camera_names, pixels, strict=True)}
     write_record(path, LabelsFile(views=views))
 
 

@@ -134,7 +134,7 @@ def solve_weights(
     total = solution.x.sum(1)
     # Dividing by less would amplify rounding.
     if not total.min() > TOLERANCE:
-        lost = int((total <= TOLERANCE).sum())
+        lost = (total <= TOLERANCE).sum()
         raise EyeglassesError(f"no key point holds {lost} of {len(total)} lattice nodes")
     weights = np.clip(embedding.interpolation @ (solution.x / total[:, None]), 0.0, 1.0)
     weights = embedding.shares * weights[:, embedding.handle]
@@ -211,8 +211,8 @@ def minimize_bounded(
                 trial = np.clip(x[:, k] + 0.5**halvings * direction, 0.0, 1.0)
                 change, after = trial - x[:, k], ordered @ trial
                 # Armijo's condition; differences of the energy itself would drown in rounding.
-                predicted = float(gradient @ change)
-                if predicted + float(change @ (after - product[:, k])) / 2 <= 1e-4 * predicted < 0:
+                predicted = gradient @ change
+                if predicted + change @ (after - product[:, k]) / 2 <= 1e-4 * predicted < 0:
                     x[:, k], product[:, k], lowered = trial, after, True
                     break
             meter.count()

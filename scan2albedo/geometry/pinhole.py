@@ -44,8 +44,13 @@ def projected(cameras: FloatArray, points: FloatArray) -> tuple[FloatArray, Floa
 
 
 def camera_centers(cameras: FloatArray) -> FloatArray:
-    """Return (C, 3) centres of projection of cameras (C, 3, 4)."""
-    return np.asarray(-np.linalg.solve(cameras[:, :, :3], cameras[:, :, 3:])[:, :, 0], float)
+    """Return (..., 3) centres of projection of cameras (..., 3, 4)."""
+    return np.asarray(-np.linalg.solve(cameras[..., :3], cameras[..., 3:])[..., 0], float)
+
+
+def focal_px(camera: FloatArray) -> float:
+    """Return by how many pixels a length is seen at a depth as great, in a normalised camera (3, 4)."""
+    return float(np.sqrt(abs(np.linalg.det(camera[:, :3]))))
 
 
 def fit_camera(points: ArrayLike, pixels: ArrayLike) -> FloatArray:

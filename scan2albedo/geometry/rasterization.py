@@ -137,6 +137,13 @@ def bilinear(image: RealArray, pixels: FloatArray) -> FloatArray:
     return (1 - down) * upper + down * lower
 
 
+def within(pixels: NDArray, shape: tuple[int, ...], margin: float = 0) -> BoolArray:
+    """Return (N,) whether pixels (N, 2), column and row, lie in (H, W, ...) or `margin` beside it."""
+    last = np.array(shape[1::-1]) - 1
+    with np.errstate(invalid="ignore"):  # NaN does not
+        return np.asarray(((pixels >= -margin) & (pixels <= last + margin)).all(1))
+
+
 def polyline_distance(points: FloatArray, line: FloatArray) -> FloatArray:
     """Return the distances (N,) of points (N, 2) from a polyline (K, 2).
 

@@ -68,7 +68,7 @@ class ShadingDivided:
         made = response.shade(reflectance.chosen(used), light)
         diffuse, highlight = made.diffuse_linear, made.specular_linear
         observed = observation.observed_linear[used]
-        floor = EPSILON + 1e-3 * float(np.median(diffuse))
+        floor = EPSILON + 1e-3 * np.median(diffuse)
         spread = partial(among_all, used, len(model.known))
 
         def log_ratio(numerator: FloatArray, denominator: FloatArray) -> FloatArray:

@@ -249,10 +249,10 @@ class CaptureFiles:
         flashes = [read(pair.flash_image) for pair in content.pictures]
         rooms = [read(pair.room_image) for pair in content.pictures]
         first = flashes[0].shape[:2]
-        for pair, flash, ambient in zip(content.pictures, flashes, rooms, strict=True):
-            for name, picture in ((pair.flash_image, flash), (pair.room_image, ambient)):
-                if picture.shape[:2] != first:
-                    height, width = picture.shape[:2]
+        for pair in content.pictures:
+            for name in (pair.flash_image, pair.room_image):
+                height, width = read(name).shape[:2]
+                if (height, width) != first:
                     raise ReflectanceError(
                         f"{whose}: {name} is {width} x {height} pixels and "
                         f"{content.pictures[0].flash_image} {first[1]} x {first[0]}; all must have one size"

@@ -62,7 +62,7 @@ def tilted_lobe(
     angle = np.asarray(angle_rad, float)
     if not all_finite(angle):
         raise ValueError("angle_rad holds NaN or infinite values")
-    values = _spline(float(exponent))(np.clip(angle, 0.0, np.pi / 2), derivative)
+    values = _spline(exponent)(np.clip(angle, 0.0, np.pi / 2), derivative)
     return np.where(angle[..., None] < np.pi / 2, values[..., :-1], 0.0), values[..., -1]
 
 
@@ -192,7 +192,7 @@ def unit_vectors(vectors: ArrayLike, name: str) -> FloatArray:
     length = norms(unit)
     wrong = ~(np.abs(length - 1) < 1e-4)
     if wrong.any():
-        first = int(np.flatnonzero(wrong)[0])
+        first = np.flatnonzero(wrong)[0]
         raise ReflectanceError(
             f"{name} of vertex {first} is {unit[first]} of length {length[first]:.6g}, no unit vector "
             f"({wrong.sum()} in all); normalise, and leave out vertices without a surface around them"

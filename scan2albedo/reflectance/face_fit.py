@@ -118,9 +118,12 @@ def fit_face(
     else:
         ending = "+details" if details.ran else ""
         person = _judged(errors, "person", f"mean{ending}", f"person{ending}")
-    mean = fit_image(observation, model.mean_only(), lighting, budget=budget, on_progress=on_progress)
-    mean = replace(mean, face=replace(mean.face, coefficients=np.zeros(model.components)))
-    fit = mean
+
+    def mean_fit(hue: ArrayLike, report: OnProgress) -> ImageFit:
+        found = fit_image(observation, model.mean_only(hue), lighting, budget=budget, on_progress=report)
+        return replace(found, face=replace(found.face, coefficients=np.zeros(model.components)))
+
+    fit = mean = mean_fit(1.0, on_progress)
     if person.ran:
         fit = fit_image(observation, model, lighting, budget=budget, on_progress=on_progress)
         figures = f"{person.evidence}; objective of all blocks {mean.objective:.4g} -> {fit.objective:.4g}"
@@ -143,8 +146,7 @@ def fit_face(
     if details.ran and not person.ran:
         why = "a part of the photograph's hue is probably the skin's"
         hue = skin_hue(observation.response(np.flatnonzero(divided.illuminated)).diffuse @ fit.light)
-        fit = fit_image(observation, model.mean_only(hue), lighting, budget=budget)
-        fit = replace(fit, face=replace(fit.face, coefficients=mean.face.coefficients))
+        fit = mean_fit(hue, None)
         divided = ShadingDivided.from_observation(observation, model, fit.face.reflectance, fit.light)
     factors = "factors of red, green, blue: " + ", ".join(f"{one:.2f}" for one in hue)
     reflectance = fit.face.reflectance
@@ -195,7 +197,7 @@ def errors_left_out(
     used, block = observation.seen & model.known, np.full(len(vertices), -1)
     cells = np.floor(vertices[used] / _BLOCK_MM).astype(int)
     block[used] = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
-    count = int(block.max(initial=-1)) + 1
+    count = block.max(initial=-1) + 1
     folds = 3
     fold_of = np.random.default_rng(0).permutation(count) % folds
     errors: dict[str, FloatArray] = {}
@@ -232,13 +234,13 @@ def _judged(
     """Return whether one description predicts better than another, by more than a share of the error."""
     one, two = (errors.get(name, np.empty(0)) for name in (before, after))
     common = np.isfinite(one) & np.isfinite(two)
-    gains, count = (one - two)[common], int(common.sum())
+    gains, count = (one - two)[common], common.sum()
     if count < _LEAST_BLOCKS:
         reason = f"too little of the face is seen to test {_TESTED[step]}"
         return _plan_step(step, False, reason, f"{count} blocks, {_LEAST_BLOCKS} are needed")
-    gain, spread = float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(count))
-    first, last = float(one[common].mean()), float(two[common].mean())
-    accepted = gain > max(2 * spread, least * first)  # two standard errors
+    gain, spread = gains.mean(), gains.std(ddof=1) / np.sqrt(count)
+    first, last = one[common].mean(), two[common].mean()
+    accepted = bool(gain > max(2 * spread, least * first))  # two standard errors
     believed = "" if accepted else "do not "
     return _plan_step(
         step,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from scan2albedo.core import Budget, BudgetLike, Meter, OnProgress, Trace
-from scan2albedo.core.arrays import FloatArray, checked_mesh
+from scan2albedo.core.arrays import SMALLEST, FloatArray, checked_mesh
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.fields import surface_diffusion
 from scan2albedo.geometry.rays import blocks
@@ -152,7 +152,7 @@ def is_improvement(before: FloatArray, after: FloatArray) -> bool:
     The mean, and the mean of the images' relative falls, must fall by over 0.1 %, `assured_gains` be above 0.
     """
     falls = after.mean(0) < (1 - _LEAST_GAIN) * before.mean(0)
-    gains = (1 - after / np.maximum(before, np.finfo(float).tiny)).mean(0)
+    gains = (1 - after / np.maximum(before, SMALLEST)).mean(0)
     return bool((falls & (gains > _LEAST_GAIN) & (assured_gains(before, after) > 0)).all())
 
 
@@ -160,19 +160,19 @@ def assured_gains(before: FloatArray, after: FloatArray) -> FloatArray:
     """Return (E,) lower bounds m - t s / sqrt(n) of the mean relative fall, by Student's paired test."""
     from scipy.special import stdtrit
 
-    gains = 1 - after / np.maximum(before, np.finfo(float).tiny)
+    gains = 1 - after / np.maximum(before, SMALLEST)
     count = len(gains)
     if count == 1:
-        return np.asarray(gains[0])
+        return gains[0]
     chance = stdtrit(count - 1, 1 - SIGNIFICANCE_LEVEL) * gains.std(axis=0, ddof=1)
-    return np.asarray(gains.mean(0) - chance / np.sqrt(count))
+    return gains.mean(0) - chance / np.sqrt(count)
 
 
 def with_change(model: MorphableReflectanceModel, change: FloatArray) -> MorphableReflectanceModel:
     """Return a model with a change (1 + N, V, 4): of mean and directions, of red, green, blue and s."""
     whole = np.pad(change, ((0, 0), (0, 0), (0, 3)))
     moved = replace(model, mean=model.mean + whole[0], basis=model.basis + whole[1:])
-    more = float(np.sum(moved.deviation**2 - model.deviation**2))
+    more = np.sum(moved.deviation**2 - model.deviation**2)
     return replace(moved, total_variance=model.total_variance + more)
 
 
@@ -205,8 +205,8 @@ def best_change(
     scores = np.stack([fit.face.coefficients for fit in fits])
     features = np.concatenate([np.ones((len(fits), 1)), basis_change * scores], axis=1)
     diffuse, specular, off, noise = _images_linearized(model, observations, fits)
-    of_diffuse = mean_change * float(model.mean[model.known, :3].mean())
-    of_sum = mean_change * float(model.mean[model.known, 3].mean())
+    of_diffuse = mean_change * model.mean[model.known, :3].mean()
+    of_sum = mean_change * model.mean[model.known, 3].mean()
     diffuse *= of_diffuse
     specular *= of_sum
     kernel = features @ features.T
@@ -244,7 +244,7 @@ def _images_linearized(
         specular = np.einsum("vk,vkj->vj", share, response.specular @ fit.light)
         colors = observation.observed_linear[used]
         error = colors - albedo * diffuse - total * specular
-        spread = max(float(normal_deviation(error)), 1e-6 * float(np.abs(colors).mean()))
+        spread = max(normal_deviation(error), 1e-6 * np.abs(colors).mean())
         # Large differences count by their size rather than its square, as in the fit.
         noise = spread * np.maximum(np.abs(error), spread)
         found[:, used, i] = diffuse, specular, error, noise

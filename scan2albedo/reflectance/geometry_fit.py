@@ -12,7 +12,13 @@ from scan2albedo.core import BudgetLike, Meter, OnProgress, Plan, PlanStep, Trac
 from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray, checked_array, finite_rows, norms, rms
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import edges_with_faces, vertex_normals
-from scan2albedo.geometry.pinhole import camera_centers, normalized_cameras, pixel_directions, project
+from scan2albedo.geometry.pinhole import (
+    camera_centers,
+    focal_px,
+    normalized_cameras,
+    pixel_directions,
+    project,
+)
 from scan2albedo.geometry.rigid import compose, is_rigid, procrustes, rotation_from_vector, transform_points
 from scan2albedo.optimization.least_squares import Damping, Descent, minimize
 from scan2albedo.reflectance import geometry_terms as terms
@@ -122,10 +128,9 @@ def refine_geometry(
     matrix = normalized_cameras(np.asarray(camera, float)[None])[0]
     landmarks = checked_array(landmarks_px, (LANDMARKS, 2), "landmarks_px").copy()
     landmarks[~finite_rows(landmarks)] = np.nan
-    count = shape_model.identity_components
-    identity = checked_coefficients(initial_identity, (count,), "initial_identity")
-    count = shape_model.expression_components
-    expression = checked_coefficients(initial_expression, (count,), "initial_expression")
+    sizes = (shape_model.identity_components,), (shape_model.expression_components,)
+    identity = checked_coefficients(initial_identity, sizes[0], "initial_identity")
+    expression = checked_coefficients(initial_expression, sizes[1], "initial_expression")
     coefficients = np.concatenate([identity, expression])
     seen = np.flatnonzero(finite_rows(landmarks))
     pose = _initial_pose(initial_scene_from_model, matrix, landmarks[seen], seen, shape_model, coefficients)
@@ -190,7 +195,7 @@ def refine_geometry(
         expression=expression,
         vertices=state.vertices,
         normals=vertex_normals(state.vertices, shape_model.faces),
-        landmark_error_px=np.asarray(norms(pixels - landmarks)),
+        landmark_error_px=norms(pixels - landmarks),
         photometric_rmse_before=gain.before,
         photometric_rmse_after=gain.after,
         plan=Plan(tuple(plan)),
@@ -298,7 +303,7 @@ def _descent(start: GeometryPoint, steps: int, damping: float = Damping().first)
 
 def _pixel_mm(camera: FloatArray, depth: FloatArray) -> float:
     """Return the size of a pixel at the median depth."""
-    return float(np.median(depth) / np.sqrt(abs(np.linalg.det(camera[:, :3]))))
+    return float(np.median(depth) / focal_px(camera))
 
 
 def pose_from_landmarks(camera: FloatArray, points_mm: FloatArray, pixels: FloatArray) -> FloatArray:
@@ -332,7 +337,7 @@ def pose_from_landmarks(camera: FloatArray, points_mm: FloatArray, pixels: Float
             shift = to_translation @ np.einsum("nij,nj->i", off, local @ rotation.T)
             pose = compose(rotation, shift)
             target = np.einsum("nij,nj->ni", onto, transform_points(pose, local))
-            error = float(np.sum((transform_points(pose, local) - target) ** 2))
+            error = np.sum((transform_points(pose, local) - target) ** 2)
             if not error < before * (1 - 1e-6):
                 break
             before = error
@@ -342,5 +347,5 @@ def pose_from_landmarks(camera: FloatArray, points_mm: FloatArray, pixels: Float
             best, least = pose, error
     if not np.isfinite(least):
         raise ReflectanceError("no pose puts the landmarks before the camera; check landmarks and camera")
-    to_scene = compose(np.eye(3), camera_centers(camera[None])[0])
+    to_scene = compose(np.eye(3), camera_centers(camera))
     return to_scene @ best @ compose(np.eye(3), -center)

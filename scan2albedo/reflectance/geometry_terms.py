@@ -28,7 +28,7 @@ from scan2albedo.geometry.rasterization import bilinear, bilinear_slopes
 from scan2albedo.geometry.rigid import compose, rotation_from_vector, transform_points
 from scan2albedo.optimization.least_squares import LocalTerm, NormalEquations, map_equations
 from scan2albedo.reflectance.environment_shading import shade_environment, shading_gradient
-from scan2albedo.reflectance.image_fit import photometric_penalty
+from scan2albedo.reflectance.image_fit import photometric_penalty, usual_color
 from scan2albedo.reflectance.shape_model import MorphableShapeModel
 from scan2albedo.reflectance.vertex_reflectance import VertexReflectance
 from scan2albedo.reflectance.vertex_visibility import VertexVisibility, pixels_around
@@ -100,7 +100,7 @@ class LandmarkTerm:
     def value(self, vertices: FloatArray) -> float:
         """Return the term; inf where a landmark's vertex lies behind the camera."""
         squared = np.sum(self._off(vertices) ** 2, axis=1)
-        return LANDMARK_WEIGHT * float(squared.mean()) if all_finite(squared) else np.inf
+        return LANDMARK_WEIGHT * squared.mean() if all_finite(squared) else np.inf
 
     def linearized(self, vertices: FloatArray) -> LocalTerm:
         """Return the term as weighted squares around `vertices`."""
@@ -177,7 +177,7 @@ class PhotometricTerm:
         return LocalTerm(jacobian, (weight * off).ravel(), weight.ravel())
 
     def _sight(self, vertices: FloatArray) -> FloatArray:
-        return camera_centers(self.camera[None])[0] - vertices[self.used]
+        return camera_centers(self.camera) - vertices[self.used]
 
 
 def photometric_term(
@@ -201,8 +201,7 @@ def photometric_term(
     used = np.flatnonzero(usable)
     if not len(used):
         return None
-    grey = np.abs(image.look_up(project(camera, shapes[0][used])[0])).mean(1)
-    unit = float(np.median(grey)) or float(grey.mean())
+    unit = usual_color(image.look_up(project(camera, shapes[0][used])[0]))
     if not unit > 0:
         return None
     return PhotometricTerm(image, camera, faces, used, reflectance.chosen(used), light, unit)

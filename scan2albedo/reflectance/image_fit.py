@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from scan2albedo.core import BudgetLike, Meter, OnProgress, Trace
-from scan2albedo.core.arrays import FloatArray, IntArray, checked_array
+from scan2albedo.core.arrays import SMALLEST, FloatArray, IntArray, checked_array
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.optimization.least_squares import LocalTerm, NormalEquations, map_equations, minimize
 from scan2albedo.reflectance.lighting_model import LightingModel
@@ -103,7 +103,7 @@ def fit_image(
     # The mean face in mean light, as bright as the image.
     start = np.zeros(len(terms.prior))
     color = np.median(terms.predict(start).color, axis=0)
-    floor = 1e-4 * np.array([terms.unit, max(float(color.max()), np.finfo(float).tiny)])
+    floor = 1e-4 * np.array([terms.unit, max(color.max(), SMALLEST)])
     observed = np.median(terms.observed, axis=0)
     start[-3:] = np.log(np.maximum(observed, floor[0]) / np.maximum(color, floor[1]))
     first, record = terms.predict(start), lambda point: meter.record(point.cost)
@@ -137,6 +137,12 @@ def common_vertices(observation: ImageObservation, model: MorphableReflectanceMo
     if not len(used):
         raise ReflectanceError("no vertex is both seen and known to the model; check the mask")
     return used
+
+
+def usual_color(colors: FloatArray) -> float:
+    """Return the median over vertices of colours (V, 3), which specks do not move; the mean where it is 0."""
+    grey = np.abs(colors).mean(1)
+    return float(np.median(grey)) or float(grey.mean())
 
 
 def photometric_penalty(off: FloatArray) -> tuple[float, FloatArray]:
@@ -223,9 +229,8 @@ class ImageTerms:
 
     @cached_property
     def unit(self) -> float:
-        """Median over vertices of the colour, which specks do not move; the mean where that is 0."""
-        grey = np.abs(self.observed).mean(1)
-        return float(np.median(grey)) or float(grey.mean())
+        """The usual colour observed."""
+        return usual_color(self.observed)
 
     def split(self, parameters: FloatArray) -> list[FloatArray]:
         """Return b, g and t of parameters."""
@@ -256,11 +261,11 @@ class ImageTerms:
         distance, gradient = self._perceived(self.perceptual, color)
         if before is not None and before.gradient is not None:
             step = color - before.color
-            length = float(np.sum(step**2))
-            bend = float(np.sum((gradient - before.gradient) * step))
+            length = np.sum(step**2)
+            bend = np.sum((gradient - before.gradient) * step)
             curvature = max(bend / length, 0.0) if length > 0 else 0.0
         else:
-            curvature = float(np.sum(gradient**2)) / (2 * abs(distance)) if distance else 0.0
+            curvature = np.sum(gradient**2) / (2 * abs(distance)) if distance else 0.0
         return Prediction(self, parameters, color, distance, gradient, curvature)
 
     def _perceived(self, perceptual: PerceptualDistance, color: FloatArray) -> tuple[float, FloatArray]:

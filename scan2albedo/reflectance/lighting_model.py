@@ -50,7 +50,7 @@ class LightingModel(LinearModel):
         spread = samples * (np.sqrt(4 * np.pi) / samples[:, :1])  # to a mean radiance of 1
         off = spread - spread.mean(0)
         off[:, 0] = 0.0
-        basis, _ = principal_directions(off, components, size=float(np.sum(spread**2)))
+        basis, _ = principal_directions(off, components, size=np.sum(spread**2))
         return cls(spread.mean(0), basis)
 
     def light(self, coefficients: ArrayLike, *, scale_rgb: ArrayLike = (1.0, 1.0, 1.0)) -> FloatArray:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 
 from scan2albedo.core.arrays import (
     SMALLEST,
@@ -19,7 +19,7 @@ from scan2albedo.core.arrays import (
 )
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
-from scan2albedo.io.records import Count, PositiveCount
+from scan2albedo.io.records import Count, PositiveCount, Record
 from scan2albedo.reflectance.vertex_reflectance import (
     EXPONENTS,
     VertexReflectance,
@@ -37,14 +37,14 @@ _KINDS = {"known": "b", "support": "iu", "deviation": "f"} | {
 }
 
 
-class ReflectanceModelHeader(BaseModel):
+class ReflectanceModelHeader(Record):
     """The text "header" in a file of a morphable reflectance model, as JSON.
 
     The file also holds known (V,), support (V,), diffuse_mean (V, 3), diffuse_basis (N, V, 3), sum_mean (V,),
     sum_basis (N, V), share_mean (V, 3), share_basis (N, V, 3) and deviation (N,).
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, title="scan2albedo morphable reflectance model")
+    model_config = ConfigDict(title="scan2albedo morphable reflectance model")
 
     format: Literal["scan2albedo reflectance model"] = "scan2albedo reflectance model"
     format_version: Literal[1] = 1
@@ -150,7 +150,7 @@ class MorphableReflectanceModel(LinearModel):
         mean = np.where(sure > 0, (values * weight).sum(0) / np.where(sure > 0, sure, 1.0), equal)
         off = weight * (values - mean)
         mean = np.where(known[:, None], mean, 0.0)
-        size = float(np.sum(mean[:, :3] ** 2))
+        size = np.sum(mean[:, :3] ** 2)
         basis, total_variance = principal_directions(off, components, size=size, part=np.s_[..., :3])
         return cls(mean, basis, known, support.astype(int), total_variance, len(samples))
 
@@ -233,7 +233,7 @@ class MorphableReflectanceModel(LinearModel):
         return ModelReflectance(
             VertexReflectance(np.maximum(diffuse, 0), weights, self.known),
             np.array(coefficients, float),
-            float(negative[self.known].sum()) / max(6 * int(self.known.sum()), 1),
+            float(negative[self.known].sum()) / max(6 * self.known.sum(), 1),
         )
 
     def sample(self, seed: int | np.random.Generator = 0, *, scale: float = 1.0) -> ModelReflectance:
@@ -274,7 +274,7 @@ def reliability(sample: VertexReflectance, std: FloatArray | None) -> FloatArray
     """
     weight = sample.known.astype(float)
     if std is not None and sample.known.any():
-        differ = PEOPLE_DIFFER * float(np.median(sample.diffuse_linear[sample.known]))
+        differ = PEOPLE_DIFFER * np.median(sample.diffuse_linear[sample.known])
         square = np.nan_to_num(std[:, :3]).max(1) ** 2
         weight *= differ**2 / np.maximum(differ**2 + square, SMALLEST)
     return weight
@@ -300,8 +300,8 @@ def held_out_components(samples: Sequence[VertexReflectance], vertices: ArrayLik
     errors = np.zeros(len(counts))
     for number, count in enumerate(counts):
         kept = replace(model.diffuse, basis=model.diffuse.basis[:count])
-        left_out = model.total_variance - float(np.sum(kept.deviation**2))
-        noise = max(left_out, 1e-9 * model.total_variance) / (3 * int(model.known.sum()))
+        left_out = model.total_variance - np.sum(kept.deviation**2)
+        noise = max(left_out, 1e-9 * model.total_variance) / (3 * model.known.sum())
         for sample in samples[4::5]:
             both = model.known & sample.known
             for half in (first, ~first):

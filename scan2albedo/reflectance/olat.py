@@ -118,31 +118,33 @@ def extract_olat(flash: Pictures, room: Pictures, *, options: OlatOptions = Olat
         finite = np.isfinite(flash_picture) & np.isfinite(ambient)
         flash_picture, ambient = np.where(finite, flash_picture, 0.0), np.where(finite, ambient, 0.0)
         difference = linear_values(flash_picture, options.gamma) - linear_values(ambient, options.gamma)
-        gamma, sigma_values = options.gamma, options.noise
         slopes = (
-            gamma * np.maximum(np.abs(one), sigma_values) ** (gamma - 1) for one in (flash_picture, ambient)
+            options.gamma * np.maximum(np.abs(one), options.noise) ** (options.gamma - 1)
+            for one in (flash_picture, ambient)
         )
-        noise, noise_of_room = ((sigma_values * slope) ** 2 for slope in slopes)
+        noise, noise_of_room = ((options.noise * slope) ** 2 for slope in slopes)
         saturated[j] = finite & ((flash_picture >= options.saturation) | (ambient >= options.saturation))
         usable = (finite & ~saturated[j]).all(-1)
         # Four standard deviations in every channel are a change.
         changed = (np.abs(difference) > 4 * np.sqrt(noise + noise_of_room)).all(-1) & usable
         darker, brighter = changed & (difference < 0).all(-1), changed & (difference > 0).all(-1)
-        found = []
-        if (missing := 1 - float(finite.all(-1).mean())) > 0:
-            text = f"{100 * missing:.3g} % of the pixels have no number and are left out"
-            found.append(CaptureDiagnostic("not_finite", j, missing, missing == 1, f"pair {j}: {text}"))
-        if (clipped := float(saturated[j].any(-1).mean())) > 0:
-            text = f"{100 * clipped:.3g} % of the pixels are saturated and their channels left out"
-            found.append(CaptureDiagnostic("saturated", j, clipped, False, f"pair {j}: {text}"))
-        part = float(darker.sum() / max(usable.sum(), 1))
-        if part > _BRIGHTER_ROOM_PART:
-            swapped, advice = bool(darker.sum() > brighter.sum()), "did head or exposure change between them?"
-            if swapped:
-                advice = "left out, were the pictures exchanged?"
-            text = f"{100 * part:.3g} % of the pixels are brighter in the room's light than with the flash"
-            why = f"pair {j}: {text}: {advice}"
-            found.append(CaptureDiagnostic("room_brighter_than_flash", j, part, swapped, why))
+        missing = 1 - float(finite.all(-1).mean())
+        swapped, advice = bool(darker.sum() > brighter.sum()), "did head or exposure change between them?"
+        if swapped:
+            advice = "left out, were the pictures exchanged?"
+        darker_said = f"are brighter in the room's light than with the flash: {advice}"
+        darker_part = float(darker.sum() / max(usable.sum(), 1))
+        clipped = float(saturated[j].any(-1).mean())
+        faults = (
+            ("not_finite", missing, 0, missing == 1, "have no number and are left out"),
+            ("saturated", clipped, 0, False, "are saturated and their channels left out"),
+            ("room_brighter_than_flash", darker_part, _BRIGHTER_ROOM_PART, swapped, darker_said),
+        )
+        found = [
+            CaptureDiagnostic(name, j, part, left, f"pair {j}: {100 * part:.3g} % of the pixels {said}")
+            for name, part, most, left, said in faults
+            if part > most
+        ]
         diagnostics += found
         valid[j] = finite & ~saturated[j] & (not any(one.left_out for one in found))
         linear[j], sigma[j] = np.where(valid[j], difference, 0.0), np.sqrt(noise + sharing[j] * noise_of_room)
@@ -167,7 +169,7 @@ def picture_values(picture: NDArray, name: str, saturation: float) -> FloatArray
     if not np.issubdtype(array.dtype, np.floating):
         raise ReflectanceError(f"{name} is {array.dtype}, expected floats with white = 1, uint8 or uint16")
     values = array.astype(float)
-    largest = float(np.max(values, where=np.isfinite(values), initial=0.0))
+    largest = np.max(values, where=np.isfinite(values), initial=0.0)
     if largest > 2 * saturation:
         raise ReflectanceError(
             f"{name} reaches {largest:.4g}, expected values with white = 1: divide by the largest value the "

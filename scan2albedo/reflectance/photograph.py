@@ -214,14 +214,14 @@ def observe_photograph(
     region = np.ones(finite.shape, bool) if mask is None else mask
     skin = checked_array(region, finite.shape, "mask", kind=bool)
     linear = linear_values(values, gamma).astype(np.float32)
-    toward = normalized(camera_centers(matrix[None])[0] - xyz)
+    toward = normalized(camera_centers(matrix) - xyz)
     seen = sight.VertexVisibility(xyz, index, normal).seen(matrix, VIEW_COSINE)
     pixels, _ = project(matrix, xyz)
     steps = {
         "inside the picture": np.ones_like(skin),
         "on the mask": skin,
         "with finite colours": skin & finite,
-        "not saturated": skin & finite & ~np.asarray((values >= saturation).any(-1)),
+        "not saturated": skin & finite & ~(values >= saturation).any(-1),
     }
     around, share = sight.pixels_around(skin.shape, pixels)
     counted = {name: seen & share.any(0) & valid[around].all(0) for name, valid in steps.items()}

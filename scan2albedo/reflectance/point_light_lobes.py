@@ -158,5 +158,10 @@ def point_light_radiance(reflectance: VertexReflectance, lobes: ArrayLike) -> Fl
     they have another shape.
     """
     terms = checked_array(lobes, ("J", len(reflectance.known), 4), "lobes")
-    gloss = np.einsum("jvs,vs->jv", terms[..., 1:], reflectance.weights)
-    return terms[..., :1] * reflectance.diffuse_linear + gloss[..., None]
+    return radiance_of(terms, reflectance.diffuse_linear, reflectance.weights)
+
+
+def radiance_of(lobes: FloatArray, albedo: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return (J, V, 3) as `point_light_radiance`, of albedos and weights (V, 3)."""
+    gloss = np.einsum("jvs,vs->jv", lobes[..., 1:], weights)
+    return lobes[..., :1] * albedo + gloss[..., None]

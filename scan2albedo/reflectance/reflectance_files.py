@@ -4,12 +4,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, attributes, checked_array, checked_mesh
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
-from scan2albedo.io.records import Count, PositiveCount
+from scan2albedo.io.records import Count, PositiveCount, Record
 from scan2albedo.reflectance.vertex_fit import ReflectanceFit
 from scan2albedo.reflectance.vertex_reflectance import (
     EXPONENTS,
@@ -54,7 +54,7 @@ class MeshReflectance:
         vars(self).update(vertices=vertices, faces=faces)
 
 
-class MeshReflectanceHeader(BaseModel):
+class MeshReflectanceHeader(Record):
     """The text "header" in a file of a mesh's reflectance, as JSON.
 
     The file also holds vertices (V, 3) in mm, faces (F, 3), known (V,), diffuse_linear and weights (V, 3);
@@ -63,7 +63,7 @@ class MeshReflectanceHeader(BaseModel):
     that of one photograph also seen (V,).
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, title="scan2albedo reflectance of a mesh")
+    model_config = ConfigDict(title="scan2albedo reflectance of a mesh")
 
     format: Literal["scan2albedo mesh reflectance"] = "scan2albedo mesh reflectance"
     format_version: Literal[1] = 1

@@ -21,6 +21,8 @@ _TOLERANCE = 0.02
 """A vertex is done when no number moves by more than this part of its deviation."""
 _LEAST_SIGMA = np.radians(0.02)
 """Of the normals."""
+_BY_VERTEX = ("observed", "precision", "lobes", "slopes", "bounce")
+"""Observations with an axis of vertices, the second."""
 _POWERS = {"cauchy": 1.0, "charbonnier": 0.5, "squares": 0.0}
 """Of the robust weight, see `vertex_kernels.reweigh`."""
 
@@ -74,14 +76,15 @@ class Observations:
 
     def __post_init__(self) -> None:
         # Kernels are compiled anew for every other memory layout.
-        for name in ("observed", "precision", "lobes", "slopes", "bounce"):
+        for name in _BY_VERTEX:
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name)))
 
     def of_vertices(self, rows: IntArray) -> Self:
         """Return the observations of some vertices (N,)."""
-        names = ("observed", "precision", "lobes", "slopes", "bounce")
-        arrays = {name: array for name in names if (array := getattr(self, name)) is not None and len(array)}
+        arrays = {
+            name: array for name in _BY_VERTEX if (array := getattr(self, name)) is not None and len(array)
+        }
         sigma = None if self.tilt_sigma is None else self.tilt_sigma[rows]
         return replace(self, tilt_sigma=sigma, **{name: array[:, rows] for name, array in arrays.items()})
 
@@ -118,7 +121,7 @@ class RobustFit:
         """
         data, size = self.data, len(rows)
         iterating = self.power > 0 or self.tilting
-        observations = max(int((data.precision[:, rows] > 0).sum()), 1)
+        observations = max((data.precision[:, rows] > 0).sum(), 1)
 
         def solve(block: slice) -> None:
             self._solve(rows[block])

@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 
 from scan2albedo.core.arrays import ArrayLike, FloatArray, IntArray, checked_array, checked_mesh
 from scan2albedo.errors import ReflectanceError, errors_of
 from scan2albedo.io.npz import read_npz_record, write_npz_record
-from scan2albedo.io.records import Count, PositiveCount
+from scan2albedo.io.records import Count, PositiveCount, Record
 from scan2albedo.reflectance.vertex_reflectance import require_one_topology
 from scan2albedo.statistics.linear_model import LinearModel, principal_directions
 
@@ -22,14 +22,14 @@ _KINDS = dict.fromkeys(("mean", "identity_basis", "expression_basis"), "f") | di
 """Of the arrays in a file."""
 
 
-class ShapeModelHeader(BaseModel):
+class ShapeModelHeader(Record):
     """The text "header" in a file of a morphable shape model, as JSON.
 
     The file also holds mean (V, 3), identity_basis (N_S, V, 3) and expression_basis (N_E, V, 3) in mm,
     faces (F, 3) and landmark_vertices (68,).
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, title="scan2albedo morphable shape model")
+    model_config = ConfigDict(title="scan2albedo morphable shape model")
 
     format: Literal["scan2albedo shape model"] = "scan2albedo shape model"
     format_version: Literal[1] = 1
@@ -95,7 +95,7 @@ class MorphableShapeModel(LinearModel):
             raise ReflectanceError("there is no face to learn shapes from; give one or more")
         count = neutral.shape[1]
         mean = neutral.mean(0)
-        basis, _ = principal_directions(neutral - mean, 80, size=float(np.sum(neutral**2)))
+        basis, _ = principal_directions(neutral - mean, 80, size=np.sum(neutral**2))
         people = len(basis)
         offsets = np.zeros((0, count, 3))
         if expression_offsets is not None:
@@ -103,7 +103,7 @@ class MorphableShapeModel(LinearModel):
         if len(offsets):
             require_one_topology("expression_offsets", offsets.shape[1], "neutral_vertices", count)
             both = np.concatenate([offsets, -offsets])
-            expression, _ = principal_directions(both, 64, size=float(np.sum(both**2)))
+            expression, _ = principal_directions(both, 64, size=np.sum(both**2))
             basis = np.concatenate([basis, expression])
         return cls(
             mean,

@@ -17,7 +17,7 @@ from scan2albedo.core.arrays import (
 )
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.reflectance.olat import OlatOptions
-from scan2albedo.reflectance.point_light_lobes import cosines_of_lobes, point_light_radiance
+from scan2albedo.reflectance.point_light_lobes import cosines_of_lobes, point_light_radiance, radiance_of
 from scan2albedo.reflectance.robust_fit import Observations, ReflectanceFitOptions, RobustFit, normal_sigma
 from scan2albedo.reflectance.vertex_kernels import add_normal_equations, solve_free
 from scan2albedo.reflectance.vertex_reflectance import EXPONENTS, VertexReflectance, among_all
@@ -140,7 +140,7 @@ def fit_reflectance(
     count = samples.lobes.shape[1]
     meter = Meter("reflectance", "loss per observation", budget, on_progress)
     data, level = _with_prior(samples, rows)
-    gain, gains_settled = np.full((int(samples.light.max()) + 1, 3), np.nan), True
+    gain, gains_settled = np.full((samples.light.max() + 1, 3), np.nan), True
     gain[samples.light[samples.valid[:, rows].any((1, 2))]] = 1.0
     if options.light_gains:
         gain, gains_settled = find_light_gains(data, samples.light, rows, options, meter)
@@ -161,14 +161,13 @@ def fit_reflectance(
     low = np.clip(fitted.center - _TWO_SIDED_95 * std, 0, estimate)
     high = np.fmax(fitted.center + _TWO_SIDED_95 * std, estimate)
     identifiability = np.minimum(deviation * np.sqrt(data.prior), 1.0)
+    most = np.inf if options.most_albedo is None else options.most_albedo
+    too_bright = estimate[:, :3].max(1) > most
+    low[too_bright] = 0.0
     known, impossible = np.zeros((2, count), bool)
     identified = np.zeros((count, 6), bool)
-    known[rows], identified[rows] = True, identifiability < _IDENTIFIED_BELOW
-    if options.most_albedo is not None:
-        too_bright = (estimate[:, :3] > options.most_albedo).any(1)
-        impossible[rows] = too_bright
-        identified[impossible] = False
-        low[too_bright] = 0.0
+    known[rows], impossible[rows] = True, too_bright
+    identified[rows] = (identifiability < _IDENTIFIED_BELOW) & ~too_bright[:, None]
     over_peak = np.where(samples.lobes[..., 1:] > 0, n_h[..., None] ** EXPONENTS, 0.0)
     spread = partial(among_all, rows, count)
     return ReflectanceFit(
@@ -285,7 +284,7 @@ def with_bounce(
     within = {"bounds": (0, most), "method": "bounded", "options": {"xatol": most / 20}}
     part = minimize_scalar(lambda part: fit_few(part * mean).residual, **within).x
     bounce = samples.bounced_light(part * mean)
-    sigma = float(np.hypot(_BOUNCE_SIGMA, np.median(np.abs(albedo / mean - 1))))
+    sigma = np.hypot(_BOUNCE_SIGMA, np.median(np.abs(albedo / mean - 1)))
     precision = data.precision / (1 + data.precision * (sigma * mean * bounce) ** 2)
     evidence = f"{100 * part:.0f} % of what its mean albedo would send, red {mean[0]:.2f}"
     step = PlanStep(stage, True, "the face lights itself", evidence)
@@ -308,14 +307,13 @@ def find_light_gains(
     """
     few = rows[:: max(1, len(rows) // _GAIN_VERTICES)]
     subset = data.of_vertices(few)
-    gain = np.ones((int(light.max()) + 1, 3))
+    gain = np.ones((light.max() + 1, 3))
     for _ in range(_GAIN_ROUNDS):
         divided = RobustFit(divided_by_gain(subset, light, gain), options.loss)
         fitted = divided.fit(np.arange(len(few)), meter.untraced())
         meter.count()
         estimate, precision = fitted.estimate, subset.precision * fitted.weight[..., None]
-        gloss = np.einsum("jvs,vs->jv", subset.lobes[..., 1:], estimate[:, 3:])
-        radiance = subset.lobes[..., :1] * estimate[:, :3] + gloss[..., None]
+        radiance = radiance_of(subset.lobes, estimate[:, :3], estimate[:, 3:])
         above, below = np.zeros((2, *gain.shape))
         np.add.at(above, light, (precision * subset.observed * radiance).sum(1))
         np.add.at(below, light, (precision * radiance**2).sum(1))
@@ -323,7 +321,7 @@ def find_light_gains(
         least = EPSILON
         new = np.where(below > 0, np.maximum(above / np.where(below > 0, below, 1.0), least), np.nan)
         new /= np.nanmean(new, axis=0)
-        step = float(np.nanmax(np.abs(new - gain)))
+        step = np.nanmax(np.abs(new - gain))
         gain = new
         if step < _GAIN_TOLERANCE:
             return gain, True
@@ -367,7 +365,7 @@ def relighting_error(
         raise ReflectanceError(f"{hidden.sum()} of {len(hidden)} pictures are held out, expected a part")
     fit = fit_reflectance(samples.of_pairs(~hidden), options=options)
     unseen = samples.of_pairs(hidden)
-    gains = np.ones((int(unseen.light.max()) + 1, 3))
+    gains = np.ones((unseen.light.max() + 1, 3))
     both = min(len(gains), len(fit.light_gain))
     gains[:both] = np.where(np.isfinite(fit.light_gain[:both]), fit.light_gain[:both], 1.0)
     radiance = point_light_radiance(fit.reflectance, unseen.turned_lobes(fit.tilt))
@@ -379,10 +377,10 @@ def relighting_error(
     observed, made = unseen.observed_linear[seen], predicted[seen]
     if not observed.any():
         raise ReflectanceError("pictures held out are black where the face is: there is nothing to predict")
-    white = max(float(np.percentile(observed, 99)), SMALLEST)
+    white = max(np.percentile(observed, 99), SMALLEST)
     displayed = [np.clip(linear / white, 0, 1) ** (1 / OlatOptions.gamma) for linear in (observed, made)]
-    off = float(np.mean((displayed[0] - displayed[1]) ** 2))
-    power = float(np.mean(observed**2))
+    off = np.mean((displayed[0] - displayed[1]) ** 2)
+    power = np.mean(observed**2)
     return RelightingError(
         float(np.sqrt(np.mean((observed - made) ** 2) / power)),
         float(-10 * np.log10(max(off, SMALLEST))),

@@ -42,7 +42,7 @@ class VertexReflectance:
         numbers = np.concatenate([diffuse, weights], axis=1)
         good = (np.isfinite(numbers) & (numbers >= 0)).all(axis=1)
         if (known & ~good).any():
-            first = int(np.flatnonzero(known & ~good)[0])
+            first = np.flatnonzero(known & ~good)[0]
             raise ReflectanceError(f"vertex {first} is known, but not finite or negative: {numbers[first]}")
         diffuse, weights = (np.where(known[:, None], values, np.nan) for values in (diffuse, weights))
         vars(self).update(diffuse_linear=diffuse, weights=weights, known=known)

@@ -93,7 +93,7 @@ def rig_of_head_poses(
     return CaptureRig(cameras[numbers[0]], centers[numbers[1]], numbers[1])
 
 
-_LEAST_SIGMA = float(np.sqrt(np.finfo(np.float64).tiny))
+_LEAST_SIGMA = np.sqrt(SMALLEST)
 """Its square's inverse must be a number."""
 VIEW_COSINE = 0.1
 """n.v must be above this."""

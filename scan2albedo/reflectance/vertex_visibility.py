@@ -1,7 +1,5 @@
 """Which vertices cameras see and flashes light, away from edges, and what pictures show of them."""
 
-import math
-
 import numpy as np
 from scipy import sparse
 
@@ -18,7 +16,8 @@ from scan2albedo.core.arrays import (
 )
 from scan2albedo.errors import ReflectanceError
 from scan2albedo.geometry.mesh import edges_with_faces, face_cross_products, vertex_normals
-from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, project
+from scan2albedo.geometry.pinhole import camera_centers, focal_px, pixel_directions, project
+from scan2albedo.geometry.rasterization import within
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment import distant_directions
 from scan2albedo.lighting.shadow_map import ShadowMap, shadow_offset_mm
@@ -106,7 +105,7 @@ class VertexVisibility:
         The surface must continue `margin_px` to all four sides, without a hole or a depth step beyond its
         slope.
         """
-        position = camera_centers(camera[None])[0]
+        position = camera_centers(camera)
         sight = position - self._vertices
         distance = norms(sight)
         n_v = dots(self._normals, sight) / np.maximum(distance, 1e-12)
@@ -118,7 +117,7 @@ class VertexVisibility:
         pixels, depth = project(camera, self._vertices[rows])
         good = finite_rows(pixels)
         pixels = np.where(good[:, None], pixels, 0.0)
-        pixel_mm = depth / math.sqrt(abs(float(np.linalg.det(camera[:, :3]))))
+        pixel_mm = depth / focal_px(camera)
         # A step in depth above 3 mm, and above what the slope of the surface against the picture plane
         # explains, is an edge; a slope steeper than 5 explains no more.
         slope = np.minimum(np.sqrt(np.maximum(1 - n_v**2, 0)) / n_v, 5)
@@ -139,7 +138,7 @@ def pixels_around(shape: tuple[int, ...], pixels: FloatArray) -> tuple[tuple[Int
     The weights (4, N) are bilinear, all 0 outside the image and for NaN.
     """
     last = np.array(shape[1::-1]) - 1
-    inside = np.all((pixels >= 0) & (pixels <= last), axis=1)
+    inside = within(pixels, shape)
     place = np.where(inside[:, None], pixels, 0.0)
     corner = np.minimum(place.astype(int), np.maximum(last - 1, 0))
     (left, top), (right, below) = corner.T, np.minimum(corner + 1, last).T

@@ -142,8 +142,8 @@ def _rates(cmc: CmcCurve, roc: RocCurve | None) -> RatesRecord:
     return RatesRecord(
         probes=cmc.probes,
         confidence=cmc.confidence,
-        rank_1_rate=float(cmc.rate[0]),
-        rank_1_interval=(float(cmc.low[0]), float(cmc.high[0])),
+        rank_1_rate=cmc.rate[0],
+        rank_1_interval=(cmc.low[0], cmc.high[0]),
         equal_error_rate=None if roc is None else roc.equal_error_rate,
         equal_error_interval=None if roc is None else roc.equal_error_interval,
     )
@@ -154,7 +154,7 @@ def _results(found: ResultIdentification) -> tuple[ProbeRecord, ...]:
     # Similarities with the digits that sums in float32 hold.
     alone = {kind: np.minimum(values, 1).round(6) for kind, values in found.by_kind.items()}
     for k, (first, *others) in enumerate(matches.order.tolist()):
-        similar = {kind: float(values[k, first]) for kind, values in alone.items()}
+        similar = {kind: values[k, first] for kind, values in alone.items()}
         kinds: tuple[Kind, ...] = ("albedo", "texture", "shape")
         results.append(
             ProbeRecord(

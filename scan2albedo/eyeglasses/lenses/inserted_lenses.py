@@ -89,12 +89,12 @@ def insert_lens(
         twice_area = x * np.roll(y, -1) - np.roll(x, -1) * y
         cx, cy = (((p + np.roll(p, -1)) * twice_area).sum() / (3 * twice_area.sum()) for p in (x, y))
         rim = replace(rim, normal=axis, center=middle + cx * plane.across + cy * plane.up)
-        radius = float(norms(rim.points - rim.center).mean())
+        radius = norms(rim.points - rim.center).mean()
         # From a reader's slit to a diving mask: others are not millimetres.
         if not 5 <= radius <= 100:
             said = f"its mean radius is {radius:.3g} mm, which no lens has"
             raise EyeglassesError(f"{said}; give everything in millimetres, as dioptres depend on it")
-        plane = rims.LensPlane.at(rim.center, rim.normal)
+        plane = rim.plane
         seated = rim.points + seat_mm * rim.measured[:, None] * plane.directions(plane.angles(rim.points))
         fan, triangles = lens_mesh(rim.center, seated, rim.normal)
     at = rim.center if center is None else center - ((center - rim.center) @ rim.normal) * rim.normal
@@ -149,21 +149,20 @@ def without_glass(
     frame: Surface, lenses: Sequence[InsertedLens], keypoints: FloatArray
 ) -> tuple[Surface, Texts]:
     """Return a frame without parts across a lens, and notes, also on glass of one piece with the rim."""
-    vertices, faces = np.asarray(frame.vertices), np.asarray(frame.faces)
+    vertices, faces = frame.vertices, frame.faces
     kept, notes = np.ones(len(faces), bool), []
     for lens in lenses:
-        plane = rims.LensPlane.at(lens.rim.center, lens.rim.normal)
         marks = rim_key_points(keypoints, lens.side)
-        panes = rims.pane_faces(vertices, faces[kept], plane, marks)
+        panes = rims.pane_faces(vertices, faces[kept], lens.rim.plane, marks)
         if panes.any():
             kept[np.flatnonzero(kept)[panes]] = False
-            count = int(panes.sum())
+            count = panes.sum()
             notes.append(f"the {lens.name}: the frame's own glass there, {count} faces, is left out")
-        if rims.is_covered(vertices, faces[kept], plane, marks):
+        if rims.is_covered(vertices, faces[kept], lens.rim.plane, marks):
             said = "the frame covers it, it seems by glass of one piece with the rim, which may have been"
             notes.append(f"the {lens.name}: {said} taken for the rim; cut it out of the mesh")
     if not kept.all():
-        uv = None if frame.uv is None else np.asarray(frame.uv)
+        uv = frame.uv
         frame = replace(frame, faces=faces[kept], uv=uv[kept] if uv is not None and uv.ndim == 3 else uv)
     return frame, tuple(notes)
 
@@ -221,13 +220,13 @@ def trace_lenses(scene: LensScene, lenses: Sequence[InsertedLens], seen: SceneRa
         ahead[waiting, which] = False
         for k, lens in enumerate(lenses):
             here = which == k
-            glancing = np.abs(own.directions[waiting] @ np.asarray(lens.optics.normal)) <= _GLANCING
+            glancing = np.abs(own.directions[waiting] @ lens.rim.normal) <= _GLANCING
             glancing |= nearest <= _GLANCING
-            paths.glancing += int((here & glancing).sum())
+            paths.glancing += (here & glancing).sum()
             if not (here := here & ~glancing).any():
                 continue
             rays, material = waiting[here], lens.material
-            normal, center = np.asarray(lens.optics.normal), np.asarray(lens.optics.center)
+            normal, center = lens.rim.normal, np.asarray(lens.optics.center)
             heading, before = own.directions[rays], own.origins[rays]
             position = before + heading * nearest[here][:, None]
             # Rims are not flat: the lens's plane is moved along its normal to where each ray meets the mesh.

@@ -128,11 +128,10 @@ def insert_lenses(
     not bounce otherwise. 256 lights are 1 % rms off 8,192 directions, 64 are 2.5 %; cost grows with them.
     """
     matrix = pinhole.normalized_cameras(np.asarray(camera, float)[None])[0]
-    images: list[FloatArray | None] = [None, None]
-    for k, (name, image) in enumerate((("picture", picture_linear), ("environment", environment_linear))):
-        if image is not None:
-            images[k] = checked_array(image, ("H", "W", 3), f"{name}_linear", finite=EyeglassesError)
-    photograph, around = images
+    photograph, around = (
+        None if image is None else checked_array(image, ("H", "W", 3), name, finite=EyeglassesError)
+        for name, image in (("picture_linear", picture_linear), ("environment_linear", environment_linear))
+    )
     if (shape is None) == (photograph is None):
         raise ValueError("give either shape, to draw the scene, or picture_linear, a photograph of it")
     height, width = photograph.shape[:2] if photograph is not None else shape or (0, 0)
@@ -149,7 +148,7 @@ def insert_lenses(
     middles: list[FloatArray | None] = [None, None]
     if lens_centers is not None:
         middles = list(checked_array(lens_centers, (2, 3), "lens_centers", finite=EyeglassesError))
-    frame_parts = np.asarray(frame.vertices), np.asarray(frame.faces), marks
+    frame_parts = frame.vertices, frame.faces, marks
     sides = [(side, material) for side, material in enumerate(materials) if material is not None]
     seat: Values = {"seat_mm": _SEAT_MM, "rim_masks": rim_masks}
     placed = tuple(inserted.insert_lens(*frame_parts, k, own, center=middles[k], **seat) for k, own in sides)
@@ -174,10 +173,10 @@ def insert_lenses(
     for whole, values in zip(wholes, (made.shaded, made.bare, made.unknown, made.lens), strict=True):
         whole[window] = values.reshape(whole[window].shape)
     for lens in placed:
-        notes += _lens_notes(lens, len(rim_masks) > 0, bool((seen == lens.side).any()))
+        notes += _lens_notes(lens, len(rim_masks) > 0, (seen == lens.side).any())
     if made.glancing:
         notes.append(f"{made.glancing} rays run along a lens and pass it as if it were not there")
-    if lost := int(unknown.sum()):
+    if lost := unknown.sum():
         notes.append(f"{lost} pixels show in a lens what the photograph hides; their colours are guesses")
     if not placed:
         notes.append(f"no lens is given, neither {inserted.SIDES[0]} nor {inserted.SIDES[1]}")
@@ -250,13 +249,12 @@ class _View:
         once = self._rays(pixels)
         # Edges: pixels whose ray differs from a neighbour's in lens, surface or distance.
         kind = (once.lens + (once.surface + 1) * 4).reshape(shape)
-        focal = np.sqrt(np.abs(np.linalg.det(self.camera[:, :3])))
         distance = np.where(np.isfinite(once.distance), once.distance, 0.0).reshape(shape)
         edges = np.zeros(shape, bool)
         for axis in (0, 1):
             across, kinds, mark = (np.moveaxis(a, axis, 0) for a in (distance, kind, edges))
             # A step in depth of eight pixels' sizes there.
-            least = 8.0 * (np.minimum(across[1:], across[:-1]) / focal)
+            least = 8.0 * (np.minimum(across[1:], across[:-1]) / pinhole.focal_px(self.camera))
             step = (kinds[1:] != kinds[:-1]) | (np.abs(across[1:] - across[:-1]) > least)
             mark[1:] |= step
             mark[:-1] |= step
@@ -279,7 +277,7 @@ class _View:
             names = ("bare", "shaded", "unknown", "lens", "surface", "distance")
             joined: Values = {n: np.concatenate([getattr(part, n) for part in parts]) for n in names}
             return _SeenRays(**joined, glancing=sum(part.glancing for part in parts))
-        scene, center = self.scene, pinhole.camera_centers(self.camera[None])[0]
+        scene, center = self.scene, pinhole.camera_centers(self.camera)
         straight = scene.rays(center, pinhole.pixel_directions(self.camera, pixels), pixels)
         rows, columns = self.region
         cell = np.floor(pixels + 0.5)
@@ -301,7 +299,7 @@ class _View:
         for crossings, which, reflection in zip(paths.crossings, reflecting, reflections, strict=True):
             ray, tint = near[crossings.ray], np.asarray(crossings.lens.material.tint_linear)
             if crossings.tint_share.any() and tint.any():
-                normal = np.asarray(crossings.lens.optics.normal)
+                normal = crossings.lens.rim.normal
                 toward_viewer = -np.sign(crossings.direction @ normal)[:, None] * normal
                 plate = self.colors.matte(crossings.position, toward_viewer, tint)
                 shaded[ray] += crossings.tint_share * plate

@@ -82,7 +82,7 @@ def refract(lens: ThinLens, camera: ArrayLike, points: ArrayLike) -> RefractedRa
         raise EyeglassesError(f"{share} never reach the lens plane from the camera's side; leave them out")
     u = np.abs(height)
     offset = from_center + heading * (u / approach)[:, None]
-    bent = offset * (1 - u * float(lens.dioptres) / 1000)[:, None] - from_center
+    bent = offset * (1 - u * lens.dioptres / 1000)[:, None] - from_center
     return RefractedRays(center + offset, normalized(bent))
 
 

@@ -25,6 +25,8 @@ from scan2albedo.geometry.mesh import normalized, vertex_components
 from scan2albedo.geometry.pinhole import normalized_cameras, projected
 from scan2albedo.geometry.rays import RayCaster
 
+Gaps = Literal["none", "interpolated", "subdivided"]
+
 _POINTS = 128
 """Of a rim."""
 _GUESS = 0.15
@@ -119,9 +121,9 @@ def pane_faces(
     Without rim points (K, 3) a small lens is guessed from the mesh's size.
     """
     if rim_points is None:
-        radius = _GUESS * float(np.ptp(vertices[faces.ravel()], axis=0).max())
+        radius = _GUESS * np.ptp(vertices[faces.ravel()], axis=0).max()
     else:
-        radius = float(plane.profile(rim_points)[0].mean())
+        radius = plane.profile(rim_points)[0].mean()
     part = vertex_components(len(vertices), faces)[faces[:, 0]]
     kept = np.ones(len(faces), bool)
     while kept.any():
@@ -144,7 +146,7 @@ def pane_faces(
 
 def is_covered(vertices: FloatArray, faces: IntArray, plane: LensPlane, rim_points: FloatArray) -> bool:
     """Return whether a surface, joined to the rim or not, fills most of the lens's opening."""
-    met = _met(vertices, faces, plane, float(plane.profile(rim_points)[0].mean()))
+    met = _met(vertices, faces, plane, plane.profile(rim_points)[0].mean())
     return bool((met >= 0).mean() >= _ENOUGH)
 
 
@@ -169,13 +171,18 @@ class LensRim:
     points: FloatArray
     """(R, 3) at even angles around the centre, counterclockwise seen from the viewer; in the frame's unit."""
     measured: BoolArray
-    gaps: Literal["none", "interpolated", "subdivided"]
+    gaps: Gaps
     """How points were filled in that no ray `measured` (R,): from both sides, or from key points."""
     center: FloatArray
     normal: FloatArray
     """`center` (3,) and unit `normal` (3,) of the lens plane, towards the viewer."""
     deviation: FloatArray | None = None
     """(R,) root mean square distance that each point may be off, of a rim refined by pictures."""
+
+    @property
+    def plane(self) -> LensPlane:
+        """The lens plane."""
+        return LensPlane.at(self.center, self.normal)
 
 
 def find_lens_rim(
@@ -224,12 +231,12 @@ def find_lens_rim(
         normal = fit_normal(marks, xyz)
     plane = LensPlane.at(middle, checked_array(normal, (3,), "normal", finite=EyeglassesError))
     angles = np.linspace(-np.pi, np.pi, _POINTS, endpoint=False)
-    lens_radius = None if marks is None else float(plane.profile(marks)[0].mean())
+    lens_radius = None if marks is None else plane.profile(marks)[0].mean()
     # A domed lens would stop the rays before they reach the rim.
     rims = index[~pane_faces(xyz, index, plane, marks)]
     shot = shoot_rim(RayCaster(xyz, rims), plane, angles, lens_radius)
     measured = np.isfinite(shot[0])
-    gaps: Literal["none", "interpolated", "subdivided"] = "none"
+    gaps: Gaps = "none"
     if not measured.all():
         hits = np.flatnonzero(measured)
         runs = np.diff(np.append(hits, hits[:1] + _POINTS)) - 1
@@ -262,7 +269,7 @@ def shoot_rim(
         flat = caster.first_hit(np.tile(plane.center, (len(angles), 1)), plane.directions(angles)).distance
         if not np.isfinite(flat).any():
             return np.full((2, len(angles)), np.nan)
-        lens_radius = float(np.median(flat[np.isfinite(flat)]))
+        lens_radius = np.median(flat[np.isfinite(flat)])
     count, level = len(angles), np.zeros(len(angles))
     half = max(1, round(_WINDOW_RAD * count / (2 * np.pi)))
     radius, height = _nearest(caster, plane, angles, level, lens_radius, _REACH)
@@ -285,7 +292,7 @@ def shoot_rim(
     # Hits on pieces that less than half the window sees are something in the way.
     outline = np.where(found, radius, np.nan)
     steepest = lens_radius * max(_STEP, 2 * np.pi / count)
-    starts: IntArray = np.flatnonzero(~(np.abs(outline - np.roll(outline, 1)) <= steepest))
+    starts = np.flatnonzero(~(np.abs(outline - np.roll(outline, 1)) <= steepest))
     for first, following in zip(starts, np.append(starts[1:], starts[:1] + count), strict=True):
         if following - first < half:
             found[np.arange(first, following) % count] = False
@@ -379,7 +386,7 @@ def refine_lens_rim(
     -----
     Li et al. (supplement, section S4) subdivide between key points; most of ours are on the rim's outside.
     """
-    plane = LensPlane.at(rim.center, rim.normal)
+    plane = rim.plane
     angles, profile = plane.angles(rim.points), plane.profile(rim.points)
     # A quarter as many control points: their curve follows rims of all shapes to 0.05 mm rms.
     basis = np.eye(len(rim.points) // 4)
@@ -394,7 +401,7 @@ def refine_lens_rim(
         marks = checked_points("rim_points", rim_points)
         outline = subdivide_rim(marks, plane, marks, angles)
     first = outline @ smooth.T
-    wide = _OPEN * float(outline[0].mean())
+    wide = _OPEN * outline[0].mean()
     curve = _rim_curve(plane, angles, first, basis, wide, len(masks))
     parts = curve.radii, curve.heights
     met, state = np.flatnonzero(rim.measured), np.zeros(len(curve.prior))
@@ -417,16 +424,16 @@ def refine_lens_rim(
             if edge is None:
                 off_px[number] = np.nan
                 continue
+            point, off, rows, weight = edge
             # A few hits may be of other pieces of the frame.
-            trusted = rim.measured[edge.point]
-            off = np.abs(edge.off_px)
-            off_px[number] = np.median(off[trusted] if trusted.sum() >= count else off)
-            precision += (edge.rows * edge.weight[:, None]).T @ edge.rows
-            pull += edge.rows.T @ (edge.weight * (edge.off_px + edge.rows @ state))
+            trusted = rim.measured[point]
+            off_px[number] = np.median(np.abs(off[trusted] if trusted.sum() >= count else off))
+            precision += (rows * weight[:, None]).T @ rows
+            pull += rows.T @ (weight * (off + rows @ state))
         state = np.asarray(np.linalg.solve(precision, pull), float)
     if np.isnan(off_px).all():
         return rim
-    if off_px[worst := int(np.nanargmax(off_px))] > ROBUST * deviation_px:
+    if off_px[worst := np.nanargmax(off_px)] > ROBUST * deviation_px:
         others = [view for number, view in enumerate(masks) if number != worst]
         return refine_lens_rim(rim, others, rim_points=rim_points, deviation_px=deviation_px)
     covariance = np.linalg.inv(precision)
@@ -483,16 +490,6 @@ def _rim_curve(
     return _RimCurve(plane.center, start, moves, prior, open_mm, radii, heights, shift, widths)
 
 
-@dataclass(frozen=True)
-class _FoundEdge:
-    """Where a mask ends near n points of the curve: `off_px` (n,) inward, by `rows` (n, P), with weights."""
-
-    point: IntArray
-    off_px: FloatArray
-    rows: FloatArray
-    weight: FloatArray
-
-
 def _find_edge(
     curve: _RimCurve,
     state: FloatArray,
@@ -500,8 +497,12 @@ def _find_edge(
     camera: FloatArray,
     field: MaskDistance,
     deviation_px: float,
-) -> _FoundEdge | None:
-    """Return the edge in a mask whose width is unknown number `column`; None where half of it is missing."""
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray] | None:
+    """Return where a mask ends near n points of the curve; None where half of the edge is missing.
+
+    The points' numbers (n,), how far inward the edge is (n,) px, its derivatives (n, P) and weights (n,). The
+    mask's width is unknown number `column`.
+    """
     pixels, slopes, front = projected(camera[None], curve.start + curve.moves @ state)
     if not front.all():
         return None
@@ -519,4 +520,4 @@ def _find_edge(
     off = (found - state[column])[kept]
     weight = np.minimum(VOTE * norms(along[kept]) / 2, 1.0) / deviation_px**2
     weight /= 1 + (off / (ROBUST * deviation_px)) ** 2
-    return _FoundEdge(np.flatnonzero(kept), off, rows[kept], weight)
+    return np.flatnonzero(kept), off, rows[kept], weight

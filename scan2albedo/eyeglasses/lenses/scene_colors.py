@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Self
 
@@ -14,7 +14,7 @@ from scan2albedo.core.arrays import ArrayLike, BoolArray, ByteArray, FloatArray,
 from scan2albedo.eyeglasses.lenses.inserted_lenses import InsertedLens
 from scan2albedo.eyeglasses.lenses.scenes import LensScene, SceneRays, radiance_at
 from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, pixel_grid, project
-from scan2albedo.geometry.rasterization import bilinear
+from scan2albedo.geometry.rasterization import bilinear, within
 from scan2albedo.lighting.environment import DistantLights
 from scan2albedo.lighting.shading import Reflectance
 from scan2albedo.lighting.shadow_map import ShadowMap
@@ -65,10 +65,10 @@ class _PixelShadows(ShadowMap):
         """Numbers (M,) of points, first those that ask for themselves, and of the points around (4, M)."""
         own = np.arange(len(self.position))
         cell = np.round(self.pixels).astype(int) + 2
-        columns = int(cell[:, 0].max(initial=0)) + 2
+        columns = cell[:, 0].max(initial=0) + 2
         place = cell[:, 1] * columns + cell[:, 0]
         first = np.unique(place, return_index=True)[1]
-        known = np.full(int(place.max(initial=0)) + 2 * columns, -1)
+        known = np.full(place.max(initial=0) + 2 * columns, -1)
         known[place[first]] = first
         odd = (cell % 2).sum(1) * (len(first) == len(own))
         side = np.array([[0, 1, columns + 1], [0, columns, columns - 1]])[:, odd]
@@ -98,6 +98,7 @@ class _PixelShadows(ShadowMap):
         return reached
 
 
+@dataclass(frozen=True)
 class LitScene:
     """A scene under distant lights, before the environment (H, W, 3) that rays see which miss all surfaces.
 
@@ -106,16 +107,10 @@ class LitScene:
     with visibility V from rays, f_d of Oren and Nayar and f_s of Phong. Lenses dim light, but do not bend it.
     """
 
-    def __init__(
-        self,
-        scene: LensScene,
-        lenses: Sequence[InsertedLens],
-        lights: DistantLights,
-        environment: FloatArray | None,
-    ) -> None:
-        self._scene, self._environment = scene, environment
-        self._light = SceneLight((), lights)
-        self._dimming = [lens for lens in lenses if not lens.material.clear]
+    scene: LensScene
+    lenses: Sequence[InsertedLens]
+    lights: DistantLights
+    environment: FloatArray | None
 
     def look(self, straight: SceneRays, bent: SceneRays, mirrored: Sequence[SceneRays]) -> list[RayColors]:
         """Return the colours of straight rays, of those behind a lens, and of sets that lenses mirror."""
@@ -123,25 +118,26 @@ class LitScene:
 
     def seen(self, rays: SceneRays) -> RayColors:
         """Return what rays see, straight, bent or mirrored."""
-        surface = np.where(rays.hits.face >= 0, self._scene.surface_of_face[rays.hits.face], -1)
+        surface = np.where(rays.hits.face >= 0, self.scene.surface_of_face[rays.hits.face], -1)
         bare, shaded = np.empty((2, len(surface), 3))
         past = surface < 0
-        bare[past] = shaded[past] = radiance_at(self._environment, rays.directions[past])
+        dimming = [lens for lens in self.lenses if not lens.material.clear]
+        bare[past] = shaded[past] = radiance_at(self.environment, rays.directions[past])
         for number in np.unique(surface[~past]):
-            finish, own = self._scene.surfaces[number], surface == number
+            finish, own = self.scene.surfaces[number], surface == number
             # The highlight of a lamp counts by its irradiance, which is pi times its intensity.
             skin = Reflectance("oren-nayar", finish.roughness_rad, np.pi * finish.specular, finish.shininess)
-            on, caster = rays.chosen(own), self._scene.caster
-            shadows = ShadowMap(caster, on.ends, self._scene.normals(on))
+            on, caster = rays.chosen(own), self.scene.caster
+            shadows = ShadowMap(caster, on.ends, self.scene.normals(on))
             if on.pixels is not None:
                 shadows = _PixelShadows(caster, shadows.position, shadows.normal, pixels=on.pixels)
-            albedo = self._scene.albedo(on)
-            bare[own], shaded[own] = self._shade(shadows, -on.directions, albedo, skin, self._dimming)
+            albedo = self.scene.albedo(on)
+            bare[own], shaded[own] = self._shade(shadows, -on.directions, albedo, skin, dimming)
         return RayColors(bare, shaded, np.zeros(len(surface), bool))
 
     def matte(self, position: FloatArray, normal: FloatArray, albedo: FloatArray) -> FloatArray:
         """Return (N, 3) colours of a matte plate, whose own lens casts no shadow."""
-        shadows = ShadowMap(self._scene.caster, position, normal)
+        shadows = ShadowMap(self.scene.caster, position, normal)
         return self._shade(shadows, normal, albedo, Reflectance("lambert"), ())[0]
 
     def _shade(
@@ -154,14 +150,15 @@ class LitScene:
     ) -> FloatArray:
         """Return (2, N, 3) radiance without lenses, and with what those that dim light take of it."""
         position, strength, near = shadows.position, reflectance.specular_strength, []
+        light = SceneLight((), self.lights)
         unfiltered, lost = np.zeros((2, len(position), 3))
         for lens in dimming:
             # Only rays that pass a ball around the lens are shot; float32 may reach a little farther.
             center = (lens.vertices.min(0) + lens.vertices.max(0)) / 2
-            reach = 1 + float(norms(lens.vertices - center).max())
+            reach = 1 + norms(lens.vertices - center).max()
             way = center - position
             near.append((lens, lens.caster.to_local(position), way, (way**2).sum(1) - reach**2, reach))
-        for toward, intensity, (facing, mirrored) in each_lamp(shadows, self._light, reflectance, view):
+        for toward, intensity, (facing, mirrored) in each_lamp(shadows, light, reflectance, view):
             radiance = albedo * facing[:, None]
             if strength > 0:
                 radiance += strength * mirrored[:, None]
@@ -177,6 +174,7 @@ class LitScene:
         return np.stack([unfiltered, np.maximum(unfiltered - lost, 0.0)])
 
 
+@dataclass(frozen=True)
 class PhotographedScene:
     """A linear photograph (H, W, 3) as the source of colours: points are looked up where the camera saw them.
 
@@ -184,26 +182,23 @@ class PhotographedScene:
     `region`, or their albedo where there is none. Nothing is taken from fringes.
     """
 
-    def __init__(
-        self,
-        scene: LensScene,
-        picture: FloatArray,
-        camera: FloatArray,
-        *,
-        region: tuple[slice, slice],
-        environment: FloatArray | None = None,
-    ) -> None:
-        self._scene, self._picture, self._camera = scene, picture, camera
-        self._center = camera_centers(camera[None])[0]
-        self._region, self._environment = region, environment
-        self._known: dict[int, tuple[cKDTree, FloatArray]] = {}
+    scene: LensScene
+    picture: FloatArray
+    camera: FloatArray
+    region: tuple[slice, slice]
+    environment: FloatArray | None = None
+    _known: dict[int, tuple[cKDTree, FloatArray]] = field(default_factory=dict)
+
+    @cached_property
+    def _center(self) -> FloatArray:
+        return camera_centers(self.camera)
 
     def look(self, straight: SceneRays, bent: SceneRays, mirrored: Sequence[SceneRays]) -> list[RayColors]:
         """Return the photograph's own pixels for straight rays, and what it shows of the others' ends."""
         assert straight.pixels is not None
-        last = np.array(self._picture.shape[1::-1]) - 1
+        last = np.array(self.picture.shape[1::-1]) - 1
         column, row = np.clip(np.round(straight.pixels).astype(int), 0, last).T
-        return [RayColors.known(self._picture[row, column]), self.seen(bent), *map(self.mirrored, mirrored)]
+        return [RayColors.known(self.picture[row, column]), self.seen(bent), *map(self.mirrored, mirrored)]
 
     def seen(self, rays: SceneRays) -> RayColors:
         """Return what the photograph shows at the ends of rays, and where it does not."""
@@ -211,45 +206,45 @@ class PhotographedScene:
         hit = rays.hits.face >= 0
         if hit.any():
             on = rays.chosen(hit)
-            position, surface = on.ends, self._scene.surface_of_face[on.hits.face]
-            colors, sampled = self._sample(project(self._camera, position)[0], surface)
+            position, surface = on.ends, self.scene.surface_of_face[on.hits.face]
+            colors, sampled = self._sample(project(self.camera, position)[0], surface)
             distance = norms(position - self._center)
-            first = self._scene.rays(self._center, (position - self._center) / distance[:, None])
-            known = sampled & (first.hits.distance >= distance - _SAME_POINT * self._scene.caster.size)
+            first = self.scene.rays(self._center, (position - self._center) / distance[:, None])
+            known = sampled & (first.hits.distance >= distance - _SAME_POINT * self.scene.caster.size)
             for number in np.unique(surface[~known]).tolist():
                 lost = ~known & (surface == number)
                 if number not in self._known:
                     # The points of the surface that pixels of the region show, and their colours.
-                    corner = [part.start or 0 for part in self._region]
-                    row, column = (np.argwhere(self._labels[self._region] == number) + corner).T
-                    way = pixel_directions(self._camera, np.stack([column, row], 1))
-                    ends = self._scene.rays(self._center, way)
+                    corner = [part.start or 0 for part in self.region]
+                    row, column = (np.argwhere(self._labels[self.region] == number) + corner).T
+                    way = pixel_directions(self.camera, np.stack([column, row], 1))
+                    ends = self.scene.rays(self._center, way)
                     met = np.flatnonzero(ends.hits.face >= 0)
-                    self._known[number] = cKDTree(ends.chosen(met).ends), self._picture[row[met], column[met]]
+                    self._known[number] = cKDTree(ends.chosen(met).ends), self.picture[row[met], column[met]]
                 tree, shown = self._known[number]
                 if len(shown):
                     colors[lost] = shown[tree.query(position[lost])[1]]
                 else:
-                    colors[lost] = self._scene.albedo(on.chosen(lost))
+                    colors[lost] = self.scene.albedo(on.chosen(lost))
             linear[hit], unknown[hit] = colors, ~known
         if not hit.all():
             # A background far away; where the photograph shows none there, that which is seen as near as
             # possible to the lens itself: surfaces may hide a ray's own direction over long stretches.
             past = rays.chosen(~hit)
-            pixels, _ = project(self._camera, self._center + past.directions)
+            pixels, _ = project(self.camera, self._center + past.directions)
             colors, known = self._sample(pixels, np.full(len(pixels), _AWAY))
             places = np.argwhere(self._labels == _AWAY)
             if len(places) and not known.all():
-                at, _ = project(self._camera, past.origins[~known])
+                at, _ = project(self.camera, past.origins[~known])
                 row, column = places[cKDTree(places).query(at[:, ::-1])[1]].T
-                colors[~known] = self._picture[row, column]
+                colors[~known] = self.picture[row, column]
             linear[~hit], unknown[~hit] = colors, ~known
         return RayColors.known(linear, unknown)
 
     def mirrored(self, rays: SceneRays) -> RayColors:
         """Return what mirrors show: points of the photograph, or the environment."""
         hit = rays.hits.face >= 0
-        linear, unknown = radiance_at(self._environment, rays.directions), np.zeros(len(hit), bool)
+        linear, unknown = radiance_at(self.environment, rays.directions), np.zeros(len(hit), bool)
         on_surface = self.seen(rays.chosen(hit))
         linear[hit], unknown[hit] = on_surface.bare, on_surface.unknown
         return RayColors.known(linear, unknown)
@@ -261,9 +256,9 @@ class PhotographedScene:
     @cached_property
     def _labels(self) -> IntArray:
         """(H, W) what each pixel shows."""
-        shape = self._picture.shape[:2]
-        face = self._scene.rays(self._center, pixel_directions(self._camera, pixel_grid(shape))).hits.face
-        label = np.where(face >= 0, self._scene.surface_of_face[face], _AWAY).reshape(shape)
+        shape = self.picture.shape[:2]
+        face = self.scene.rays(self._center, pixel_directions(self.camera, pixel_grid(shape))).hits.face
+        label = np.where(face >= 0, self.scene.surface_of_face[face], _AWAY).reshape(shape)
         frame, away = label == 0, label == _AWAY
         for kind, others in ((frame, ~frame), (~away, away)):
             label[binary_dilation(kind, np.ones((3, 3))) & others] = _MIXED
@@ -272,11 +267,11 @@ class PhotographedScene:
     def _sample(self, pixels: FloatArray, labels: IntArray) -> tuple[FloatArray, BoolArray]:
         """Return bilinear colours (N, 3) from pixels of the given labels, and where there are any."""
         at = np.where(np.isfinite(pixels), pixels, -1.0)
-        inside = np.asarray(((at >= 0) & (at <= np.array(self._labels.shape[::-1]) - 1)).all(1))
+        inside = within(at, self._labels.shape)
         total = np.zeros((len(at), 4))
         for number in np.unique(labels):
             own, wanted = (self._labels == number)[..., None], labels == number
-            total[wanted] = bilinear(np.concatenate([own * self._picture, own], 2), at[wanted])
+            total[wanted] = bilinear(np.concatenate([own * self.picture, own], 2), at[wanted])
         share = total[:, 3]
         return total[:, :3] / np.where(share > 0, share, 1.0)[:, None], inside & (share >= _LEAST_SHARE)
 

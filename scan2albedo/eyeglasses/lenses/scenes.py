@@ -12,6 +12,7 @@ from scan2albedo.core.arrays import (
     BoolArray,
     FloatArray,
     IntArray,
+    RealArray,
     all_finite,
     dots,
     norms,
@@ -19,7 +20,7 @@ from scan2albedo.core.arrays import (
 )
 from scan2albedo.errors import EyeglassesError
 from scan2albedo.eyeglasses.keypoints import checked_mesh
-from scan2albedo.geometry.mesh import RayHits, face_cross_products, normalized, vertex_normals
+from scan2albedo.geometry.mesh import RayHits, face_cross_products, join, normalized, vertex_normals
 from scan2albedo.geometry.rasterization import bilinear, pixels_from_uv
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.lighting.environment import texel_directions, texel_solid_angles
@@ -42,13 +43,13 @@ class Surface:
     Raises EyeglassesError when there are no faces or numbers are not finite; ValueError for a wrong shape.
     """
 
-    vertices: ArrayLike
-    faces: ArrayLike
+    vertices: FloatArray
+    faces: IntArray
     """(F, 3) over `vertices` (V, 3), of any winding where both sides are seen."""
     albedo_linear: ArrayLike = (0.5, 0.5, 0.5)
     """(3,) or (V, 3); ignored where there is a texture."""
-    uv: ArrayLike | None = None
-    texture_linear: ArrayLike | None = None
+    uv: FloatArray | None = None
+    texture_linear: RealArray | None = None
     """(H, W, 3) albedo; needs `uv`, (V, 2) or (F, 3, 2) of each face's corners; v = 0 is the bottom row."""
     roughness_rad: float = 0.0
     """Oren and Nayar's sigma; 0 is Lambert."""
@@ -109,10 +110,8 @@ class LensScene:
 
     def __init__(self, frame: Surface, surfaces: Sequence[Surface]) -> None:
         self.surfaces = (frame, *surfaces)
-        meshes = [(np.asarray(s.vertices), np.asarray(s.faces)) for s in self.surfaces]
-        starts = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
-        self.vertices = np.concatenate([vertices for vertices, _ in meshes])
-        self.faces = np.concatenate([faces + at for (_, faces), at in zip(meshes, starts[:-1], strict=True)])
+        meshes = [(surface.vertices, surface.faces) for surface in self.surfaces]
+        self.vertices, self.faces = join(meshes)
         counts = [len(faces) for _, faces in meshes]
         self._face_starts = np.cumsum([0, *counts])
         self.surface_of_face = np.repeat(np.arange(len(meshes)), counts)
@@ -153,9 +152,9 @@ class LensScene:
         for number, surface in enumerate(self.surfaces):
             own = np.flatnonzero(self.surface_of_face[rays.hits.face] == number)
             weight, face = rays.hits.barycentric[own], rays.hits.face[own] - self._face_starts[number]
-            corners = np.asarray(surface.faces)[face]
-            if surface.texture_linear is not None:
-                uv, texture = np.asarray(surface.uv), np.asarray(surface.texture_linear)
+            corners = surface.faces[face]
+            uv, texture = surface.uv, surface.texture_linear
+            if uv is not None and texture is not None:
                 at = np.einsum("nk,nkc->nc", weight, uv[face] if uv.ndim == 3 else uv[corners])
                 albedo[own] = bilinear(texture, pixels_from_uv(at, texture.shape[:2]))
             elif (color := np.asarray(surface.albedo_linear)).ndim == 1:
@@ -202,5 +201,5 @@ def white_exposure(environment_linear: FloatArray, front: FloatArray) -> float:
     rows, columns = environment_linear.shape[:2]
     light = environment_linear.mean(2) * texel_solid_angles(rows, columns)[:, None]
     facing = np.maximum(texel_directions((rows, columns)) @ front, 0.0)
-    radiance = max(float((light * facing).sum()), float(light.sum()) / 4) / np.pi
+    radiance = max((light * facing).sum(), light.sum() / 4) / np.pi
     return WHITE_SHOWN / radiance if radiance > 0 else 1.0

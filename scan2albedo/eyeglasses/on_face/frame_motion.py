@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scan2albedo.core.arrays import BoolArray, FloatArray, finite_rows, identities, norms
+from scan2albedo.core.arrays import FloatArray, finite_rows, identities, norms
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.mean_keypoints import FRONT
-from scan2albedo.eyeglasses.skinning import known_bones, turn_conditions, turned_translations
+from scan2albedo.eyeglasses.skinning import known_bones, moved_by, turn_conditions, turned_translations
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.rays import blocks
 from scan2albedo.geometry.rigid import compose, rotation_from_vector
@@ -75,7 +75,7 @@ class FrameMotion:
 
     def __init__(self, keypoints: FloatArray, state: FrameState) -> None:
         self.keypoints, self.state = keypoints, state
-        self.known: BoolArray = finite_rows(keypoints)
+        self.known = finite_rows(keypoints)
         self.center = keypoints[self.known].mean(0)
 
     @cached_property
@@ -103,8 +103,7 @@ class FrameMotion:
 
     def positions(self, points: SkinnedPoints) -> FloatArray:
         """Return (N, 3) in the world."""
-        blended = (points.weights @ self.transforms[:, :3].reshape(-1, 12)).reshape(-1, 3, 4)
-        return np.einsum("nij,nj->ni", blended[:, :, :3], points.rest) + blended[:, :, 3]
+        return moved_by(self.transforms, points.weights, points.rest)
 
     def rows(
         self, points: SkinnedPoints, positions: FloatArray, slopes: FloatArray, *, rigid: bool = False

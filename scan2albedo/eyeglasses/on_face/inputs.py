@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from itertools import compress
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES, checked_keypoints,
 from scan2albedo.eyeglasses.mean_keypoints import require_posable, typical_size_factor
 from scan2albedo.eyeglasses.on_face.outline import MaskDistance, ObservedView
 from scan2albedo.geometry.pinhole import normalized_cameras
+from scan2albedo.geometry.rasterization import within
 from scan2albedo.geometry.rigid import is_rigid
 
 OBSERVED_MM = 1.2
@@ -100,8 +102,7 @@ class RegisteredEyeglasses:
     def unobserved(self) -> Texts:
         """What the pictures do not determine: "depth", and names of key points."""
         lost = np.isfinite(self.keypoint_deviation) & ~self.keypoints_observed
-        names = tuple(name for name, gone in zip(KEY_POINT_NAMES, lost, strict=True) if gone)
-        return (() if self.depth_observed else ("depth",)) + names
+        return (() if self.depth_observed else ("depth",)) + tuple(compress(KEY_POINT_NAMES, lost))
 
 
 @dataclass(frozen=True)
@@ -176,16 +177,14 @@ def checked_inputs(
             raise ValueError(f"{name} must have one entry for each of {count} cameras, got {len(listed)}")
     unit = 1 / typical_size_factor(keypoints)
     matrices = normalized_cameras(matrices * np.array([unit, unit, unit, 1.0]))
-    views, checked, shown, plan = [], [], [], []
+    views, plan = [], []
     for number, (camera, marks, mask) in enumerate(zip(matrices, labels, view_masks, strict=True)):
         shape = None if shapes is None else (int(shapes[number][0]), int(shapes[number][1]))
         picture = None if pictures is None else pictures[number]
-        view = _checked_view(number, camera, marks, mask, shape, picture)
-        views.append(view.observed)
-        checked.append(view.mask)
-        shown.append(view.picture)
-        if view.mask is not None and view.observed.distance is None:
-            what = "covers all of its picture" if view.mask.any() else "is empty"
+        view, covered, image = _checked_view(number, camera, marks, mask, shape, picture)
+        views.append((view, covered, image))
+        if covered is not None and view.distance is None:
+            what = "covers all of its picture" if covered.any() else "is empty"
             reason = f"the mask of view {number} {what}: it does not count"
             plan.append(PlanStep("glasses.mask", False, reason))
     skull = None
@@ -200,14 +199,8 @@ def checked_inputs(
             raise EyeglassesError("start must be a rigid world_from_glasses: a rotation and a translation")
         pose[:3, 3] /= unit
     frame = vertices / unit, faces, keypoints / unit, weights
-    seen = tuple(views), tuple(checked), tuple(shown)
-    return RegistrationInputs(*frame, *seen, skull, pose, unit, tuple(plan))
-
-
-class _CheckedView(NamedTuple):
-    observed: ObservedView
-    mask: BoolArray | None
-    picture: NDArray | None
+    observed, covered_by, shown = zip(*views, strict=True)
+    return RegistrationInputs(*frame, observed, covered_by, shown, skull, pose, unit, tuple(plan))
 
 
 def _checked_view(
@@ -217,7 +210,7 @@ def _checked_view(
     mask: ArrayLike | None,
     shape: GridShape | None,
     picture: ArrayLike | None,
-) -> _CheckedView:
+) -> tuple[ObservedView, BoolArray | None, NDArray | None]:
     """Return one view with its labels (20, 2), mask, size and picture; raises as `register_on_face`."""
     labelled = finite_rows(labels)
     found = labels[labelled]
@@ -235,7 +228,7 @@ def _checked_view(
     if covered is not None:
         if covered.ndim != 2 or min(covered.shape) < 2:
             raise ValueError(f"mask {number} must have shape (H, W), of 2 pixels or more: {covered.shape}")
-        outside = ((found < -0.5) | (found > np.array(covered.shape[::-1]) - 0.5)).any(1)
+        outside = ~within(found, covered.shape, 0.5)
         if len(found) and outside.mean() > 0.5:
             raise EyeglassesError(
                 f"{outside.sum()} of {len(found)} labels of view {number} lie outside its mask of "
@@ -246,5 +239,5 @@ def _checked_view(
         shape = covered.shape
         if covered.any() and not covered.all():
             distance = MaskDistance.of(covered)
-    observed = ObservedView(camera, np.where(labelled[:, None], labels, np.nan), distance, shape)
-    return _CheckedView(observed, covered, image)
+    marks = np.where(labelled[:, None], labels, np.nan)
+    return ObservedView(camera, marks, distance, shape), covered, image

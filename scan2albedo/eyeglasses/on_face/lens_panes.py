@@ -15,6 +15,7 @@ from scan2albedo.eyeglasses.mean_keypoints import RIMS
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
 from scan2albedo.eyeglasses.on_face.outline import FrameMesh, hidden_by
 from scan2albedo.geometry.pinhole import project
+from scan2albedo.geometry.rasterization import within
 from scan2albedo.geometry.rays import RayCaster
 
 
@@ -37,7 +38,7 @@ def rim_openings(
             continue
         panes = pane_faces(vertices, faces[left], plane, marks)
         own, left = left[panes], left[~panes]
-        found.append((side, np.asarray(rim), own, is_covered(vertices, faces[left], plane, marks)))
+        found.append((side, rim, own, is_covered(vertices, faces[left], plane, marks)))
     return found
 
 
@@ -67,11 +68,11 @@ def fit_lenses_to_masks(
         for view, (camera, mask) in enumerate(zip(cameras, masks, strict=True)):
             if mask is not None:
                 pixels, depth = project(camera, places[~hidden_by(head, camera, places)])
-                column, row = np.round(np.where(depth[:, None] > 0, pixels, -1.0)).astype(int).T
-                inside = (row >= 0) & (column >= 0) & (row < mask.shape[0]) & (column < mask.shape[1])
+                places_px = np.round(np.where(depth[:, None] > 0, pixels, -1.0)).astype(int)
+                column, row = places_px[within(places_px, mask.shape)].T
                 # Fewer of the 264 places say nothing.
-                if inside.sum() >= 40:
-                    shares[view] = mask[row[inside], column[inside]].mean()
+                if len(row) >= 40:
+                    shares[view] = mask[row, column].mean()
         if np.isnan(shares).all():
             continue
         # A view that cannot say is taken to be like the others.

@@ -93,11 +93,11 @@ class HeadContact:
         normals = self._normals[hits.face]
         height = dots(place - hits.points, normals)
         signed = np.where(height < 0, -hits.distance, hits.distance)
-        first = int(np.argmin(signed))
+        first = np.argmin(signed)
         away = place[first] - hits.points[first]
-        length = float(np.linalg.norm(away))
+        length = np.linalg.norm(away)
         slope = normals[first] if length < 1e-9 else np.sign(signed[first]) * away / length
-        return self._candidates[[first]], place[[first]], float(signed[first]), slope[None]
+        return self._candidates[[first]], place[[first]], signed[first], slope[None]
 
 
 class RegistrationObjective:
@@ -181,8 +181,8 @@ class RegistrationObjective:
         slopes = (size[:, :, None] * axes.transpose(0, 2, 1)).reshape(-1, 3)
         values, votes = (along / np.maximum(size, least)).ravel(), (size > least).astype(float).ravel()
         sums.add(sums.rows(marks[three], place[three], slopes), values, votes)
-        sums.cost += float(ROBUST**2 * np.log1p(square / ROBUST**2).sum())
-        sums.cost += float((offset**2).sum() / _OFFSET_MM**2)
+        sums.cost += ROBUST**2 * np.log1p(square / ROBUST**2).sum()
+        sums.cost += (offset**2).sum() / _OFFSET_MM**2
         return errors
 
     def _add_outlines(self, samples: OutlineSamples, sums: _Sums) -> FloatArray:
@@ -209,9 +209,9 @@ class RegistrationObjective:
             sums.cost += (bias / BIAS_PX) ** 2
             # What the bias takes from the matrix: all values may be off by one amount.
             common = rows[mine].T @ (weight * along)
-            sums.matrix -= np.outer(common, common) / (float(weight @ along**2) + 1 / BIAS_PX**2)
+            sums.matrix -= np.outer(common, common) / (weight @ along**2 + 1 / BIAS_PX**2)
         sums.add(rows, residual, VOTE * huber_weights(residual, ROBUST))
-        sums.cost += 2 * float(VOTE * huber_loss(residual, ROBUST).sum())
+        sums.cost += 2 * VOTE * huber_loss(residual, ROBUST).sum()
         return error
 
 

@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 from scipy.cluster.vq import kmeans2, vq
 from scipy.ndimage import binary_dilation, distance_transform_edt
-from scipy.special import expit, logsumexp
+from scipy.special import expit, log_softmax, logsumexp, softmax
 
 from scan2albedo.core.arrays import (
     BoolArray,
@@ -23,8 +23,8 @@ from scan2albedo.core.arrays import (
 from scan2albedo.eyeglasses.mean_keypoints import BEHIND
 from scan2albedo.eyeglasses.on_face.frame_motion import FrameMotion, SkinnedPoints
 from scan2albedo.geometry.mesh import normalized
-from scan2albedo.geometry.pinhole import camera_centers, pixel_directions, project
-from scan2albedo.geometry.rasterization import bilinear, bilinear_slopes
+from scan2albedo.geometry.pinhole import camera_centers, focal_px, pixel_directions, project
+from scan2albedo.geometry.rasterization import bilinear, bilinear_slopes, within
 from scan2albedo.geometry.rays import RayCaster
 from scan2albedo.rendering.pictures import SeenSamples, seen_samples
 
@@ -62,10 +62,8 @@ class MaskDistance:
 
     def sample(self, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return distances (N,) and slopes (N, 2) by column and row, bilinear; NaN outside the window."""
-        height, width = self.field.shape
         place = pixels - np.array(self.corner)
-        with np.errstate(invalid="ignore"):
-            inside = ((place >= 0) & (place <= [width - 1, height - 1])).all(1)
+        inside = within(place, self.field.shape)
         field, where = self.field[..., None], np.where(inside[:, None], place, 0.0)
         value, slope = bilinear(field, where)[:, 0], bilinear_slopes(field, where)[:, 0]
         value[~inside], slope[~inside] = np.nan, np.nan
@@ -84,7 +82,7 @@ def search_edges(
     if not len(pixels):
         return result
     edge = 0.5  # from the middles of the mask's outermost pixels
-    farthest = int(np.ceil(reach_px.max()))
+    farthest = np.ceil(reach_px.max())
     ways = np.arange(-farthest, farthest + 1.0)
     value, slope = distance.sample((pixels[:, None] + ways[:, None] * outward[:, None]).reshape(-1, 2))
     value = value.reshape(len(pixels), -1)
@@ -156,7 +154,7 @@ def hidden_by(head: RayCaster | None, camera: FloatArray, points: FloatArray) ->
     """Return (N,) True for points that the head hides from a camera."""
     if head is None:
         return np.zeros(len(points), bool)
-    toward = camera_centers(camera[None])[0] - points
+    toward = camera_centers(camera) - points
     # From 1 mm above, for frames rest on the skin.
     return head.occluded(points + normalized(toward), toward)
 
@@ -225,7 +223,7 @@ def search_colors(
     probability (N,) that the frame is there at all, as likely beforehand as that something hides it: the odds
     of the two are the mean over d of exp(sum of m(s) o(s + d)).
     """
-    farthest = int(np.ceil(reach_px.max(initial=1.0)))
+    farthest = np.ceil(reach_px.max(initial=1.0))
     side, ways = np.arange(-_SIDE_PX, _SIDE_PX + 1.0), np.arange(-farthest, farthest + 1.0)
     along = np.arange(ways[0] + side[0], ways[-1] + side[-1] + 1)
 
@@ -236,26 +234,26 @@ def search_colors(
     # Over three pixels a picture is alike: together they say as much as one.
     profile, seen = across(frame.astype(float), side), across(odds / 3, along)
     windows = np.lib.stride_tricks.sliding_window_view(seen, len(side), axis=1)
-    prior = -((ways / np.maximum(reach_px / 3, 0.5)[:, None]) ** 2) / 2
-    prior -= np.log(np.exp(prior).sum(1, keepdims=True))
+    prior = log_softmax(-((ways / np.maximum(reach_px / 3, 0.5)[:, None]) ** 2) / 2, axis=1)
     # All in the frame's colours or all in others is no edge, and every frame is one against its surroundings.
     place, there = (np.einsum("ns,nds->nd", profile - less, windows) + prior for less in (0.5, 0.0))
-    chance = np.exp(place - place.max(1, keepdims=True))
-    chance /= chance.sum(1, keepdims=True)
+    chance = softmax(place, axis=1)
     mean = chance @ ways
     spread = np.sqrt(np.maximum(chance @ ways**2 - mean**2, 0.0) + 1 / 12)
-    return mean, spread, np.asarray(expit(logsumexp(there, axis=1)))
+    return mean, spread, expit(logsumexp(there, axis=1))
 
 
+@dataclass(frozen=True)
 class OutlineSampler:
-    """Traces the outlines of a moving frame, with the head, if any, in front of it."""
+    """Traces the outlines of a moving frame, with the head, if any, in front of it.
 
-    def __init__(
-        self, mesh: FrameMesh, views: Views, head: RayCaster | None, shown: tuple[IntArray, ...] | None = None
-    ) -> None:
-        """`shown` are the faces that each view's mask shows, all of them when omitted."""
-        self.mesh, self.views, self.head = mesh, views, head
-        self.shown = (mesh.faces,) * len(views) if shown is None else shown
+    `shown` are the faces that each view's mask shows, all of them when omitted.
+    """
+
+    mesh: FrameMesh
+    views: Views
+    head: RayCaster | None
+    shown: tuple[IntArray, ...] | None = None
 
     def sample(self, motion: FrameMotion, deviation_mm: FloatArray) -> OutlineSamples:
         """Return outline points that the head does not hide and whose observed outline is within reach.
@@ -279,12 +277,12 @@ class OutlineSampler:
             unknown = np.full((1, count), np.nan)
             return OutlineSamples(nothing.astype(int), points[:0], nowhere, nowhere, nothing, unknown)
         camera = view.camera
-        shown = seen_samples(vertices, self.shown[number], camera, view.shape)
+        shown = self._seen(vertices, number)
         which, outward = trace_outline(shown)
         seen = shown.chosen(which)
         foremost = seen.corners[:, 0]
         owner = points.weights.argmax(1)[foremost]
-        px_per_mm = np.sqrt(abs(np.linalg.det(camera[:, :3]))) / project(camera, vertices)[1][foremost]
+        px_per_mm = focal_px(camera) / project(camera, vertices)[1][foremost]
         reach = np.minimum(5.0 + 3 * points.weights[foremost] @ deviation_mm * px_per_mm, REACH_PX)
         place = np.stack(np.divmod(seen.index, view.shape[1])[::-1], 1).astype(float)
         # Points nearer to the picture's border than to the observed outline may have it outside.
@@ -310,6 +308,11 @@ class OutlineSampler:
         at_rest = SkinnedPoints(chosen.interpolated(points.rest), chosen.interpolated(points.weights))
         of_view = np.full(len(kept), number)
         return OutlineSamples(of_view, at_rest, edges[kept], outward[kept], noise[kept], share[None])
+
+    def _seen(self, vertices: FloatArray, number: int) -> SeenSamples:
+        view, faces = self.views[number], self.mesh.faces if self.shown is None else self.shown[number]
+        assert view.shape is not None
+        return seen_samples(vertices, faces, view.camera, view.shape)
 
     def _search_picture(
         self,
@@ -339,7 +342,7 @@ class OutlineSampler:
         """Return (N,) True for points that the head hides, or a ray four pixels beside them."""
         hidden = hidden_by(self.head, camera, points)
         if self.head is not None and len(points):
-            center = camera_centers(camera[None])[0]
+            center = camera_centers(camera)
             far = norms(points - center)[:, None]
             for step in ((1, 0), (-1, 0), (0, 1), (0, -1)):
                 ray = pixel_directions(camera, pixels + 4.0 * np.array(step))
@@ -351,7 +354,7 @@ class OutlineSampler:
         view = self.views[number]
         assert view.shape is not None
         vertices = motion.positions(self.mesh.points)
-        seen = seen_samples(vertices, self.shown[number], view.camera, view.shape)
+        seen = self._seen(vertices, number)
         seen = seen.chosen(~hidden_by(self.head, view.camera, seen.interpolated(vertices)))
         owner = np.full(view.shape, -1, int)
         owner.flat[seen.index] = seen.corners[:, 0]

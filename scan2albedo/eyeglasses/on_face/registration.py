@@ -105,7 +105,7 @@ class _Registration:
         self, checked: inputs.RegistrationInputs, options: FaceRegistrationOptions, meter: Meter
     ) -> None:
         self.inputs, self.options, self.meter = checked, options, meter
-        self.steps: list[PlanStep] = list(checked.plan)
+        self.steps = list(checked.plan)
         self.bend_found = True
         self.unseen: FrameEstimate | None = None
         self.objective = RegistrationObjective(checked.keypoints, checked.views, options)
@@ -155,7 +155,7 @@ class _Registration:
             self._note("pose", False, f"no key point is labelled: {where}")
             unseen = FrameEstimate(starts[len(starts) // 2], rigid(starts[len(starts) // 2]), True)
             self._look_at_pictures(unseen.state)
-            if not any(view.colors is not None for view in self.objective.views):
+            if not self._seen_in_pictures:
                 return unseen
             self.unseen = unseen
             seen = checked.keypoints, self.objective.views, self.sampler.head
@@ -174,6 +174,10 @@ class _Registration:
         if error_px > options.label_noise_px and not self.meter.exhausted:
             start_poses.require_unmirrored(checked, options, error_px)
         return found
+
+    @property
+    def _seen_in_pictures(self) -> bool:
+        return any(view.colors is not None for view in self.inputs.views)
 
     def _look_at_pictures(self, state: FrameState) -> None:
         """Let pictures stand in for masks, their colours grouped around where the frame is about."""
@@ -195,10 +199,10 @@ class _Registration:
 
     def _watch(self, views: tuple[outline.ObservedView, ...]) -> None:
         """Take other views from here on."""
-        keypoints, sampler = self.inputs.keypoints, self.sampler
+        keypoints, contact = self.inputs.keypoints, self.objective.contact
         self.inputs = replace(self.inputs, views=views)
-        self.objective = RegistrationObjective(keypoints, views, self.options, self.objective.contact)
-        self.sampler = outline.OutlineSampler(sampler.mesh, views, sampler.head, sampler.shown)
+        self.objective = RegistrationObjective(keypoints, views, self.options, contact)
+        self.sampler = replace(self.sampler, views=views)
 
     def _bend(self, before: FrameEstimate) -> FrameEstimate:
         if not (self.options.bend and self.inputs.labelled):
@@ -260,7 +264,7 @@ class _Registration:
         sampler = self.sampler
         mesh, shown, steps = fit_lenses_to_masks(sampler.mesh, motion, cameras, masks, sampler.head)
         self.steps += steps
-        self.sampler = outline.OutlineSampler(mesh, views, sampler.head, shown)
+        self.sampler = replace(sampler, mesh=mesh, shown=shown)
 
     def _match_outlines(self, before: FrameEstimate) -> FrameEstimate:
         if self.inputs.labelled and any(picture is not None for picture in self.inputs.pictures):
@@ -279,10 +283,10 @@ class _Registration:
         motion = self.objective.motion(before.state)
         # What labels leave open: outlines that have found a wrong place would call it certain.
         deviation_mm = mark_deviations(self.inputs, motion, before.at)
-        if not self.inputs.labelled and any(view.colors is not None for view in views):
+        if not self.inputs.labelled and self._seen_in_pictures:
             lever = norms(np.nan_to_num(self.inputs.keypoints - motion.center))
             # Half the step between the slopes that were tried.
-            deviation_mm = float(np.diff(start_poses.LEANS_RAD).max()) / 2 * lever
+            deviation_mm = np.diff(start_poses.LEANS_RAD).max() / 2 * lever
         # One clock for all tracings: the rows of a stage count from its start.
         meter = self.meter.sub_meter(f"{self.meter.stage}.outlines", "px")
         while len(moves) < 10 and not settled and not meter.exhausted:
@@ -291,26 +295,27 @@ class _Registration:
                 self.meter.merge(meter)
                 reach = f"{outline.REACH_PX:g} px"
                 self._note("outlines", False, "no outline of the frame is near a mask's", reach)
-                lost = self._unfound(reach) if any(view.colors is not None for view in views) else None
+                lost = self._unfound(reach) if self._seen_in_pictures else None
                 return lost or found
             start = found.state
             # Without labels the first outlines may be beside the true ones: bends would follow them.
             rigid = not (self.options.bend and (self.inputs.labelled or len(moves) > 2))
             linearize = partial(self.objective.linearize, samples=samples, rigid=rigid)
             found = descend(linearize, start, meter, steps=6, tolerance=1e-3, error="mean_outline_px")
+            moved = self.objective.motion(found.state)
             first = found.at.mean_outline_px if not moves else first
             if not self.inputs.labelled and self.options.bend:
                 # What is open to bends so far is looked for farther away.
                 at = self.objective.linearize(found.state, samples)
-                deviation_mm = mark_deviations(self.inputs, self.objective.motion(found.state), at)
+                deviation_mm = mark_deviations(self.inputs, moved, at)
             # The longest way of a key point, in its standard deviations: half of one has settled. It may
             # grow once, for tracing jumps from pixel to pixel.
             places = []
             for state in (start, found.state):
                 world = self.objective.motion(state).world_from_frame
                 places.append(transform_points(world, self.inputs.keypoints[known] + state.shifts[known]))
-            deviation = mark_deviations(self.inputs, self.objective.motion(found.state), found.at)[known]
-            moves.append(float((norms(places[1] - places[0]) / deviation).max()))
+            deviation = mark_deviations(self.inputs, moved, found.at)[known]
+            moves.append((norms(places[1] - places[0]) / deviation).max())
             increases = sum(move > min(moves[:i]) for i, move in enumerate(moves) if i)
             settled = (moves[-1] < 0.5 or increases > 1) and rigid != self.options.bend
             found = replace(found, converged=settled)
@@ -323,7 +328,7 @@ class _Registration:
             found_of = share.mean(1).filled(0.0)
             shares = ", ".join(f"view {n} {part:.0%}" for n, part in zip(watched, found_of, strict=True))
             evidence = f"of the front's outline: {shares}"
-            if float(found_of.mean()) < _FOUND:
+            if found_of.mean() < _FOUND:
                 return self._unfound(evidence) or before
             self._note("pictures", True, "the frame is found in the pictures", evidence)
         labels = before.at.median_label_px, found.at.median_label_px

@@ -1,6 +1,7 @@
 """How well the pictures fix a frame, where they contradict it, and the result in the caller's unit."""
 
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
@@ -28,6 +29,7 @@ from scan2albedo.eyeglasses.on_face.outline import (
 from scan2albedo.geometry.closest_points import ClosestPointQuery
 from scan2albedo.geometry.mesh import normalized
 from scan2albedo.geometry.pinhole import camera_centers, project, projected
+from scan2albedo.geometry.rasterization import within
 
 _MODEL_MM = 0.06
 """What key points and weights cannot follow of a frame at rest."""
@@ -74,17 +76,21 @@ def report(
     )
     # With more than a third of the labels off, which are the right ones is a guess.
     errors = at.labels_px[~np.isnan(at.labels_px)]
-    misfit = float((errors > 3 * options.label_noise_px).mean()) if len(errors) else 0.0
+    misfit = (errors > 3 * options.label_noise_px).mean() if len(errors) else 0.0
     trusted = bend_found and misfit <= 1 / 3
-    fit = _fit_to_masks(inputs, sampler, motion, samples, at, shown.outline_noise_px)
+    outline_rms_px, iou, differing = _fit_to_masks(
+        inputs, sampler, motion, samples, at, shown.outline_noise_px
+    )
     # More pixels than 25 are a patch as wide as a temple.
-    wrong = (fit.differing > 25) & inputs.known
+    wrong = (differing > 25) & inputs.known
     sought = marks_visible & (known_to.keypoints <= OBSERVED_MM)
-    proposed = _propose(inputs, sampler, motion, samples, known_to, sought, shown.outline_noise_px)
+    labels, deviations_px, masks, rows = _propose(
+        inputs, sampler, motion, samples, known_to, sought, shown.outline_noise_px
+    )
     apart = 0.0
     if inputs.head is not None:
-        apart = float(ClosestPointQuery(*inputs.head).query(keypoints[inputs.known]).distance.min())
-    names = ", ".join(name for name, bad in zip(KEY_POINT_NAMES, wrong, strict=True) if bad)
+        apart = ClosestPointQuery(*inputs.head).query(keypoints[inputs.known]).distance.min()
+    names = ", ".join(compress(KEY_POINT_NAMES, wrong))
     nothing = "nothing counts as observed"
     doubts = (
         (depth > OBSERVED_MM, "depth", "the views do not see depth", f"{depth:.1f} mm standard deviation"),
@@ -115,9 +121,7 @@ def report(
         ),
         (wrong.any(), "contradicted", "masks show them elsewhere or not at all", names),
     )
-    rows = proposed.steps + [
-        PlanStep.doubt(f"glasses.{name}", *said) for holds, name, *said in doubts if holds
-    ]
+    rows += [PlanStep.doubt(f"glasses.{name}", *said) for holds, name, *said in doubts if holds]
     hidden = inputs.known & ~marks_visible.any(0)
     uncertain = inputs.known & ~hidden & (known_to.keypoints > OBSERVED_MM)
     for lost, why in ((hidden, "hidden in all views"), (uncertain, "seen, but not well enough")):
@@ -147,11 +151,11 @@ def report(
         depth_observed=bool(trusted and depth <= OBSERVED_MM and known_to.inflation < _ONE_VIEW),
         label_errors_px=at.labels_px,
         inliers=at.labels_px <= 3 * options.label_noise_px,
-        outline_rms_px=fit.outline_rms_px,
-        iou=fit.iou,
-        proposed_labels=proposed.labels,
-        proposed_deviation_px=proposed.deviation_px,
-        proposed_masks=tuple(proposed.masks),
+        outline_rms_px=outline_rms_px,
+        iou=iou,
+        proposed_labels=labels,
+        proposed_deviation_px=deviations_px,
+        proposed_masks=tuple(masks),
         converged=found.converged,
         iterations=meter.evaluations,
         plan=plan + rows,
@@ -162,14 +166,13 @@ def report(
 def _noise_shown(options: FaceRegistrationOptions, at: Linearization) -> FaceRegistrationOptions:
     """Return the options with the noise that labels and outlines show, where there are enough of them."""
     labels = at.labels_px[np.isfinite(at.labels_px)]
-    outline = np.abs(at.outline_px)
     # Over the medians of a distance in the plane (Rayleigh) and of an error, at a deviation of 1.
-    if len(labels) > 4:
-        noise_px = float(np.median(labels) / np.sqrt(2 * np.log(2)))
-        options = replace(options, label_noise_px=max(_LEAST_NOISE_PX, noise_px))
-    if len(outline) > 4:
-        noise_px = float(np.median(outline) / (np.sqrt(2) * erfinv(0.5)))
-        options = replace(options, outline_noise_px=max(_LEAST_NOISE_PX, noise_px))
+    for name, errors_px, usual in (
+        ("label_noise_px", labels, np.sqrt(2 * np.log(2))),
+        ("outline_noise_px", np.abs(at.outline_px), np.sqrt(2) * erfinv(0.5)),
+    ):
+        if len(errors_px) > 4:
+            options = replace(options, **{name: max(_LEAST_NOISE_PX, np.median(errors_px) / usual)})
     return options
 
 
@@ -223,15 +226,6 @@ def _certainty(
     )
 
 
-@dataclass(frozen=True)
-class _MaskFit:
-    """Outlines' distances (C,), intersections over unions (C,), and differing pixels by key point (20,)."""
-
-    outline_rms_px: FloatArray
-    iou: FloatArray
-    differing: FloatArray
-
-
 def _fit_to_masks(
     inputs: RegistrationInputs,
     sampler: OutlineSampler,
@@ -239,13 +233,10 @@ def _fit_to_masks(
     samples: OutlineSamples,
     at: Linearization,
     noise_px: float,
-) -> _MaskFit:
-    count = len(inputs.views)
-    outline_rms, iou, differing = (
-        np.full(count, np.nan),
-        np.full(count, np.nan),
-        np.zeros(len(inputs.keypoints)),
-    )
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return outlines' distances, intersections over unions (C,), and differing pixels by key point (20,)."""
+    outline_rms, iou = np.full((2, len(inputs.views)), np.nan)
+    differing = np.zeros(len(inputs.keypoints))
     for number, (view, mask) in enumerate(zip(inputs.views, inputs.masks, strict=True)):
         seen = at.outline_px[samples.view == number]
         if len(seen):
@@ -253,17 +244,7 @@ def _fit_to_masks(
         if mask is not None and view.distance is not None:
             iou[number], here = compare_masks(sampler, motion, number, mask, noise_px)
             differing = np.maximum(differing, here)
-    return _MaskFit(outline_rms, iou, differing)
-
-
-@dataclass(frozen=True)
-class _Proposals:
-    """What pictures show: `labels` (C, 20, 2), their deviations (C, 20), masks (H, W), and plan steps."""
-
-    labels: FloatArray
-    deviation_px: FloatArray
-    masks: list[BoolArray | None]
-    steps: list[PlanStep]
+    return outline_rms, iou, differing
 
 
 def _propose(
@@ -274,12 +255,15 @@ def _propose(
     known_to: _Certainty,
     sought: BoolArray,
     noise_px: float,
-) -> _Proposals:
-    """Return the `sought` (C, 20) key points that pictures show, and the frame's pixels in them."""
+) -> tuple[FloatArray, FloatArray, list[BoolArray | None], list[PlanStep]]:
+    """Return what pictures show of the `sought` (C, 20) key points, and the frame's pixels in them.
+
+    Labels (C, 20, 2), their deviations (C, 20) px, masks (H, W), and plan steps.
+    """
     keypoints, covariances = motion.positions(motion.marks), known_to.covariances
-    found = _Proposals(
-        np.full((*sought.shape, 2), np.nan), np.full(sought.shape, np.nan), [None] * len(sought), []
-    )
+    labels, deviations_px = np.full((*sought.shape, 2), np.nan), np.full(sought.shape, np.nan)
+    masks: list[BoolArray | None] = [None] * len(sought)
+    steps = []
     scale = known_to.keypoints**2 / np.maximum(np.trace(covariances, axis1=1, axis2=2), 1e-12)
     for number, view in enumerate(inputs.views):
         if view.colors is None:
@@ -291,17 +275,17 @@ def _propose(
         with np.errstate(invalid="ignore"):
             here &= samples.share[number] > 0.5
         deviation_px = np.sqrt(scale * np.trace(spread, axis1=1, axis2=2) / 2)
-        found.labels[number, here] = pixels[here]
-        found.deviation_px[number, here] = deviation_px[here]
+        labels[number, here] = pixels[here]
+        deviations_px[number, here] = deviation_px[here]
         sure = [f"{KEY_POINT_NAMES[k]} {deviation_px[k]:.1f}" for k in np.flatnonzero(here)]
         reason = f"{len(sure) or 'no'} key points of view {number} are proposed from its picture"
         evidence = f"standard deviations in px: {', '.join(sure)}" if sure else ""
-        found.steps.append(PlanStep("glasses.proposed", bool(sure), reason, evidence))
+        steps.append(PlanStep("glasses.proposed", bool(sure), reason, evidence))
         # Bayes: of a pixel's distance from the outline, as sure as the outline is, and of its colour.
         frame, _ = sampler.mask(motion, number)
         inward = (distance_transform_edt(frame) - distance_transform_edt(~frame)) / noise_px
-        found.masks[number] = log_ndtr(inward) - log_ndtr(-inward) + color_odds(view.colors, frame) > 0
-    return found
+        masks[number] = log_ndtr(inward) - log_ndtr(-inward) + color_odds(view.colors, frame) > 0
+    return labels, deviations_px, masks, steps
 
 
 def _root(matrix: FloatArray) -> FloatArray:
@@ -334,8 +318,7 @@ def _visible(sampler: OutlineSampler, view: ObservedView, points: FloatArray) ->
     pixels, depth = project(view.camera, points)
     inside = depth > 0
     if view.shape is not None:
-        with np.errstate(invalid="ignore"):
-            inside &= ((pixels >= -0.5) & (pixels <= np.array(view.shape[::-1]) - 0.5)).all(1)
+        inside &= within(pixels, view.shape, 0.5)
     return inside & ~hidden_by(sampler.head, view.camera, points)
 
 
@@ -346,9 +329,9 @@ def _depth_deviation(
     best = np.inf
     for view, seen in zip(views, visible, strict=True):
         if seen.any():
-            rays = normalized(keypoints[seen] - camera_centers(view.camera[None])[0])
+            rays = normalized(keypoints[seen] - camera_centers(view.camera))
             variance = np.maximum(np.einsum("ni,nij,nj->n", rays, covariances[seen], rays), 0.0)
-            best = min(best, float(np.sqrt(variance.mean())))
+            best = min(best, np.sqrt(variance.mean()))
     return best
 
 

@@ -59,7 +59,7 @@ def poses_on_face(inputs: RegistrationInputs) -> list[FrameState]:
     landmarks = default_model().landmarks
     assert landmarks is not None
     away = ClosestPointQuery(*inputs.head).query(landmarks / mm).distance
-    if not float(np.median(away)) * mm <= WORN_MM / 2:
+    if not np.median(away) * mm <= WORN_MM / 2:
         where = "is not in the face model's frame, mm, looking along +z"
         raise EyeglassesError(f"no key point is labelled, and the head to put the frame on {where}: {advice}")
     eyes = landmarks[36:48].mean(0) / mm
@@ -68,7 +68,7 @@ def poses_on_face(inputs: RegistrationInputs) -> list[FrameState]:
     nearest = cKDTree(inputs.keypoints[inputs.known]).query(inputs.vertices)[1]
     front = inputs.vertices[~BEHIND[np.flatnonzero(inputs.known)[nearest]]]
     caster, found = RayCaster(*inputs.head), []
-    far = 2 * float(np.ptp(inputs.vertices, axis=0).max())
+    far = 2 * np.ptp(inputs.vertices, axis=0).max()
     for lean in LEANS_RAD:
         turn = rotation_from_vector(np.array([lean, 0, 0])) @ own_axes(inputs.keypoints)
         start = compose(turn, eyes + [0.0, 0.0, far] - turn @ middle)
@@ -80,7 +80,7 @@ def poses_on_face(inputs: RegistrationInputs) -> list[FrameState]:
 
 def place_in_pictures(
     states: Sequence[FrameState], mesh: FrameMesh, keypoints: FloatArray, views: Views, head: RayCaster | None
-) -> tuple[FrameState, FloatArray, FloatArray]:
+) -> tuple[FrameState, FloatArray, float]:
     """Return the state, shifted, whose projections part the pictures' colours best, and how sure that is.
 
     For each state and shift t the colours where the frame is projected, n_k of group k, and those around it,
@@ -101,7 +101,7 @@ def place_in_pictures(
     # The key points lie behind the mesh's own vertices.
     fans = [rim[[[0, 1, 2], [0, 2, 3], [0, 3, 4]]] + len(mesh.points.rest) for _, rim, *_ in openings]
     filled = np.concatenate([rims, *fans])
-    best: tuple[float, FrameState, FloatArray] | None = None
+    tried = []
     used = [view for view in views if view.colors is not None]
     for state in states:
         motion = FrameMotion(keypoints, state)
@@ -112,16 +112,14 @@ def place_in_pictures(
             for view in used:
                 gain += _color_gain(view, vertices, faces, head, middle, shifts)
             score = gain - prior
-            top = float(score.max())
+            top = score.max()
             chance = np.exp(score - top)
-            evidence = top + float(np.log(chance.sum()))
-            if best is None or evidence > best[0]:
-                mean = chance @ shifts / chance.sum()
-                spread = np.sqrt(chance @ (shifts - mean) ** 2 / chance.sum() + 1 / 12)
-                known = np.append(spread, gain[score.argmax()] / len(used))
-                best = evidence, replace(state, origin=state.origin + mean), known
-    assert best is not None
-    return best[1], best[2][:3], best[2][3]
+            evidence = top + np.log(chance.sum())
+            mean = chance @ shifts / chance.sum()
+            spread = np.sqrt(chance @ (shifts - mean) ** 2 / chance.sum() + 1 / 12)
+            moved = replace(state, origin=state.origin + mean)
+            tried.append((evidence, moved, spread, gain[score.argmax()] / len(used)))
+    return max(tried, key=lambda trial: trial[0])[1:]
 
 
 def _color_gain(
@@ -136,7 +134,7 @@ def _color_gain(
     assert view.colors is not None
     pixels, slopes, ahead = projected(view.camera[None], np.concatenate([middle[None], middle + shifts]))
     # A cell of about a millimetre.
-    step = max(1, round(float(np.linalg.norm(slopes[0], axis=0).max())))
+    step = max(1, round(np.linalg.norm(slopes[0], axis=0).max()))
     coarse = np.diag([1 / step, 1 / step, 1.0]) @ view.camera
     colors = view.colors[::step, ::step]
     seen = seen_samples(vertices, faces, coarse, colors.shape)
@@ -147,7 +145,7 @@ def _color_gain(
     frame.flat[seen.index] = True
     around = binary_dilation(frame, iterations=8) & ~frame
     way = np.round((pixels[1:] - pixels[0]) / step).astype(int)
-    size = tuple(next_fast_len(n + 2 * int(np.abs(way).max()), real=True) for n in colors.shape)
+    size = tuple(next_fast_len(n + 2 * np.abs(way).max(), real=True) for n in colors.shape)
     masks = [np.conj(rfft2(where.astype(float), size)) for where in (frame, around)]
     counts = np.zeros((2, colors.max() + 1, len(shifts)))
     for k in range(counts.shape[1]):
@@ -176,7 +174,7 @@ def starting_poses(
     if good.sum() >= 3:
         world, rest = placed.points[good], keypoints[good]
         away = (norms(points - np.median(points, axis=0)) for points in (world, rest))
-        large, small = (float(np.median(distance)) for distance in away)
+        large, small = (np.median(distance) for distance in away)
         # More or less cannot be in the same unit.
         if not 1 / 3 < large / small < 3:
             said = f"the labels make a frame {large / small:.3g} times as large as the one given"
@@ -186,7 +184,7 @@ def starting_poses(
             poses.append(procrustes(rest, world))
     poses += [pose for view in views if (pose := _from_one_view(keypoints, view, noise_px)) is not None]
     if not poses:
-        labelled = [int(finite_rows(view.labels).sum()) for view in views]
+        labelled = [finite_rows(view.labels).sum() for view in views]
         remedy = "label 4 or more in one view, 3 or more in two, or give a start"
         if max(labelled) >= 4:
             remedy = "they contradict one another or the cameras; check labels and cameras, or give a start"
@@ -334,5 +332,5 @@ def _seen_at(
     square = np.minimum((errors**2).sum(1) / (2 * noise_px) ** 2, np.finfo(float).max)
     root = 1 / np.sqrt(1 + square[front, None])
     rows, off = (root[..., None] * slopes[front]).reshape(-1, 3), (root * errors[front]).ravel()
-    step = -np.asarray(np.linalg.lstsq(rows, off, rcond=None)[0])
+    step = -np.linalg.lstsq(rows, off, rcond=None)[0]
     return float(np.log1p(square).sum()), norms(errors), step

@@ -160,9 +160,9 @@ def write_canonical_files(done: CanonicalFiles, out: Path) -> dict[str, Values]:
             figures[frame.name] = {
                 "key_point_residual_mm": canonical.residual,
                 "moved_rms_mm": rms(moved),
-                "moved_max_mm": float(moved.max()),
+                "moved_max_mm": moved.max(),
                 "glb_weight_cut": weight_cut,
-                "glb_moved_max_mm": float(norms(cut).max()),
+                "glb_moved_max_mm": norms(cut).max(),
             }
             mesh, keypoints = frame.files["mesh"], frame.files.get("keypoints")
             Staging(folder, _FRAME_FILES).write_record(

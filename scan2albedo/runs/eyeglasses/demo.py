@@ -92,16 +92,16 @@ def compare_with_wearer(placed: PlacedFrame, person: Wearer, head: Head = "fitte
         depth_errors.append(rms(dots(rays, off[shown])))
     errors = {
         "seen_rms_mm": rms(error[seen]),
-        "seen_max_mm": float(error[seen].max()),
-        "seen_share": float(seen.mean()),
+        "seen_max_mm": error[seen].max(),
+        "seen_share": seen.mean(),
         "all_rms_mm": rms(error),
-        "all_max_mm": float(error.max()),
+        "all_max_mm": error.max(),
         "observed_rms_mm": rms(error[observed]),
-        "observed_share": float(observed.mean()),
+        "observed_share": observed.mean(),
         "observed_deviation_mm": rms(result.deviation[observed]),
         "keypoints_rms_mm": rms(marks),
-        "keypoints_max_mm": float(marks.max()),
-        "depth_error_mm": float(np.nanmin(depth_errors)),
+        "keypoints_max_mm": marks.max(),
+        "depth_error_mm": np.nanmin(depth_errors),
         "depth_deviation_mm": result.depth_deviation,
     }
     return GlassesDemoReport(placed, head, errors)

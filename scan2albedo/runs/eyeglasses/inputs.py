@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -10,15 +11,16 @@ from pydantic import Field
 
 from scan2albedo import eyeglasses
 from scan2albedo.core import RawScan
-from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, Texts, Values, all_finite, finite_rows
+from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, Texts, Values, finite_rows
 from scan2albedo.errors import EyeglassesError, errors_of
 from scan2albedo.eyeglasses import Camera, LensMaterial, read_cameras, write_keypoints
 from scan2albedo.eyeglasses.frame_files import read_keypoints_with_unit
 from scan2albedo.eyeglasses.keypoints import KEY_POINT_NAMES
 from scan2albedo.eyeglasses.mean_keypoints import WIDTHS_MM, front_width
 from scan2albedo.eyeglasses.proposed_keypoints import HARDLY_A_FRAME
-from scan2albedo.eyeglasses.view_files import MASK_ENDINGS
+from scan2albedo.eyeglasses.view_files import MASK_ENDINGS, file_of_camera
 from scan2albedo.geometry.closest_points import ClosestPointQuery
+from scan2albedo.geometry.rasterization import within
 from scan2albedo.io.atomic import atomic_path, check_writable
 from scan2albedo.io.color import encode_srgb_bytes
 from scan2albedo.io.images import read_image_linear
@@ -64,8 +66,7 @@ class GlassesFrame:
     @property
     def missing_key_points(self) -> Texts:
         """Names of the key points that the file leaves out."""
-        rows = zip(KEY_POINT_NAMES, self.keypoints, strict=True)
-        return tuple(name for name, point in rows if not all_finite(point))
+        return tuple(compress(KEY_POINT_NAMES, ~finite_rows(self.keypoints)))
 
 
 @dataclass(frozen=True)
@@ -137,10 +138,10 @@ def read_frame(
             # The unit in which the key points lie on the mesh: units are factors of ten apart.
             known = marks[finite_rows(marks)] * marks_mm
             query = ClosestPointQuery(parsed.vertices, parsed.faces).query
-            away = {u: mm * float(np.median(query(known / mm).distance)) for u, mm in MM_PER_UNIT.items()}
+            away = {u: mm * np.median(query(known / mm).distance) for u, mm in MM_PER_UNIT.items()}
             found = min(away, key=lambda u: away[u])
             # Farther off than a tenth of their size, key points are those of another mesh.
-            if not 10 * away[found] <= float(np.ptp(known, axis=0).max()):
+            if not 10 * away[found] <= np.ptp(known, axis=0).max():
                 raise EyeglassesError(
                     f"{mesh.name}: in no unit do the key points lie on the mesh: at best, in {found}, they "
                     f"are {away[found]:.3g} mm off; check that they are this mesh's, and their file's unit"
@@ -154,7 +155,7 @@ def read_frame(
             marks = np.where(own[:, None], marks, proposed.points / ratio)
             stated = zip(KEY_POINT_NAMES, proposed.deviation, own, strict=True)
             deviations.update({n: float(sd) for n, sd, by_hand in stated if np.isfinite(sd) and not by_hand})
-            messages.append(proposed_note(deviations, int(own.sum()), proposed.log_odds))
+            messages.append(proposed_note(deviations, own.sum(), proposed.log_odds))
         width = front_width(ratio * marks, parsed.vertices)
         if mm_per_unit is not None or frame_width_mm is not None:
             scale = mm_per_unit or (frame_width_mm or 0.0) / width
@@ -232,8 +233,8 @@ def read_registration(
         with errors_of(f"labels {labels}", EyeglassesError):
             pixels = listed.of_cameras([camera.name for camera in views])
     for camera, marks in zip(views, pixels, strict=True):
-        labelled, limit = marks[finite_rows(marks)], np.array(camera.shape[::-1]) - 0.5
-        outside = int(((labelled < -0.5) | (labelled > limit)).any(1).sum())
+        labelled = marks[finite_rows(marks)]
+        outside = (~within(labelled, camera.shape, 0.5)).sum()
         if len(labelled) == 0:
             notes.append(f"no label in the view of {camera.name!r}")
         elif outside:
@@ -371,8 +372,7 @@ def _read_per_camera(
         return tuple(found)
     endings = MASK_ENDINGS if kind == "mask" else (".png", ".jpg", ".jpeg", ".tif")
     for number, camera in enumerate(cameras):
-        candidates = [folder / f"{camera.name}{ending}" for ending in endings]
-        path = next((path for path in candidates if path.is_file()), None)
+        path = file_of_camera(folder, camera, endings)
         if path is None:
             notes.append(f"no {kind} of {camera.name!r}: {folder} has no {camera.name}{' or '.join(endings)}")
             continue

@@ -17,6 +17,7 @@ from scan2albedo.eyeglasses import Camera, LensPictureOptions, Surface
 from scan2albedo.eyeglasses.keypoints import checked_keypoints
 from scan2albedo.eyeglasses.lenses.inserted_lenses import SIDES, without_glass
 from scan2albedo.eyeglasses.lenses.lens_picture import Lenses
+from scan2albedo.eyeglasses.lenses.rims import Gaps
 from scan2albedo.eyeglasses.lenses.scenes import WHITE_SHOWN, soft_environment, white_exposure
 from scan2albedo.eyeglasses.mean_keypoints import own_axes
 from scan2albedo.geometry.closest_points import ClosestPointQuery
@@ -43,6 +44,8 @@ from scan2albedo.report.eyeglasses_views import MOST_SHOWN
 from scan2albedo.report.overview import Panel, overview_picture
 from scan2albedo.runs.eyeglasses.inputs import FileRecord, GlassesInput
 
+LightSource = Literal["given", "built-in", "none"]
+
 _FRAME_ALBEDO = (0.05, 0.05, 0.06)
 """Of frames without colours."""
 _SKIN_ROUGHNESS_RAD = 0.3
@@ -65,7 +68,7 @@ class LensRecord(Record):
     normal: tuple[Number, Number, Number] = Field(description="Of the lens plane, towards the viewer.")
     mean_radius_mm: Positive
     measured: Share = Field(description="Share of the outline met by rays; the rest is filled in.")
-    gaps: Literal["none", "interpolated", "subdivided"] = Field(description="How the rest was filled in.")
+    gaps: Gaps = Field(description="How the rest was filled in.")
     deviation_mm: OptionalNumber = Field(None, description="Of the outline as masks refine it; null without.")
 
 
@@ -94,7 +97,7 @@ class LensesRecord(RunRecord):
     pictures: tuple[FileRecord, ...] = ()
     masks: tuple[FileRecord, ...] = Field((), description="By which rims were refined.")
     environment: FileRecord | None = Field(None, description="null for the built-in one, or none.")
-    light: Literal["given", "built-in", "none"] = Field(description="Where the environment comes from.")
+    light: LightSource = Field(description="Where the environment comes from.")
     exposure: Positive = Field(description="Factor on linear colours in the PNG files.")
     lenses: tuple[LensRecord, ...]
     views: tuple[LensViewRecord, ...] = Field(min_length=1)
@@ -122,7 +125,7 @@ class RenderedLenses:
     views: tuple[LensView, ...]
     frame: Surface
     """Without glass of its own where a lens is."""
-    environment: Literal["given", "built-in", "none"]
+    environment: LightSource
     from_photographs: bool
     exposure: float
     """Factor on linear colours for previews: `white_exposure`, 1 for photographs."""
@@ -180,19 +183,18 @@ def render_lenses(
     marks = checked_keypoints("keypoints", keypoints)
     known = marks[finite_rows(marks)]
     if len(known):
-        query = ClosestPointQuery(np.asarray(head.vertices), np.asarray(head.faces))
+        query = ClosestPointQuery(head.vertices, head.faces)
         hits = query.query(known)
         # No worn frame's: it is in another world, or another unit.
-        if (apart := float(np.median(hits.distance))) > 150:
+        if (apart := np.median(hits.distance)) > 150:
             said = f"the frame lies {apart:.0f} mm away from the head"
             raise EyeglassesError(f"{said}; give both in the same world, and their units")
         # As in relit pictures, the inside of an open face is not drawn: if it is wound alike, and outward.
-        corners = np.asarray(head.faces)
-        edges = corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-        out = ((known - hits.points) * face_normals(np.asarray(head.vertices), corners)[hits.face]).sum(1)
+        edges = head.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+        out = ((known - hits.points) * face_normals(head.vertices, head.faces)[hits.face]).sum(1)
         oriented = pictures_linear is None and len(np.unique(edges, axis=0)) == len(edges)
         head = replace(head, one_sided=bool(oriented and np.median(out) > 0))
-    kind: Literal["given", "built-in", "none"] = "none" if environment_linear is None else "given"
+    kind: LightSource = "none" if environment_linear is None else "given"
     exposure = 1.0
     if pictures_linear is None:
         axes = own_axes(marks)
@@ -246,7 +248,7 @@ def run_lenses(
         say(note)
 
     def say_view(view: LensView) -> None:
-        seen = int((view.picture.lens >= 0).sum())
+        seen = (view.picture.lens >= 0).sum()
         say(f"{frame.name}: {view.camera.name} done in {view.seconds:.1f} s; {seen} pixels see a lens")
 
     how = "drawn" if source.pictures is None else "put into photographs"
@@ -275,8 +277,8 @@ def run_lenses(
             "tint_linear": _vector(lens.material.tint_linear),
             "center_mm": _vector(lens.optics.center),
             "normal": _vector(rim.normal),
-            "mean_radius_mm": float(norms(rim.points - rim.center).mean()),
-            "measured": float(rim.measured.mean()),
+            "mean_radius_mm": norms(rim.points - rim.center).mean(),
+            "measured": rim.measured.mean(),
             "gaps": rim.gaps,
             "deviation_mm": None if rim.deviation is None else rms(rim.deviation),
         }
@@ -295,9 +297,9 @@ def run_lenses(
         bare = rendered.frame
         colors = np.asarray(bare.albedo_linear if bare.texture_linear is None else bare.texture_linear)
         color = _vector(np.median(colors.reshape(-1, 3), axis=0))
-        parts = [GlbPart("frame", np.asarray(bare.vertices), np.asarray(bare.faces), color)]
+        parts = [GlbPart("frame", bare.vertices, bare.faces, color)]
         for lens in rendered.lenses:
-            opacity = min(max(1.0 - float(lens.material.transmission.mean()), _SHOWN_OPACITY), 1.0)
+            opacity = min(max(1.0 - lens.material.transmission.mean(), _SHOWN_OPACITY), 1.0)
             color, name = _vector(lens.material.tint_linear), lens.name.replace(" ", "_")
             parts.append(GlbPart(name, lens.vertices, lens.faces, color, opacity, roughness=_SHOWN_OPACITY))
         write_parts_glb(staging.folder / "frame_with_lenses.glb", parts)
@@ -337,5 +339,4 @@ def run_lenses(
 
 
 def _vector(values: ArrayLike) -> tuple[float, float, float]:
-    x, y, z = (float(v) for v in np.asarray(values))
-    return x, y, z
+    return tuple(np.asarray(values, float).tolist())

@@ -121,9 +121,9 @@ class PlacedFrame:
                 mask=self.inputs.masks[number] is not None,
                 proposed=int(np.isfinite(px).sum()),
                 proposed_deviation_px=float(np.nanmedian(px)) if np.isfinite(px).any() else None,
-                outline_rms_px=float(result.outline_rms_px[number]),
-                iou=float(result.iou[number]),
-                visible_share=float(result.visible[number].mean()),
+                outline_rms_px=result.outline_rms_px[number],
+                iou=result.iou[number],
+                visible_share=result.visible[number].mean(),
             )
             for number, (camera, px) in enumerate(zip(self.inputs.cameras, proposed, strict=True))
         )
@@ -133,12 +133,12 @@ class PlacedFrame:
         result, labelled = self.result, ~np.isnan(self.result.label_errors_px)
         return {
             "label_rms_px": _rms(result.label_errors_px[result.inliers]),
-            "labels": int(labelled.sum()),
-            "label_outliers": int((labelled & ~result.inliers).sum()),
+            "labels": labelled.sum(),
+            "label_outliers": (labelled & ~result.inliers).sum(),
             "depth_deviation_mm": result.depth_deviation,
-            "observed_share": float(result.observed.mean()),
+            "observed_share": result.observed.mean(),
             "observed_deviation_rms_mm": _rms(result.deviation[result.observed]),
-            "bend_max_mm": float(norms(result.bend).max()),
+            "bend_max_mm": norms(result.bend).max(),
             "evaluations": result.iterations,
             "seconds": self.seconds,
         }

@@ -44,8 +44,8 @@ def write_olat(capture: CaptureFiles, out: Path) -> Values:
         olat = capture.extract_olat()
     figures = {
         "pairs": len(olat),
-        "saturated_share": float(olat.saturated.any(-1).mean()),
-        "valid_share": float(olat.valid.all(-1).mean()),
+        "saturated_share": olat.saturated.any(-1).mean(),
+        "valid_share": olat.valid.all(-1).mean(),
         "pairs_left_out": [d.pair for d in olat.diagnostics if d.left_out],
     }
     options, notes = {"gamma": capture.content.gamma}, _notes_of_capture(capture, olat)
@@ -108,8 +108,8 @@ def fit_capture(
         )
     # Signs that mesh, poses, masks or gamma do not fit the pictures.
     known, signs = fit.reflectance.known, []
-    sigma = float(np.median(fit.normal_sigma_degrees[known])) if known.any() else 0.0
-    misfit = float(np.nanmedian(fit.misfit)) if np.isfinite(fit.misfit).any() else 0.0
+    sigma = np.median(fit.normal_sigma_degrees[known]) if known.any() else 0.0
+    misfit = np.nanmedian(fit.misfit) if np.isfinite(fit.misfit).any() else 0.0
     if sigma > 2:
         signs.append(f"the mesh's normals seem to be off by {sigma:.1f} degrees")
     if misfit > _DOUBTFUL_MISFIT:
@@ -133,22 +133,22 @@ def write_fit(done: FittedCapture, out: Path, options: Values) -> Values:
     known = fit.reflectance.known
     identified = fit.identified[known].mean(0) if known.any() else np.zeros(6)
     figures: Values = {
-        "pairs": int(np.asarray(done.samples.valid).any((1, 2)).sum()),
+        "pairs": done.samples.valid.any((1, 2)).sum(),
         "pairs_of_capture": len(done.samples.light),
         "vertices": len(known),
-        "known_vertices": int(known.sum()),
-        "pictures_per_vertex_median": float(np.median(fit.pair_count)),
+        "known_vertices": known.sum(),
+        "pictures_per_vertex_median": np.median(fit.pair_count),
         "identified_share": dict(zip(reflectance.PARAMETERS, identified, strict=True)),
         "misfit_median": float(np.nanmedian(fit.misfit)) if np.isfinite(fit.misfit).any() else None,
-        "normal_sigma_degrees_median": float(np.median(fit.normal_sigma_degrees[known])),
-        "impossible_vertices": int(fit.impossible.sum()),
+        "normal_sigma_degrees_median": np.median(fit.normal_sigma_degrees[known]),
+        "impossible_vertices": fit.impossible.sum(),
         "plan": [vars(step) for step in fit.plan],
     }
     figures |= attributes(fit, "level", "converged", "iterations", "light_gain")
     title = f"{figures['known_vertices']} of {figures['vertices']} vertices, {figures['pairs']} pairs"
     if done.error is not None:
         error = attributes(done.error, "relative_rmse", "noise_part", "psnr_db")
-        figures["held_out"] = {"pairs": int(done.held_out.sum()), **error}
+        figures["held_out"] = {"pairs": done.held_out.sum(), **error}
         title += f"; pictures left out: relative RMSE {100 * done.error.relative_rmse:.1f} %"
     with publishing(out, "fit", (capture.path,), options, figures, done.notes) as results:
         reflectance.write_reflectance(results.folder / "reflectance.npz", mesh, fit=fit)

@@ -33,7 +33,7 @@ _MESH, _IMAGE, _SKIN = "face.ply", "image.png", "skin.png"
 
 def report_lines(figures: Values) -> list[str]:
     """Return the figures of `run_reflectance_demo` as text."""
-    percent = {name: 100 * float(np.mean(figures[name])) for name in figures if name.endswith("_error")}
+    percent = {name: 100 * np.mean(figures[name]) for name in figures if name.endswith("_error")}
     return [
         f"error against the ground truth, {figures['people']} people with 35 pairs of pictures each:",
         f"  albedo of vertices        relative RMSE {percent['diffuse_error']:.1f} %, median "
@@ -83,7 +83,7 @@ def run_reflectance_demo(
         albedo = capture.diffuse_linear[known]
         off = found[known] - albedo  # the scale is known
         rmse, median = np.sqrt(np.mean(off**2) / np.mean(albedo**2)), np.median(np.abs(off / albedo))
-        errors.append((float(rmse), float(median), done.error.relative_rmse))
+        errors.append((rmse, median, done.error.relative_rmse))
     landmarks = out / "captures" / "person_00" / LANDMARKS_FILE
     model_run.write_model_folder(model_run.build_model(fits, landmark_vertices=landmarks), out / "model", {})
     model_run.write_samples(out / "model", out / "samples", count=6, seed=seed)
@@ -120,11 +120,12 @@ def run_reflectance_demo(
         aligned = transform_points(procrustes(found, shape[seen]), found)
         return float(norms(aligned - shape[seen]).mean())
 
+    diffuse, diffuse_median, predicted = zip(*errors, strict=True)
     return {
         "people": people,
-        "diffuse_error": [one[0] for one in errors],
-        "diffuse_median_error": [one[1] for one in errors],
-        "held_out_error": [one[2] for one in errors],
+        "diffuse_error": diffuse,
+        "diffuse_median_error": diffuse_median,
+        "held_out_error": predicted,
         "mesh_known_error": scaled_error(with_mesh.face.reflectance),
         "landmarks_error": scaled_error(marked.face.reflectance),
         "mean_face_error": scaled_error(models.mean.reflectance),
@@ -165,8 +166,7 @@ _OWN_FILES = OwnFiles(
 def write_synthetic_capture(capture: FlashCapture, folder: Path) -> Path:
     """Write pictures, masks, mesh, landmarks and capture file of a synthetic capture; return its path."""
     options = capture.portrait
-    if options.bits is None:
-        raise ValueError("pictures without bits cannot be written as PNG; take 8 or 16 bits")
+    _require_bits(options)
     with RunFolder(folder, _OWN_FILES).publishing() as staging:
         _write_mesh(staging.folder / _MESH, capture.vertices, capture.faces)
         distance = norms(capture.landmarks[:, None] - capture.vertices[None])
@@ -210,8 +210,7 @@ def write_synthetic_capture(capture: FlashCapture, folder: Path) -> Path:
 
 def write_synthetic_photograph(taken: FacePhotograph, folder: Path, *, mesh: bool = True) -> Path:
     """Write image, mask, landmarks and, with `mesh`, the mesh; return the photograph file's path."""
-    if taken.portrait.bits is None:
-        raise ValueError("pictures without bits cannot be written as PNG; take 8 or 16 bits")
+    _require_bits(taken.portrait)
     landmarks = [None if np.isnan(pixel).any() else pixel.tolist() for pixel in taken.landmarks_px]
     with RunFolder(folder, _OWN_FILES).publishing() as staging:
         write_png(staging.folder / _IMAGE, taken.image)
@@ -232,6 +231,11 @@ def write_synthetic_photograph(taken: FacePhotograph, folder: Path, *, mesh: boo
         write_record(staging.folder / PHOTOGRAPH_FILE, content, indent=1)
         staging.write_record()
     return folder / PHOTOGRAPH_FILE
+
+
+def _require_bits(portrait: Portrait) -> None:
+    if portrait.bits is None:
+        raise ValueError("pictures without bits cannot be written as PNG; take 8 or 16 bits")
 
 
 def _write_mesh(path: Path, vertices: FloatArray, faces: IntArray) -> None:

@@ -174,7 +174,7 @@ def write_fitted_photograph(done: FittedPhotograph, models: FaceModels, out: Pat
     seen = np.asarray(done.observation.seen)
     figures: Values = {
         "vertices": len(done.vertices),
-        "seen_vertices": int(seen.sum()),
+        "seen_vertices": seen.sum(),
         **attributes(face, "beats_mean", "badly_explained", "relative_rmse"),
         "details": face.details is not None,
         "plan": [vars(step) for step in face.plan],

@@ -170,7 +170,7 @@ def default_model() -> FaceModels:
 def write_model_folder(built: FaceModels, out: Path, options: Values) -> Values:
     """Write the model, its mean on the mean mesh, and a sheet; return figures as in `reflectance.json`."""
     model = built.model
-    figures: Values = {"vertices": len(model.known), "known_vertices": int(model.known.sum())}
+    figures: Values = {"vertices": len(model.known), "known_vertices": model.known.sum()}
     figures |= attributes(model, "samples", "components", "explained", "deviation")
     with publishing(out, "build", built.sources, options, figures) as results:
         model.save(results.folder / MODEL_FILE)
