@@ -1,7 +1,5 @@
 """The command `report`."""
 
-from importlib.resources import files
-
 from helpers.cli import invoke
 from helpers.commands import printed
 
@@ -27,14 +25,3 @@ def test_report_refuses_other_names_and_folders_without_results(tmp_path):
     assert wrong.exit_code == 2
     nothing = invoke("report", tmp_path)
     assert "holds no result.json" in str(nothing.exception)
-
-
-def test_the_package_data_lists_the_files_of_the_page():
-    import tomllib
-    from pathlib import Path
-
-    root = Path(__file__).resolve().parents[2]
-    listed = tomllib.loads((root / "pyproject.toml").read_text())["tool"]["setuptools"]["package-data"]
-    for folder in ("static", "templates"):
-        assert f"report/html/{folder}/*" in listed["scan2albedo"]
-        assert [f for f in (files("scan2albedo.report.html") / folder).iterdir() if f.is_file()]
