@@ -363,4 +363,4 @@ def compare_masks(
                 continue
             owner = front[cKDTree(pixels[front]).query(np.stack([column, row], 1))[1]]
         differing += weights[owner].sum(0)
-    return float((own & mask).sum() / union.sum()), differing
+    return (own & mask).sum() / union.sum(), differing
