@@ -147,7 +147,7 @@ def pane_faces(
 def is_covered(vertices: FloatArray, faces: IntArray, plane: LensPlane, rim_points: FloatArray) -> bool:
     """Return whether a surface, joined to the rim or not, fills most of the lens's opening."""
     met = _met(vertices, faces, plane, plane.profile(rim_points)[0].mean())
-    return bool((met >= 0).mean() >= _ENOUGH)
+    return (met >= 0).mean() >= _ENOUGH
 
 
 def _met(vertices: FloatArray, faces: IntArray, plane: LensPlane, radius: float) -> IntArray:

@@ -57,7 +57,7 @@ class Linearization:
     @property
     def mean_outline_px(self) -> float:
         """A median of whole pixels would stand still."""
-        return float(np.abs(self.outline_px).mean()) if len(self.outline_px) else np.nan
+        return np.abs(self.outline_px).mean() if len(self.outline_px) else np.nan
 
 
 class HeadContact:

@@ -167,12 +167,12 @@ def _noise_shown(options: FaceRegistrationOptions, at: Linearization) -> FaceReg
     """Return the options with the noise that labels and outlines show, where there are enough of them."""
     labels = at.labels_px[np.isfinite(at.labels_px)]
     # Over the medians of a distance in the plane (Rayleigh) and of an error, at a deviation of 1.
-    for name, errors_px, usual in (
-        ("label_noise_px", labels, np.sqrt(2 * np.log(2))),
-        ("outline_noise_px", np.abs(at.outline_px), np.sqrt(2) * erfinv(0.5)),
-    ):
-        if len(errors_px) > 4:
-            options = replace(options, **{name: max(_LEAST_NOISE_PX, np.median(errors_px) / usual)})
+    if len(labels) > 4:
+        noise_px = np.median(labels) / np.sqrt(2 * np.log(2))
+        options = replace(options, label_noise_px=max(_LEAST_NOISE_PX, noise_px))
+    if len(at.outline_px) > 4:
+        noise_px = np.median(np.abs(at.outline_px)) / (np.sqrt(2) * erfinv(0.5))
+        options = replace(options, outline_noise_px=max(_LEAST_NOISE_PX, noise_px))
     return options
 
 
@@ -363,4 +363,4 @@ def compare_masks(
                 continue
             owner = front[cKDTree(pixels[front]).query(np.stack([column, row], 1))[1]]
         differing += weights[owner].sum(0)
-    return float((own & mask).sum() / union.sum()), differing
+    return (own & mask).sum() / union.sum(), differing

@@ -333,4 +333,4 @@ def _seen_at(
     root = 1 / np.sqrt(1 + square[front, None])
     rows, off = (root[..., None] * slopes[front]).reshape(-1, 3), (root * errors[front]).ravel()
     step = -np.linalg.lstsq(rows, off, rcond=None)[0]
-    return float(np.log1p(square).sum()), norms(errors), step
+    return np.log1p(square).sum(), norms(errors), step

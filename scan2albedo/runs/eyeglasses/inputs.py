@@ -154,7 +154,7 @@ def read_frame(
                 proposed = eyeglasses.propose_keypoints((parsed.vertices, parsed.faces))
             marks = np.where(own[:, None], marks, proposed.points / ratio)
             stated = zip(KEY_POINT_NAMES, proposed.deviation, own, strict=True)
-            deviations.update({n: float(sd) for n, sd, by_hand in stated if np.isfinite(sd) and not by_hand})
+            deviations.update({n: sd for n, sd, by_hand in stated if np.isfinite(sd) and not by_hand})
             messages.append(proposed_note(deviations, own.sum(), proposed.log_odds))
         width = front_width(ratio * marks, parsed.vertices)
         if mm_per_unit is not None or frame_width_mm is not None:

@@ -120,7 +120,7 @@ class PlacedFrame:
                 label_rms_px=_rms(result.label_errors_px[number][result.inliers[number]]),
                 mask=self.inputs.masks[number] is not None,
                 proposed=int(np.isfinite(px).sum()),
-                proposed_deviation_px=float(np.nanmedian(px)) if np.isfinite(px).any() else None,
+                proposed_deviation_px=np.nanmedian(px) if np.isfinite(px).any() else None,
                 outline_rms_px=result.outline_rms_px[number],
                 iou=result.iou[number],
                 visible_share=result.visible[number].mean(),

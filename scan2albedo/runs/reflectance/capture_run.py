@@ -139,7 +139,7 @@ def write_fit(done: FittedCapture, out: Path, options: Values) -> Values:
         "known_vertices": known.sum(),
         "pictures_per_vertex_median": np.median(fit.pair_count),
         "identified_share": dict(zip(reflectance.PARAMETERS, identified, strict=True)),
-        "misfit_median": float(np.nanmedian(fit.misfit)) if np.isfinite(fit.misfit).any() else None,
+        "misfit_median": np.nanmedian(fit.misfit) if np.isfinite(fit.misfit).any() else None,
         "normal_sigma_degrees_median": np.median(fit.normal_sigma_degrees[known]),
         "impossible_vertices": fit.impossible.sum(),
         "plan": [vars(step) for step in fit.plan],
