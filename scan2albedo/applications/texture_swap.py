@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, maximum_filter
+from scipy.ndimage import distance_transform_edt, label, maximum_filter, median
 
 from scan2albedo.core.arguments import require_type
 from scan2albedo.core.arrays import BoolArray, FloatArray, IntArray, brightest
@@ -129,19 +129,22 @@ def continued(
     # What the border would cut in two fades in from there; detail gets no stronger than the face's own is.
     sigma = AROUND * max(known.shape)
     fine = log_other - blurred_inside(log_other, other.mask, sigma)
-    own = field - blurred_inside(field, known, sigma)
-    share = np.median(np.abs(own[known])) / max(np.median(np.abs(fine[known])), np.finfo(np.float64).tiny)
+    own = np.abs(field - blurred_inside(field, known, sigma))[known]
+    share = np.median(own) / max(np.median(np.abs(fine[known])), np.finfo(np.float64).tiny)
     cut = 1 - min(share, 1.0) * (1 - np.exp(-((distance / sigma) ** 2)))
     log_other -= (cut * ~grown(whole, AROUND))[..., None] * fine
     across, down = np.diff(log_other, axis=1), np.diff(log_other, axis=0)
     across[(source[:, 1:] != source[:, :-1]) | (source[:, 1:] == 0)] = 0
     down[(source[1:] != source[:-1]) | (source[1:] == 0)] = 0
     feature = _feature_of_one(field - log_other, known & (source == 1) & ~grown(whole, AROUND))
-    # The other face's beard, say, is no feature of this one.
-    feature = np.clip(feature, np.minimum(own, 0), np.maximum(own, 0))
-    filled = filled_over_grid(field - feature, missing, known, across=across, down=down)
-    border = field[row, column]
-    raised = filled + feature[row, column] * np.exp(-((distance / _MARGIN) ** 2))[..., None]
+    border, at_border = field[row, column], feature[row, column]
+    # What is all around a gap, such as the edge of the other one's beard, is no feature that ends there.
+    gaps, count = label(missing | ~other.mask)
+    edges = np.where(missing & (distance <= 1), gaps, 0)
+    around = [median(part, edges, np.arange(count + 1)) for part in np.moveaxis(at_border, -1, 0)]
+    common = np.where((gaps != gaps[0, 0])[..., None], np.stack(around, -1)[gaps], 0.0)
+    filled = filled_over_grid(field - feature, missing, known, across=across, down=down) + common
+    raised = filled + (at_border - common) * np.exp(-((distance / _MARGIN) ** 2))[..., None]
     faded = np.clip(raised, np.minimum(filled, border), np.maximum(filled, border))
     return np.where(missing[..., None], np.exp(faded), albedo)
 
